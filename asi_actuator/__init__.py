@@ -1,0 +1,1 @@
+"""The actuator: physics, parameters, and the node that simulates it."""

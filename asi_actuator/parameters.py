@@ -1,0 +1,248 @@
+"""
+The parameter type, and every parameter of the actuator.
+
+This table is the one place: the YAML file, the ROS descriptors, the documentation and the record
+that the compiled physics reads are all made from it.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+Value = bool | int | float | str
+
+
+class Parameter(NamedTuple):
+    """
+    One parameter.
+
+    Its name is that of the ROS parameter: dotted, the part before the first dot names the block.
+    """
+
+    name: str
+    default: Value
+    unit: str
+    description: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+    source: str = ''
+
+    @property
+    def allowed(self) -> str:
+        """Say in words which values are allowed."""
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        if isinstance(self.default, bool):
+            return 'true or false'
+        if isinstance(self.default, str):
+            return 'a text'
+        kind = 'a whole number' if isinstance(self.default, int) else 'a number'
+        if math.isinf(self.low) and math.isinf(self.high):
+            return kind
+        unit = f' {self.unit}' if self.unit else ''
+        return f'{kind} from {self.low:g} to {self.high:g}{unit}'
+
+    def problem(self, value: object) -> str | None:
+        """Return why `value` is not allowed, naming parameter, value and range; None if it is."""
+        if self._accepts(value):
+            return None
+        return f'{self.name} = {value!r} is not allowed: it takes {self.allowed}'
+
+    def _accepts(self, value: object) -> bool:
+        if isinstance(self.default, bool) or isinstance(value, bool):
+            return isinstance(self.default, bool) and isinstance(value, bool)
+        if isinstance(self.default, str):
+            return isinstance(value, str) and (not self.choices or value in self.choices)
+        if isinstance(self.default, int) and not isinstance(value, int):
+            return False
+        if not isinstance(value, int | float):
+            return False
+        return math.isfinite(value) and self.low <= value <= self.high
+
+
+class ParameterError(ValueError):
+    """A parameter has a value, type or name that is not allowed; the text says which and why."""
+
+
+MODEL = ('off', 'linear', 'full')
+LOAD = ('locked', 'spring', 'free', 'prescribed')
+
+
+def _model(block: str, linear: str, off: str) -> Parameter:
+    return Parameter(
+        f'{block}.model', 'full', '',
+        f'full: the nonlinear or dynamic block; linear: {linear}; off: {off}', choices=MODEL)
+
+
+ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter('command_limit', 4000.0, 'N', 'Largest valve command that the drive passes on',
+              1.0, 1e5, source='assumed'),
+    Parameter('maximum_substep', 25e-6, 's', 'Longest sub-step of the integration',
+              1e-6, 1e-4, source='convergence: asi_actuator/model/actuator.py'),
+
+    _model('valve_hysteresis', 'linear_gain times the command', 'the command itself'),
+    Parameter('valve_hysteresis.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
+              0.0, 10.0),
+    Parameter('valve_hysteresis.radius', 14.0, 'N', 'Half width of the loop at rest',
+              0.0, 1000.0, source='steady-state error of 6 N at Kp = 3 (Table 1)'),
+    Parameter('valve_hysteresis.lag_time', 0.654e-3, 's',
+              'Growth of the half width with the rate of the command', 0.0, 0.1,
+              source='fit S10'),
+    Parameter('valve_hysteresis.rate_exponent', 0.05, '',
+              'How much faster than linearly the half width grows with the rate', 0.0, 2.0,
+              source='fit S10'),
+    Parameter('valve_hysteresis.reference_rate', 1.9e5, 'N/s',
+              'Rate of the command at which lag_time holds', 1.0, 1e8, source='fit S10'),
+    Parameter('valve_hysteresis.rate_filter', 1500.0, 'Hz',
+              'Corner of the filter that measures the rate of the command', 1.0, 1e5,
+              source='fit S10'),
+
+    _model('valve_flexure', 'linear_gain, no dynamics', 'no dynamics'),
+    Parameter('valve_flexure.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
+              0.0, 10.0),
+    Parameter('valve_flexure.coil_frequency', 26.1, 'Hz', 'Corner of the coil and its drive',
+              0.1, 1e4, source='fit S10; sets the open-loop bandwidth'),
+    Parameter('valve_flexure.natural_frequency', 890.0, 'Hz',
+              'Natural frequency of the flexure pipe', 1.0, 5e3, source='fit S10'),
+    Parameter('valve_flexure.damping_ratio', 0.359, '', 'Damping ratio of the flexure pipe',
+              0.0, 10.0, source='fit S10'),
+    Parameter('valve_flexure.delay', 1.003e-3, 's', 'First of the two delays', 0.0, 0.01,
+              source='fit S10'),
+
+    _model('valve_characteristic', 'linear_gain times the slope, without saturation',
+           'the slope, without saturation'),
+    Parameter('valve_characteristic.linear_gain', 1.0, '',
+              'Share of the slope when the model is linear', 0.0, 10.0),
+    Parameter('valve_characteristic.gain', 0.535, 'N/N',
+              'Force per valve command, open loop and at rest', 1e-3, 100.0, source='fit S10'),
+    Parameter('valve_characteristic.maximum_force', 1000.0, 'N', 'Thrust at full opening',
+              1.0, 1e5, source='paper, section 2.1 and Fig. 4'),
+    Parameter('valve_characteristic.full_opening', 2e-5, 'm',
+              'Valve position at which the thrust saturates', 1e-7, 1e-2,
+              source='assumed, from the axis of Fig. 4'),
+
+    _model('hydraulic_damping', 'linear_gain times the velocity', 'none'),
+    Parameter('hydraulic_damping.linear_gain', 1000.0, 'N s/m', 'Gain when the model is linear',
+              0.0, 1e6),
+    Parameter('hydraulic_damping.maximum_force', 1200.0, 'N', 'Bound of the damping force',
+              0.0, 1e5, source='paper, section 4.1'),
+    Parameter('hydraulic_damping.centre_share', 0.021, '',
+              'Magnitude with the valve closed, as a share of that with the valve open',
+              0.0, 1.0, source='fit S10'),
+    Parameter('hydraulic_damping.saturation_velocity', 0.452, 'm/s',
+              'Velocity about which the damping rises, valve closed', 0.0, 10.0,
+              source='fit S10'),
+    Parameter('hydraulic_damping.saturation_shift', 0.112, 'm/s',
+              'Shift of that velocity with the signed valve opening', -10.0, 10.0,
+              source='fit S10'),
+    Parameter('hydraulic_damping.saturation_narrowing', 0.422, 'm/s',
+              'Fall of that velocity with the size of the valve opening', -10.0, 10.0,
+              source='fit S10'),
+    Parameter('hydraulic_damping.velocity_width', 0.198, 'm/s', 'Scale of the tanh in velocity',
+              1e-3, 10.0, source='fit S10'),
+    Parameter('hydraulic_damping.width_growth', 0.217, '',
+              'Growth of that scale with the size of the valve opening', 0.0, 10.0,
+              source='fit S10'),
+    Parameter('hydraulic_damping.viscous', 970.0, 'N s/m', 'Damping that is linear in velocity',
+              0.0, 1e6, source='fit S10'),
+
+    _model('fluid_dynamics', 'linear_gain, no dynamics', 'no dynamics'),
+    Parameter('fluid_dynamics.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
+              0.0, 10.0),
+    Parameter('fluid_dynamics.frequency', 1000.0, 'Hz', 'Corner of the lumped fluid dynamics',
+              1.0, 1e5, source='paper, section 4.1'),
+
+    _model('friction', 'linear_gain times the velocity', 'none'),
+    Parameter('friction.linear_gain', 0.0, 'N s/m', 'Gain when the model is linear', 0.0, 1e6),
+    Parameter('friction.coulomb', 7.0, 'N', 'Friction when sliding', 0.0, 1e4,
+              source='paper, section 2.2'),
+    Parameter('friction.stiction_push', 27.0, 'N', 'Breakaway force when the piston extends',
+              0.0, 1e4, source='paper, section 2.2'),
+    Parameter('friction.stiction_pull', 15.0, 'N', 'Breakaway force when the piston retracts',
+              0.0, 1e4, source='paper, section 2.2'),
+    Parameter('friction.stribeck_velocity', 0.005, 'm/s',
+              'Velocity over which stiction falls to Coulomb friction', 1e-6, 10.0,
+              source='assumed'),
+    Parameter('friction.presliding_stiffness', 2e5, 'N/m',
+              'Stiffness of the seals before they slide', 1e2, 1e9, source='assumed'),
+    Parameter('friction.presliding_damping', 50.0, 'N s/m',
+              'Damping of the seals before they slide', 0.0, 1e6, source='assumed'),
+
+    Parameter('load.type', 'locked', '',
+              'locked: held by the stiffness of the structure; spring: mass, spring and damper; '
+              'free: the mass alone; prescribed: moved at a given velocity', choices=LOAD),
+    Parameter('load.mass', 0.5, 'kg', 'Moving mass', 1e-3, 1e4,
+              source='paper, section 2.1: mass of the package'),
+    Parameter('load.locked_stiffness', 1.12e6, 'N/m', 'Stiffness of the locked structure',
+              1.0, 1e9, source='fit S10'),
+    Parameter('load.locked_damping', 50.0, 'N s/m', 'Damping of the locked structure',
+              0.0, 1e6, source='fit S10'),
+    Parameter('load.stiffness', 2e5, 'N/m', 'Spring of the spring load', 0.0, 1e9,
+              source='study, Table 1 rows'),
+    Parameter('load.damping', 20.0, 'N s/m', 'Damper of the spring load', 0.0, 1e6,
+              source='study, Table 1 rows'),
+    Parameter('load.velocity', 0.0, 'm/s',
+              'Velocity of the prescribed motion (amplitude, if load.frequency is not 0)',
+              -10.0, 10.0),
+    Parameter('load.frequency', 0.0, 'Hz', 'Frequency of the prescribed motion; 0: constant',
+              0.0, 1000.0),
+    Parameter('load.external_force', 0.0, 'N', 'Push from outside on the piston', -1e5, 1e5),
+
+    _model('force_sensor', 'linear_gain, no dynamics', 'no dynamics'),
+    Parameter('force_sensor.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
+              0.0, 10.0),
+    Parameter('force_sensor.natural_frequency', 800.0, 'Hz', 'Natural frequency of the sensor',
+              1.0, 5e3, source='assumed'),
+    Parameter('force_sensor.damping_ratio', 0.7, '', 'Damping ratio of the sensor', 0.0, 10.0,
+              source='assumed'),
+    Parameter('force_sensor.delay', 0.1e-3, 's', 'Second of the two delays', 0.0, 0.01,
+              source='fit S10'),
+    Parameter('force_sensor.gain', 1.0, 'N/N', 'Scale of the measured force', 0.1, 10.0),
+    Parameter('force_sensor.offset', 0.0, 'N', 'Offset of the measured force', -1e4, 1e4),
+    Parameter('force_sensor.noise', 0.0, 'N', 'Standard deviation of the measured force',
+              0.0, 1e3),
+    Parameter('force_sensor.noise_seed', 1, '', 'Seed of that noise', 0, 2**31 - 1),
+)
+
+_BY_NAME = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
+
+
+def field_name(name: str) -> str:
+    """Return the field of the record that holds the parameter `name`."""
+    return name.replace('.', '_')
+
+
+ACTUATOR_DTYPE = np.dtype([(field_name(p.name), np.float64) for p in ACTUATOR_PARAMETERS])
+
+
+def defaults(parameters: Iterable[Parameter] = ACTUATOR_PARAMETERS) -> dict[str, Value]:
+    """Return every parameter's default by name."""
+    return {parameter.name: parameter.default for parameter in parameters}
+
+
+def as_number(parameter: Parameter, value: Value) -> float:
+    """Return the number that stands for `value` in the record: a choice becomes its index."""
+    return float(parameter.choices.index(str(value)) if parameter.choices else value)
+
+
+def as_record(values: Mapping[str, Value] | None = None) -> np.void:
+    """
+    Return the record that the compiled physics reads: the defaults, changed by `values`.
+
+    Raises ParameterError for an unknown name or a value that is not allowed.
+    """
+    record = np.zeros(1, ACTUATOR_DTYPE)[0]
+    for parameter in ACTUATOR_PARAMETERS:
+        record[field_name(parameter.name)] = as_number(parameter, parameter.default)
+    for name, value in (values or {}).items():
+        if name not in _BY_NAME:
+            raise ParameterError(f'{name} is not a parameter of the actuator')
+        parameter = _BY_NAME[name]
+        if problem := parameter.problem(value):
+            raise ParameterError(problem)
+        record[field_name(name)] = as_number(parameter, value)
+    return record

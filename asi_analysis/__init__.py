@@ -1,0 +1,1 @@
+"""What happens after a run: bags, step and limit-cycle analysis, reports, the `asi` command."""

@@ -1,0 +1,1 @@
+"""The controller: compensators, reference signals, and the node that closes the force loop."""

@@ -1,0 +1,58 @@
+"""Build the ament_python package; the same file serves pip and colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'asi_actuator'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(include=['asi_actuator*', 'asi_controller*', 'asi_analysis*']),
+    package_data={'asi_analysis': ['templates/*', 'py.typed'],
+                  'asi_actuator': ['py.typed'],
+                  'asi_controller': ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/config', glob('config/*')),
+        ('share/' + package_name + '/launch', glob('launch/*')),
+    ],
+    python_requires='>=3.11',
+    install_requires=[
+        'ros-jazzy-rclpy[fastrtps]',
+        'ros-jazzy-common-interfaces',
+        'numpy',
+        'numba',
+        'scipy',
+        'pyyaml',
+        'mcap',
+        'zstandard',
+        'rosbags',
+        'pyarrow',
+        'matplotlib',
+        'jinja2',
+        'typer',
+        'rich',
+    ],
+    extras_require={
+        'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',
+                 'ruff', 'mypy', 'types-PyYAML'],
+    },
+    zip_safe=True,
+    maintainer='asi_actuator maintainers',
+    maintainer_email='maintainers@example.com',
+    description='Run, control, record and understand a force-controlled hydraulic joint '
+                'actuator under ROS 2.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'actuator = asi_actuator.actuator_node:main',
+            'controller = asi_controller.controller_node:main',
+            'recorder = asi_analysis.recorder_node:main',
+            'replay = asi_analysis.replay_node:main',
+            'asi = asi_analysis.cli:main',
+        ],
+    },
+)
