@@ -6,7 +6,7 @@ that the compiled physics reads are all made from it.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -208,7 +208,6 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('force_sensor.noise_seed', 1, '', 'Seed of that noise', 0, 2**31 - 1),
 )
 
-_BY_NAME = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
 
 
 def field_name(name: str) -> str:
@@ -216,12 +215,36 @@ def field_name(name: str) -> str:
     return name.replace('.', '_')
 
 
-ACTUATOR_DTYPE = np.dtype([(field_name(p.name), np.float64) for p in ACTUATOR_PARAMETERS])
+def record_dtype(table: tuple[Parameter, ...]) -> np.dtype:
+    """Return the record type of a table: one float64 field a parameter, texts left out."""
+    return np.dtype([(field_name(p.name), np.float64) for p in table if _is_number(p)])
 
 
-def defaults(parameters: Iterable[Parameter] = ACTUATOR_PARAMETERS) -> dict[str, Value]:
-    """Return every parameter's default by name."""
-    return {parameter.name: parameter.default for parameter in parameters}
+def _is_number(parameter: Parameter) -> bool:
+    return bool(parameter.choices) or not isinstance(parameter.default, str)
+
+
+ACTUATOR_DTYPE = record_dtype(ACTUATOR_PARAMETERS)
+
+
+def defaults(table: tuple[Parameter, ...]) -> dict[str, Value]:
+    """Return the default of each parameter of a table, by name."""
+    return {parameter.name: parameter.default for parameter in table}
+
+
+def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict[str, Value]:
+    """
+    Return the defaults of a table, changed by `values`.
+
+    Raises ParameterError for an unknown name or a value that is not allowed.
+    """
+    by_name = {parameter.name: parameter for parameter in table}
+    for name, value in values.items():
+        if name not in by_name:
+            raise ParameterError(f'{name} is not a parameter; there are {", ".join(by_name)}')
+        if problem := by_name[name].problem(value):
+            raise ParameterError(problem)
+    return defaults(table) | dict(values)
 
 
 def as_number(parameter: Parameter, value: Value) -> float:
@@ -229,20 +252,15 @@ def as_number(parameter: Parameter, value: Value) -> float:
     return float(parameter.choices.index(str(value)) if parameter.choices else value)
 
 
-def as_record(values: Mapping[str, Value] | None = None) -> np.void:
+def as_record(values: Mapping[str, Value] | None = None,
+              table: tuple[Parameter, ...] = ACTUATOR_PARAMETERS) -> np.void:
     """
-    Return the record that the compiled physics reads: the defaults, changed by `values`.
+    Return the record that compiled code reads: a table's defaults, changed by `values`.
 
     Raises ParameterError for an unknown name or a value that is not allowed.
     """
-    record = np.zeros(1, ACTUATOR_DTYPE)[0]
-    for parameter in ACTUATOR_PARAMETERS:
-        record[field_name(parameter.name)] = as_number(parameter, parameter.default)
-    for name, value in (values or {}).items():
-        if name not in _BY_NAME:
-            raise ParameterError(f'{name} is not a parameter of the actuator')
-        parameter = _BY_NAME[name]
-        if problem := parameter.problem(value):
-            raise ParameterError(problem)
-        record[field_name(name)] = as_number(parameter, value)
+    record = np.zeros(1, record_dtype(table))[0]
+    complete = completed(values or {}, table)
+    for parameter in filter(_is_number, table):
+        record[field_name(parameter.name)] = as_number(parameter, complete[parameter.name])
     return record

@@ -1,0 +1,146 @@
+"""
+The actuator: the blocks of the paper's Fig. 2, joined.
+
+`step` serves the node, `simulate` whole runs; both are the same compiled code. Everything is
+integrated by the trapezoidal rule (second order, stable for any step) with a fixed sub-step.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.delay import RING, delay
+from asi_actuator.model.fluid_dynamics import fluid_dynamics
+from asi_actuator.model.force_sensor import force_sensor, reading
+from asi_actuator.model.jit import FULL, jit
+from asi_actuator.model.load import load
+from asi_actuator.model.valve_characteristic import (
+    valve_characteristic, valve_opening, valve_position)
+from asi_actuator.model.valve_flexure import valve_flexure
+from asi_actuator.model.valve_hysteresis import valve_hysteresis
+
+STATE_DTYPE = np.dtype([
+    ('time', np.float64),               # s
+    ('sample', np.int64),               # ticks so far
+    ('command_filtered', np.float64),   # N, the rate filter of the hysteresis
+    ('drive', np.float64),              # N, output of the hysteresis
+    ('coil', np.float64),               # N
+    ('flexure', np.float64),            # N
+    ('flexure_rate', np.float64),       # N/s
+    ('valve_position', np.float64),     # m
+    ('hydraulic_force', np.float64),    # N
+    ('damping_force', np.float64),      # N
+    ('position', np.float64),           # m, of the piston
+    ('velocity', np.float64),           # m/s, of the piston
+    ('seal', np.float64),               # m, deflection of the seals
+    ('transmitted', np.float64),        # N, hydraulic force less friction
+    ('sensor', np.float64),             # N
+    ('sensor_rate', np.float64),        # N/s
+    ('sensed', np.float64),             # N, after the sensor's delay
+    ('ring_index', np.int64),
+    ('flexure_ring', np.float64, (RING,)),
+    ('sensor_ring', np.float64, (RING,)),
+])
+
+
+class Measurement(NamedTuple):
+    """What the sensors tell: force N, valve position m, piston position m and velocity m/s."""
+
+    force_n: float
+    valve_position_m: float
+    position_m: float
+    velocity_m_s: float
+
+
+class Trajectory(NamedTuple):
+    """A simulated run: arrays of n samples; the command holds from its sample to the next."""
+
+    time_s: npt.NDArray[np.float64]
+    command_n: npt.NDArray[np.float64]
+    force_n: npt.NDArray[np.float64]
+    valve_position_m: npt.NDArray[np.float64]
+    position_m: npt.NDArray[np.float64]
+    velocity_m_s: npt.NDArray[np.float64]
+
+
+def rest() -> np.void:
+    """Return the state of the actuator at rest, unloaded."""
+    return np.zeros(1, STATE_DTYPE)[0]
+
+
+@jit
+def substep(state, command, p, h):
+    """Advance `state` by `h` s at a constant valve command (N)."""
+    drive_before = state.drive
+    # The rate filter is a lag at a constant input: its exact solution.
+    decay = math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h)
+    state.command_filtered = command + (state.command_filtered - command) * decay
+    state.drive = valve_hysteresis(state.drive, command, state.command_filtered, p)
+
+    deflection = valve_flexure(state, drive_before, state.drive, p, h)
+    state.ring_index = (state.ring_index + 1) % RING
+    if p.valve_flexure_model == FULL:
+        deflection = delay(state.flexure_ring, state.ring_index, deflection,
+                           p.valve_flexure_delay, h)
+    static_before = valve_characteristic(state.valve_position, p)
+    state.valve_position = valve_position(deflection, p)
+    static_after = valve_characteristic(state.valve_position, p)
+
+    transmitted_before = state.transmitted
+    state.transmitted = load(state, static_before, static_after,
+                             valve_opening(state.valve_position, p), fluid_dynamics(p, h), p, h)
+    state.sensed = force_sensor(state, transmitted_before, state.transmitted, p, h)
+    state.time += h
+
+
+@jit
+def step(state, command, p, period):
+    """
+    Advance `state` by one control period (s) at a constant valve command (N), in place.
+
+    state: record of STATE_DTYPE; p: record of ACTUATOR_DTYPE. The period is cut into the fewest
+    equal sub-steps that are not longer than p.maximum_substep.
+    """
+    limited = min(max(command, -p.command_limit), p.command_limit)
+    # The command jumps here, so the hysteresis sees it at the start of the first sub-step too.
+    state.drive = valve_hysteresis(state.drive, limited, state.command_filtered, p)
+    count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
+    h = period / count
+    for _ in range(count):
+        substep(state, limited, p, h)
+    state.sample += 1
+
+
+@jit
+def measure(state, p):
+    """Return (force N, valve position m, piston position m, velocity m/s) as they are sensed."""
+    return (reading(state.sensed, state.sample, p), state.valve_position, state.position,
+            state.velocity)
+
+
+@jit
+def _simulate(state, commands, p, period, out):
+    for k in range(commands.shape[0]):
+        force, valve, position, velocity = measure(state, p)
+        out[0, k] = force
+        out[1, k] = valve
+        out[2, k] = position
+        out[3, k] = velocity
+        step(state, commands[k], p, period)
+
+
+def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
+             state: np.void | None = None) -> Trajectory:
+    """
+    Return the run of a sequence of valve commands.
+
+    p: record of ACTUATOR_DTYPE; commands: n valve commands, N, each held for `period_s` s;
+    state: where to begin (advanced in place), at rest if not given. Sample k is measured before
+    command k acts.
+    """
+    commands = np.ascontiguousarray(commands, np.float64)
+    out = np.empty((4, commands.size))
+    _simulate(rest() if state is None else state, commands, p, period_s, out)
+    return Trajectory(np.arange(commands.size) * period_s, commands, *out)

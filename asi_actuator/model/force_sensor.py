@@ -1,0 +1,54 @@
+"""
+Force sensor: a flexure on the cylinder with a Hall-effect transducer (paper, section 2.1).
+
+A resonance and the second of the two delays; then gain, offset and noise ("this force sensor is a
+non-zero sensor, thus calibration is required").
+"""
+
+import math
+
+import numpy as np
+
+from asi_actuator.model.delay import delay
+from asi_actuator.model.jit import FULL, LINEAR, jit
+from asi_actuator.model.valve_flexure import second_order
+
+
+@jit
+def force_sensor(state, force_before, force_after, p, h):
+    """Return the sensed force (N) after a sub-step of `h` s, before gain, offset and noise."""
+    if p.force_sensor_model != FULL:
+        gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
+        return gain * force_after
+    state.sensor, state.sensor_rate = second_order(
+        state.sensor, state.sensor_rate, force_before, force_after,
+        p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
+    return delay(state.sensor_ring, state.ring_index, state.sensor, p.force_sensor_delay, h)
+
+
+@jit
+def _mix(number):
+    """Return a well-mixed number (SplitMix64; Steele, Lea, Flood 2014)."""
+    number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return number ^ (number >> np.uint64(31))
+
+
+@jit
+def normal(seed, sample):
+    """Return a standard normal number that depends on nothing but `seed` and `sample`."""
+    start = _mix(np.uint64(seed)) + np.uint64(2 * sample) * np.uint64(0x9E3779B97F4A7C15)
+    first = _mix(start) >> np.uint64(11)
+    second = _mix(start + np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)
+    # 53 random bits each, the first never 0; Box and Muller 1958.
+    radius = math.sqrt(-2.0 * math.log((first + 1.0) / 9007199254740993.0))
+    return radius * math.cos(2.0 * math.pi * second / 9007199254740992.0)
+
+
+@jit
+def reading(force, sample, p):
+    """Return what the sensor reads (N) at a sensed force (N) as its reading number `sample`."""
+    noise = 0.0
+    if p.force_sensor_noise > 0.0:
+        noise = p.force_sensor_noise * normal(int(p.force_sensor_noise_seed), sample)
+    return p.force_sensor_gain * force + p.force_sensor_offset + noise

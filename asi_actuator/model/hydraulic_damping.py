@@ -1,0 +1,54 @@
+"""
+Hydraulic damping: oil forced through the valve's orifices (paper, section 2.2, Fig. 3).
+
+A family of hyperbolic tangents in the velocity whose magnitude, scale and position depend on the
+valve opening, as the paper fitted them, plus a viscous part, bounded by 1200 N.
+"""
+
+import math
+
+from asi_actuator.model.jit import FULL, LINEAR, jit
+
+
+@jit
+def damping_curve(opening, p):
+    """
+    Return the curve of the family that belongs to a valve opening (-1 to 1).
+
+    As (magnitude N, velocity m/s about which it rises extending, the same retracting,
+    width m/s, value of the tangents at rest).
+    """
+    size = abs(opening)
+    centre = (p.hydraulic_damping_saturation_velocity
+              - p.hydraulic_damping_saturation_narrowing * size)
+    shift = p.hydraulic_damping_saturation_shift * opening
+    extending, retracting = centre + shift, centre - shift
+    width = p.hydraulic_damping_velocity_width * (1.0 + p.hydraulic_damping_width_growth * size)
+    share = p.hydraulic_damping_centre_share
+    magnitude = 0.5 * p.hydraulic_damping_maximum_force * (share + (1.0 - share) * size)
+    at_rest = math.tanh(retracting / width) - math.tanh(extending / width)
+    return magnitude, extending, retracting, width, at_rest
+
+
+@jit
+def damping_force(velocity, curve, p):
+    """Return the damping force (N) against a velocity (m/s), and its slope (N s/m)."""
+    bound = p.hydraulic_damping_maximum_force
+    if p.hydraulic_damping_model == LINEAR:
+        return p.hydraulic_damping_linear_gain * velocity, p.hydraulic_damping_linear_gain
+    if p.hydraulic_damping_model != FULL or bound == 0.0:
+        return 0.0, 0.0
+    magnitude, extending, retracting, width, at_rest = curve
+    out = math.tanh((velocity - extending) / width)
+    back = math.tanh((velocity + retracting) / width)
+    force = magnitude * (out + back - at_rest) + p.hydraulic_damping_viscous * velocity
+    slope = (magnitude / width * (2.0 - out * out - back * back)
+             + p.hydraulic_damping_viscous)
+    bounded = math.tanh(force / bound)
+    return bound * bounded, slope * (1.0 - bounded * bounded)
+
+
+@jit
+def hydraulic_damping(velocity, opening, p):
+    """Return the damping force (N) at a velocity (m/s) and a valve opening (-1 to 1)."""
+    return damping_force(velocity, damping_curve(opening, p), p)[0]

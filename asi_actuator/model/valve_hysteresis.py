@@ -1,0 +1,47 @@
+"""
+Valve hysteresis: the magnetic circuit that drives the valve (paper, section 2.2, Fig. 5).
+
+A play whose half width grows with the rate of the command. At rest it leaves the small remanence
+that the paper's steady-state errors allow; at 100 Hz it gives the phase lag that the paper's
+limit cycle needs. A play of constant width cannot do both.
+"""
+
+import math
+
+from asi_actuator.model.jit import FULL, LINEAR, jit
+
+
+@jit
+def command_rate(command, filtered, p):
+    """Return the rate (N/s) of the command (N) as the rate filter, at `filtered` (N), sees it."""
+    return 2.0 * math.pi * p.valve_hysteresis_rate_filter * (command - filtered)
+
+
+@jit
+def half_width(rate, p):
+    """Return half the width (N) of the loop at a rate (N/s) of the command."""
+    speed = abs(rate)
+    if speed == 0.0:
+        return p.valve_hysteresis_radius
+    growth = (speed / p.valve_hysteresis_reference_rate) ** p.valve_hysteresis_rate_exponent
+    return p.valve_hysteresis_radius + p.valve_hysteresis_lag_time * speed * growth
+
+
+@jit
+def play(drive, command, radius):
+    """Return the output (N) of a play of half width `radius` (N) that was at `drive` (N)."""
+    return min(max(drive, command - radius), command + radius)
+
+
+@jit
+def valve_hysteresis(drive, command, filtered, p):
+    """
+    Return the drive (N) that the magnetic circuit passes on.
+
+    drive: its last output, N; command: valve command, N; filtered: state of the rate filter, N.
+    """
+    if p.valve_hysteresis_model == FULL:
+        return play(drive, command, half_width(command_rate(command, filtered, p), p))
+    if p.valve_hysteresis_model == LINEAR:
+        return p.valve_hysteresis_linear_gain * command
+    return command

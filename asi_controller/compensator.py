@@ -1,0 +1,244 @@
+"""
+The compensators of the paper's section 5, and one of the user's own.
+
+Designed in continuous time as products of (s/z + 1)/(s/p + 1), so that the gain is that at zero
+frequency, as in the paper; made discrete for the control rate by Tustin's rule, prewarped where
+the limit cycle is; run as a cascade of second-order sections, the slowest pole last.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from asi_actuator.model.jit import jit
+from asi_actuator.parameters import ParameterError, Value, completed
+from asi_controller.parameters import COMPENSATOR_PARAMETERS
+
+# Phase counts most where the limit cycle is.
+PREWARP_HZ: Final = 90.0
+MOST_SECTIONS: Final = 8
+OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 14.5, 'lead2': 3.0, 'lead4': 2.2,
+                   'custom': 1.0}
+
+
+class Design(NamedTuple):
+    """A compensator in continuous time: zeros and poles in rad/s, gain at zero frequency."""
+
+    zeros: tuple[complex, ...]
+    poles: tuple[complex, ...]
+    gain: float
+
+
+COMPENSATOR_DTYPE = np.dtype([
+    ('gain', np.float64),
+    ('feedforward', np.float64),
+    ('saturation', np.float64),
+    ('count', np.int64),                             # second-order sections in use
+    ('sections', np.float64, (MOST_SECTIONS, 5)),    # b0 b1 b2 a1 a2
+    ('lag', np.float64, (3,)),                       # b0 b1 a1, the slowest pole
+    ('memory', np.float64, (MOST_SECTIONS, 2)),
+    ('lag_memory', np.float64),
+    ('fresh', np.int64),                             # 1: settle the memory at the next error
+    ('changed', np.int64),                           # 1: the next command shall not jump
+    ('bias', np.float64),                            # N, what keeps it from jumping
+    ('bias_decay', np.float64),                      # its share that is left after a tick
+    ('command', np.float64),                         # N, the last one
+])
+
+
+def _roots(name: str, text: Value) -> tuple[complex, ...]:
+    """Return the complex numbers of a text such as '-50, -30+40j, -30-40j'."""
+    try:
+        roots = tuple(complex(part.replace(' ', '')) for part in str(text).split(',')
+                      if part.strip())
+    except ValueError:
+        raise ParameterError(f'{name} = {text!r} is not allowed: it takes numbers in rad/s with '
+                             'commas between, as "-50, -30+40j, -30-40j"') from None
+    if not all(math.isfinite(abs(root)) for root in roots):
+        raise ParameterError(f'{name} = {text!r} is not allowed: every number must be finite')
+    if sorted(roots, key=_order) != sorted((root.conjugate() for root in roots), key=_order):
+        raise ParameterError(f'{name} = {text!r} is not allowed: complex numbers must come in '
+                             'conjugate pairs')
+    return roots
+
+
+def _order(root: complex) -> tuple[float, float]:
+    return root.real, root.imag
+
+
+def design(values: Mapping[str, Value]) -> Design:
+    """
+    Return the compensator that the parameters ask for, in continuous time.
+
+    Raises ParameterError if a parameter or the combination is not allowed.
+    """
+    v = completed(values, COMPENSATOR_PARAMETERS)
+    name = str(v['compensator'])
+    gain = float(v['gain']) or OWN_GAIN[name]
+    if name == 'proportional':
+        return Design((), (), gain)
+    if name == 'lead_lag':
+        centre = 2.0 * math.pi * float(v['lead_lag.centre_frequency'])
+        spread = math.sqrt(float(v['lead_lag.ratio']))
+        return Design((-centre / spread,),
+                      (-centre * spread, -1.0 / float(v['lead_lag.lag_time'])), gain)
+    if name in ('lead2', 'lead4'):
+        order = int(name[-1])
+        zero = 2.0 * math.pi * float(v[f'{name}.zero_frequency'])
+        lag = 1.0 / float(v['lead_lag.lag_time'])
+        ratio = float(v[f'{name}.lag_ratio'])
+        return Design((-zero,) * order + (-lag,),
+                      (-zero * float(v[f'{name}.ratio']),) * order + (-lag / ratio,),
+                      gain * ratio)
+    return _custom(_roots('custom.zeros', v['custom.zeros']),
+                   _roots('custom.poles', v['custom.poles']), gain)
+
+
+def _custom(zeros: tuple[complex, ...], poles: tuple[complex, ...], gain: float) -> Design:
+    if len(zeros) > len(poles):
+        raise ParameterError(f'custom.zeros has {len(zeros)} and custom.poles {len(poles)} '
+                             'numbers: there may not be more zeros than poles')
+    if len(poles) > 2 * MOST_SECTIONS:
+        raise ParameterError(f'custom.poles has {len(poles)} numbers: at most '
+                             f'{2 * MOST_SECTIONS} are allowed')
+    for name, roots in (('custom.poles', poles), ('custom.zeros', zeros)):
+        if any(root == 0 for root in roots) or (name == 'custom.poles'
+                                                and any(root.real >= 0 for root in roots)):
+            raise ParameterError(f'{name}: every number must have a real part below 0'
+                                 if name == 'custom.poles' else f'{name}: 0 is not allowed')
+    return Design(zeros, poles, gain)
+
+
+def _discrete_root(root: complex, rate_hz: float) -> complex:
+    """Return where Tustin's rule, prewarped at PREWARP_HZ, puts a root (rad/s)."""
+    w = 2.0 * math.pi * PREWARP_HZ
+    scale = w / math.tan(0.5 * w / rate_hz)
+    return (1.0 + root / scale) / (1.0 - root / scale)
+
+
+def _first_order(zero: float | None, pole: float) -> npt.NDArray[np.float64]:
+    """Return b0, b1, a1 with gain 1 at zero frequency; a zero at Nyquist if none is given."""
+    b = np.array([1.0, 1.0]) if zero is None else np.array([1.0, -zero])
+    return np.append(b * (1.0 - pole) / b.sum(), -pole)
+
+
+def discretise(design_: Design, rate_hz: float) -> tuple[
+        npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """
+    Return the sections (n x 5: b0 b1 b2 a1 a2) and the slowest pole's section (b0 b1 a1).
+
+    Each has gain 1 at zero frequency. The slowest real pole comes last, alone with the nearest
+    real zero, because that is where anti-windup must act.
+    """
+    zeros, poles = list(design_.zeros), list(design_.poles)
+    lag = np.array([1.0, 0.0, 0.0])
+    real_poles = [pole for pole in poles if pole.imag == 0]
+    if real_poles:
+        slowest = max(real_poles, key=lambda pole: pole.real)
+        poles.remove(slowest)
+        # Its zero is the slowest one, but only where the rest stays proper without it ... and
+        # only where it must go: a lag alone keeps no feedthrough, so nothing can wind up.
+        zero = None
+        if len(zeros) > len(poles):
+            zero = min((z for z in zeros if z.imag == 0), key=abs)
+            zeros.remove(zero)
+        lag = _first_order(None if zero is None else _discrete_root(zero, rate_hz).real,
+                           _discrete_root(slowest, rate_hz).real)
+    discrete_poles = [_discrete_root(pole, rate_hz) for pole in poles]
+    discrete_zeros = [_discrete_root(zero, rate_hz) for zero in zeros]
+    # Tustin's rule puts the zeros at infinity at the Nyquist frequency.
+    discrete_zeros += [-1.0] * (len(poles) - len(zeros))
+    if not poles:
+        return np.empty((0, 5)), lag
+    sections = signal.zpk2sos(discrete_zeros, discrete_poles, 1.0)[:, [0, 1, 2, 4, 5]]
+    at_zero = sections[:, :3].sum(1) / (1.0 + sections[:, 3:].sum(1))
+    sections[:, :3] /= at_zero[:, None]
+    return sections, lag
+
+
+def compensator(values: Mapping[str, Value], rate_hz: float,
+                running: np.void | None = None) -> np.void:
+    """
+    Return the compensator that the parameters ask for, ready for `compensate`.
+
+    values: parameters by name, the rest at their defaults; rate_hz: control rate; running: the
+    compensator that it replaces, from whose command it goes on without a step.
+    Raises ParameterError if a parameter or the combination is not allowed.
+    """
+    v = completed(values, COMPENSATOR_PARAMETERS)
+    design_ = design(v)
+    sections, lag = discretise(design_, rate_hz)
+    c = np.zeros(1, COMPENSATOR_DTYPE)[0]
+    c['gain'], c['feedforward'], c['saturation'] = (
+        design_.gain, v['feedforward'], v['saturation'])
+    c['count'] = len(sections)
+    c['sections'][:len(sections)] = sections
+    c['lag'] = lag
+    c['fresh'] = 1
+    transfer = float(v['transfer_time'])
+    c['bias_decay'] = math.exp(-1.0 / (rate_hz * transfer)) if transfer else 0.0
+    if running is not None:
+        c['command'], c['changed'] = running['command'], int(transfer > 0.0)
+        same = (np.array_equal(running['sections'], c['sections'])
+                and np.array_equal(running['lag'], c['lag']))
+        if same:
+            for field in ('memory', 'lag_memory', 'fresh'):
+                c[field] = running[field]
+    return c
+
+
+@jit
+def _settle(c, value):
+    """Give every section the memory that it would have after a long time at `value` (N)."""
+    for i in range(c.count):
+        b0, b1, b2, a1, a2 = c.sections[i]
+        c.memory[i, 0] = value - b0 * value
+        c.memory[i, 1] = b2 * value - a2 * value
+    c.lag_memory = value - c.lag[0] * value
+    c.fresh = 0
+
+
+@jit
+def compensate(c, reference, measured):
+    """
+    Return the valve command (N) for a desired and a measured force (N); updates `c` in place.
+
+    The slowest pole remembers the command that the valve was really given, so that a saturated
+    command does not wind it up: its recursion runs on the output after the saturation.
+    """
+    error = reference - measured
+    if c.fresh == 1:
+        _settle(c, error)
+    value = error
+    for i in range(c.count):
+        out = c.sections[i, 0] * value + c.memory[i, 0]
+        c.memory[i, 0] = c.sections[i, 1] * value - c.sections[i, 3] * out + c.memory[i, 1]
+        c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
+        value = out
+    out = c.lag[0] * value + c.lag_memory
+    direct = c.feedforward * reference
+    if c.changed == 1:
+        c.bias = c.command - (c.gain * out + direct)
+        c.changed = 0
+    direct += c.bias
+    c.bias *= c.bias_decay
+    free = c.gain * out + direct
+    c.command = min(max(free, -c.saturation), c.saturation)
+    if c.command != free and c.gain > 0.0:
+        out = (c.command - direct) / c.gain
+    c.lag_memory = c.lag[1] * value - c.lag[2] * out
+    return c.command
+
+
+def frequency_response(c: np.void, frequencies_hz: npt.ArrayLike, rate_hz: float
+                       ) -> npt.NDArray[np.complex128]:
+    """Return the discrete compensator's response, without feed-forward, at frequencies (Hz)."""
+    z = np.exp(2j * np.pi * np.asarray(frequencies_hz, float) / rate_hz)
+    response = c['gain'] * (c['lag'][0] + c['lag'][1] / z) / (1.0 + c['lag'][2] / z)
+    for b0, b1, b2, a1, a2 in c['sections'][:c['count']]:
+        response = response * (b0 + b1 / z + b2 / z**2) / (1.0 + a1 / z + a2 / z**2)
+    return response

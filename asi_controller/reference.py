@@ -1,0 +1,79 @@
+"""The signals that the controller can play as desired force: functions of time, compiled."""
+
+import math
+
+import numpy as np
+
+from asi_actuator.model.jit import jit
+from asi_controller.parameters import SHAPES
+
+TOPIC, CONSTANT, STEP, RAMP, SINE, TRIANGLE, CHIRP, MULTISINE, PRBS = range(len(SHAPES))
+
+
+@jit
+def _triangle(phase):
+    """Return a triangle wave, -1 to 1, that begins at 0 and rises; phase in cycles."""
+    return 1.0 - 4.0 * abs((phase + 0.25) % 1.0 - 0.5)
+
+
+@jit
+def _chirp(time, start_hz, end_hz, duration):
+    """Return a sine whose frequency moves geometrically; it ends at zero after `duration` s."""
+    if time >= duration:
+        return 0.0
+    if start_hz == end_hz:
+        return math.sin(2.0 * math.pi * start_hz * time)
+    rate = math.log(end_hz / start_hz) / duration
+    return math.sin(2.0 * math.pi * start_hz * (math.exp(rate * time) - 1.0) / rate)
+
+
+@jit
+def _multisine(time, start_hz, end_hz, tones):
+    """Return `tones` sines with Schroeder's phases (1970), which keep the peak low."""
+    total = 0.0
+    step = (end_hz - start_hz) / (tones - 1) if tones > 1 else 0.0
+    for k in range(tones):
+        phase = -math.pi * k * (k + 1) / tones
+        total += math.sin(2.0 * math.pi * (start_hz + k * step) * time + phase)
+    return total * math.sqrt(2.0 / tones) / 2.0
+
+
+@jit
+def _prbs(cell, seed):
+    """Return +1 or -1, at random but the same for the same cell and seed (SplitMix64)."""
+    x = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(cell)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return 1.0 if (x >> np.uint64(63)) != np.uint64(0) else -1.0
+
+
+@jit
+def reference_force(time, r):
+    """
+    Return the desired force (N) at `time` s after the signal was chosen.
+
+    r: record of REFERENCE_PARAMETERS.
+    """
+    t = time - r.reference_start
+    # A whole tick that rounding puts just before the start belongs to the signal.
+    if t < -1e-9:
+        return r.reference_offset
+    t = max(t, 0.0)
+    shape = int(r.reference_shape)
+    value = 0.0
+    if shape == CONSTANT or shape == STEP:
+        value = 1.0
+    elif shape == RAMP:
+        value = min(t / r.reference_duration, 1.0)
+    elif shape == SINE:
+        value = math.sin(2.0 * math.pi * r.reference_frequency * t)
+    elif shape == TRIANGLE:
+        value = _triangle(t * r.reference_frequency)
+    elif shape == CHIRP:
+        value = _chirp(t, r.reference_frequency, r.reference_end_frequency, r.reference_duration)
+    elif shape == MULTISINE:
+        value = _multisine(t, r.reference_frequency, r.reference_end_frequency,
+                           int(r.reference_tones))
+    elif shape == PRBS:
+        value = _prbs(int(t * r.reference_frequency + 1e-9), int(r.reference_seed))
+    return r.reference_offset + r.reference_amplitude * value
