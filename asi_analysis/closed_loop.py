@@ -57,3 +57,8 @@ def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value]
     _close(rest(), as_record(actuator), compensator(gains, rate_hz),
            as_record(reference, REFERENCE_PARAMETERS), 1.0 / rate_hz, out)
     return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
+
+
+if __name__ == '__main__':
+    # `make setup` runs this once, so that no first run has to wait for the compiler.
+    simulate_loop({}, {'reference.shape': 'step'}, 0.01)

@@ -1,0 +1,43 @@
+# The two commands are `make demo` and `make test`; each does all the set-up that it needs.
+
+VENV := .venv
+BIN := $(VENV)/bin
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+.PHONY: help setup demo test lint clean
+
+help:
+	@echo 'make demo   run actuator and controller, record, analyse: runs/demo/report.html'
+	@echo 'make test   run the tests'
+	@echo 'make lint   check style and types'
+	@echo 'make clean  remove the virtual environment and all that was built'
+
+demo: setup
+	@$(BIN)/asi demo
+
+test: setup
+	@$(BIN)/python -m pytest -q
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy asi_actuator asi_controller asi_analysis
+
+setup: $(VENV)/installed
+
+# Python 3.11 or 3.12, whichever is found first and can make virtual environments. An interpreter
+# is tried, not only looked for: a pyenv shim exists for versions that it then refuses to run.
+$(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
+	@for python in $(PYTHON) python3 python3.12 python3.11 /usr/bin/python3 no; do \
+	  test $$python != no || { echo 'make: Python 3.11 or 3.12 with venv is needed' \
+	    '(name it: make PYTHON=/path/to/python3.12)' >&2; exit 1; }; \
+	  $$python -c 'import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
+	    2>/dev/null && break; \
+	done; \
+	echo "Setting up $(VENV) with $$($$python --version); about a minute" && \
+	$$python -m venv --clear $(VENV)
+	@$(BIN)/pip install --quiet --disable-pip-version-check -e '.[test]'
+	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.closed_loop
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build install log runs *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
