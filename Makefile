@@ -35,7 +35,7 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 	done; \
 	echo "Setting up $(VENV) with $$($$python --version); about a minute" && \
 	$$python -m venv --clear $(VENV)
-	@$(BIN)/pip install --quiet --disable-pip-version-check -e '.[test]'
+	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.closed_loop
 	@touch $@
 
