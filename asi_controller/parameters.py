@@ -9,10 +9,11 @@ COMPENSATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('compensator', 'proportional', '', 'Which compensator closes the loop',
               choices=COMPENSATORS),
     Parameter('gain', 0.0, 'N/N',
-              'Gain of the compensator in use (lead2, lead4: above the corner of their lag); 0: its own '
-              '(proportional 3, lead_lag 14.5, lead2 3, lead4 2.2, custom 1)', 0.0, 1e4),
+              'Gain of the compensator in use (lead2, lead4: above the corner of their lag); '
+              '0: its own (proportional 3, lead_lag 14.5, lead2 3, lead4 2.2, custom 1)',
+              0.0, 1e4),
     Parameter('feedforward', 1.869, 'N/N', 'Share of the reference that goes straight to the '
-              'valve: the inverse of the actuator\'s static gain', 0.0, 100.0,
+              "valve: the inverse of the actuator's static gain", 0.0, 100.0,
               source='study: 6 N at Kp = 3 need it'),
     Parameter('saturation', 4000.0, 'N', 'Largest valve command', 1.0, 1e5, source='assumed'),
     Parameter('transfer_time', 0.02, 's',
@@ -48,7 +49,7 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('reference.offset', 0.0, 'N', 'Force about which the signal moves', -1e4, 1e4),
     Parameter('reference.start', 0.05, 's', 'Rest at the offset before the signal begins',
               0.0, 1e4),
-    Parameter('reference.duration', 1.0, 's', 'Time of the ramp; time of the chirp\'s sweep',
+    Parameter('reference.duration', 1.0, 's', "Time of the ramp; time of the chirp's sweep",
               1e-3, 1e5),
     Parameter('reference.frequency', 1.0, 'Hz',
               'Frequency; first of the chirp, lowest of the multisine, clock of the PRBS',

@@ -17,7 +17,10 @@ from asi_actuator.model.force_sensor import force_sensor, reading
 from asi_actuator.model.jit import FULL, jit
 from asi_actuator.model.load import load
 from asi_actuator.model.valve_characteristic import (
-    valve_characteristic, valve_opening, valve_position)
+    valve_characteristic,
+    valve_opening,
+    valve_position,
+)
 from asi_actuator.model.valve_flexure import valve_flexure
 from asi_actuator.model.valve_hysteresis import valve_hysteresis
 
@@ -143,4 +146,5 @@ def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
     commands = np.ascontiguousarray(commands, np.float64)
     out = np.empty((4, commands.size))
     _simulate(rest() if state is None else state, commands, p, period_s, out)
-    return Trajectory(np.arange(commands.size) * period_s, commands, *out)
+    time_s = np.arange(commands.size, dtype=np.float64) * period_s
+    return Trajectory(time_s, commands, *out)

@@ -35,7 +35,7 @@ def _cache_folder() -> Path:
     return folder
 
 
-numba.config.CACHE_DIR = str(_cache_folder())
+setattr(numba.config, 'CACHE_DIR', str(_cache_folder()))  # noqa: B010 (numba adds it late)
 
 # Without fast-math LLVM may not reorder sums: the loop over ROS and the loop in process, which
 # inline these functions differently, agree to the last bit.
