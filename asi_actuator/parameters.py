@@ -100,6 +100,8 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('valve_hysteresis.rate_filter', 1500.0, 'Hz',
               'Corner of the filter that measures the rate of the command', 1.0, 1e5,
               source='fit S10'),
+    Parameter('valve_hysteresis.saturation', 1e5, 'N', 'Drive at which the iron saturates',
+              100.0, 1e6, source='structure: the magnetic circuit of section 2.2'),
 
     _model('valve_flexure', 'linear_gain, no dynamics', 'no dynamics'),
     Parameter('valve_flexure.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
@@ -199,6 +201,9 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
               1.0, 5e3, source='assumed'),
     Parameter('force_sensor.damping_ratio', 0.7, '', 'Damping ratio of the sensor', 0.0, 10.0,
               source='assumed'),
+    Parameter('force_sensor.card_frequency', 1e4, 'Hz',
+              'Corner of the card that conditions the signal (second order, Butterworth)',
+              10.0, 1e5, source='structure: the analogue card of section 2.1'),
     Parameter('force_sensor.delay', 0.1e-3, 's', 'Second of the two delays', 0.0, 0.01,
               source='fit S10'),
     Parameter('force_sensor.gain', 1.0, 'N/N', 'Scale of the measured force', 0.1, 10.0),

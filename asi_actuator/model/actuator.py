@@ -22,13 +22,13 @@ from asi_actuator.model.valve_characteristic import (
     valve_position,
 )
 from asi_actuator.model.valve_flexure import valve_flexure
-from asi_actuator.model.valve_hysteresis import valve_hysteresis
+from asi_actuator.model.valve_hysteresis import saturated, valve_hysteresis
 
 STATE_DTYPE = np.dtype([
     ('time', np.float64),               # s
     ('sample', np.int64),               # ticks so far
     ('command_filtered', np.float64),   # N, the rate filter of the hysteresis
-    ('drive', np.float64),              # N, output of the hysteresis
+    ('flux', np.float64),               # N, memory of the hysteresis
     ('coil', np.float64),               # N
     ('flexure', np.float64),            # N
     ('flexure_rate', np.float64),       # N/s
@@ -41,6 +41,8 @@ STATE_DTYPE = np.dtype([
     ('transmitted', np.float64),        # N, hydraulic force less friction
     ('sensor', np.float64),             # N
     ('sensor_rate', np.float64),        # N/s
+    ('card', np.float64),               # N, after the card's filter
+    ('card_rate', np.float64),          # N/s
     ('sensed', np.float64),             # N, after the sensor's delay
     ('ring_index', np.int64),
     ('flexure_ring', np.float64, (RING,)),
@@ -76,13 +78,13 @@ def rest() -> np.void:
 @jit
 def substep(state, command, p, h):
     """Advance `state` by `h` s at a constant valve command (N)."""
-    drive_before = state.drive
+    drive_before = saturated(state.flux, p)
     # The rate filter is a lag at a constant input: its exact solution.
     decay = math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h)
     state.command_filtered = command + (state.command_filtered - command) * decay
-    state.drive = valve_hysteresis(state.drive, command, state.command_filtered, p)
+    state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
 
-    deflection = valve_flexure(state, drive_before, state.drive, p, h)
+    deflection = valve_flexure(state, drive_before, saturated(state.flux, p), p, h)
     state.ring_index = (state.ring_index + 1) % RING
     if p.valve_flexure_model == FULL:
         deflection = delay(state.flexure_ring, state.ring_index, deflection,
@@ -108,7 +110,7 @@ def step(state, command, p, period):
     """
     limited = min(max(command, -p.command_limit), p.command_limit)
     # The command jumps here, so the hysteresis sees it at the start of the first sub-step too.
-    state.drive = valve_hysteresis(state.drive, limited, state.command_filtered, p)
+    state.flux = valve_hysteresis(state.flux, limited, state.command_filtered, p)
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
     for _ in range(count):

@@ -1,7 +1,8 @@
 """
 Force sensor: a flexure on the cylinder with a Hall-effect transducer (paper, section 2.1).
 
-A resonance and the second of the two delays; then gain, offset and noise ("this force sensor is a
+A resonance, the filter of the analogue card that conditions the signal, and the second of the two
+delays; then gain, offset and noise ("this force sensor is a
 non-zero sensor, thus calibration is required").
 """
 
@@ -13,6 +14,8 @@ from asi_actuator.model.delay import delay
 from asi_actuator.model.jit import FULL, LINEAR, jit
 from asi_actuator.model.valve_flexure import second_order
 
+CARD_DAMPING = math.sqrt(0.5)
+
 
 @jit
 def force_sensor(state, force_before, force_after, p, h):
@@ -20,10 +23,14 @@ def force_sensor(state, force_before, force_after, p, h):
     if p.force_sensor_model != FULL:
         gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
         return gain * force_after
+    sensor_before = state.sensor
     state.sensor, state.sensor_rate = second_order(
         state.sensor, state.sensor_rate, force_before, force_after,
         p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
-    return delay(state.sensor_ring, state.ring_index, state.sensor, p.force_sensor_delay, h)
+    state.card, state.card_rate = second_order(
+        state.card, state.card_rate, sensor_before, state.sensor,
+        p.force_sensor_card_frequency, CARD_DAMPING, h)
+    return delay(state.sensor_ring, state.ring_index, state.card, p.force_sensor_delay, h)
 
 
 @jit

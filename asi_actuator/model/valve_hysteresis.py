@@ -34,14 +34,28 @@ def play(drive, command, radius):
 
 
 @jit
-def valve_hysteresis(drive, command, filtered, p):
+def saturated(flux, p):
     """
-    Return the drive (N) that the magnetic circuit passes on.
+    Return the drive (N) of a magnetic circuit at a flux (N: the drive if the iron were linear).
 
-    drive: its last output, N; command: valve command, N; filtered: state of the rate filter, N.
+    Linear within 0.4 % up to a third of the saturation, as a transducer's working range must be.
+    """
+    if p.valve_hysteresis_model != FULL:
+        return flux
+    relative = flux / p.valve_hysteresis_saturation
+    square = relative * relative
+    return flux / math.sqrt(math.sqrt(1.0 + square * square))
+
+
+@jit
+def valve_hysteresis(flux, command, filtered, p):
+    """
+    Return the flux (N) of the magnetic circuit.
+
+    flux: its last value, N; command: valve command, N; filtered: state of the rate filter, N.
     """
     if p.valve_hysteresis_model == FULL:
-        return play(drive, command, half_width(command_rate(command, filtered, p), p))
+        return play(flux, command, half_width(command_rate(command, filtered, p), p))
     if p.valve_hysteresis_model == LINEAR:
         return p.valve_hysteresis_linear_gain * command
     return command
