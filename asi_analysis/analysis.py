@@ -1,0 +1,45 @@
+"""What `asi analyze` says of a run: step, bandwidth and oscillation, as one plain dictionary."""
+
+from typing import Any
+
+from asi_analysis.frequency_response import loop_bandwidth
+from asi_analysis.oscillation import oscillation
+from asi_analysis.run import Run
+from asi_analysis.step_response import Step, headline, step_responses
+
+
+def step_as_dict(step: Step) -> dict[str, Any]:
+    """Return a step with the keys of doc/json.md."""
+    return step._asdict() | {'monotone_rise': step.monotone_rise, 'notes': list(step.notes)}
+
+
+def analyze(run: Run) -> dict[str, Any]:
+    """
+    Return all that `asi analyze --json` prints of a run; doc/json.md tells the keys.
+
+    What cannot be measured is None; `notes` says why.
+    """
+    steps = step_responses(run)
+    step = headline(steps)
+    swing = oscillation(run)
+    width = loop_bandwidth(run)
+    notes = list(step.notes) if step else ['the reference makes no step']
+    notes += [f'oscillation: {swing.reason}'] if swing.reason else []
+    notes += [f'bandwidth: {width.reason}'] if width.reason else []
+    headline_keys = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s',
+                     'settling_time_5_s', 'steady_state_error_n', 'rise_shape', 'monotone_rise')
+    return {
+        'source': run.source,
+        'samples': len(run),
+        'duration_s': run.duration_s,
+        'rate_hz': run.rate_hz,
+        **{key: getattr(step, key) if step else None for key in headline_keys},
+        'bandwidth_hz': width.bandwidth_hz,
+        'bandwidth_method': width.method,
+        'delay_s': width.delay_s,
+        'correlation_delay_s': width.correlation_delay_s,
+        'oscillation': {'sustained': swing.sustained, 'frequency_hz': swing.frequency_hz,
+                        'amplitude_n': swing.amplitude_n},
+        'steps': [step_as_dict(each) for each in steps],
+        'notes': notes,
+    }

@@ -1,0 +1,61 @@
+"""What oscillates by itself, what dies out, and what the reference forces."""
+
+import numpy as np
+import pytest
+
+from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.oscillation import oscillation
+from asi_analysis.run import Run
+
+T = np.arange(5000) / 5000.0
+STEP = np.where(T >= 0.05, 100.0, 0.0)
+
+
+def swing(force, reference=STEP):
+    noise = np.random.default_rng(3).normal(0.0, 0.5, T.size)
+    return oscillation(Run(T, reference_n=reference, force_n=force + noise))
+
+
+def test_sine_is_found_exactly():
+    found = swing(STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T + 0.4))
+    assert found.sustained is True
+    assert found.frequency_hz == pytest.approx(91.37, abs=0.02)
+    assert found.amplitude_n == pytest.approx(40.0, rel=0.01)
+
+
+def test_decaying_sine_is_not_sustained():
+    found = swing(STEP + 100.0 * np.exp(-T / 0.5) * np.sin(2 * np.pi * 91.37 * T))
+    assert found.sustained is False
+    assert found.frequency_hz == pytest.approx(91.37, abs=0.3)
+
+
+def test_noise_alone_is_no_oscillation():
+    assert swing(STEP) == (False, None, None, None)
+
+
+@pytest.mark.parametrize('frequency', [2.3, 17.0, 90.0])
+def test_forced_sine_with_harmonics_is_not_self_sustained(frequency):
+    angle = 2 * np.pi * frequency * T
+    found = swing(90.0 * np.sin(angle - 0.7) + 9.0 * np.sin(3 * angle), 100.0 * np.sin(angle))
+    assert found.sustained is False
+
+
+def test_own_oscillation_on_top_of_a_forced_one():
+    found = swing(90.0 * np.sin(2 * np.pi * 7.0 * T - 0.2) + 30.0 * np.sin(2 * np.pi * 88.0 * T),
+                  100.0 * np.sin(2 * np.pi * 7.0 * T))
+    assert found.sustained is True
+    assert found.frequency_hz == pytest.approx(88.0, abs=0.1)
+    assert found.amplitude_n == pytest.approx(30.0, rel=0.02)
+
+
+def test_many_frequencies_in_the_reference_leave_it_open():
+    chirp = 100.0 * np.sin(2 * np.pi * (5.0 + 40.0 * T) * T)
+    found = swing(chirp, chirp)
+    assert found.sustained is None
+    assert 'reference' in found.reason
+
+
+@pytest.mark.parametrize('gain, sustained', [(3.0, False), (10.5, True)])
+def test_the_loop_itself(gain, sustained):
+    run = simulate_loop({}, {'gain': gain, 'reference.shape': 'step'}, 1.0)
+    assert oscillation(Run(*run)).sustained is sustained
