@@ -11,24 +11,27 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.delay import RING, delay
-from asi_actuator.model.fluid_dynamics import fluid_dynamics
-from asi_actuator.model.force_sensor import force_sensor, reading
+from asi_actuator.model.delay import RING
+from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain
+from asi_actuator.model.force_sensor import SensorStep, force_sensor, reading, sensor_step
+from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.jit import FULL, jit
-from asi_actuator.model.load import load
+from asi_actuator.model.linear_lag import FirstOrder
+from asi_actuator.model.load import PRESCRIBED, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
     valve_characteristic,
     valve_opening,
     valve_position,
 )
-from asi_actuator.model.valve_flexure import valve_flexure
-from asi_actuator.model.valve_hysteresis import saturated, valve_hysteresis
+from asi_actuator.model.valve_flexure import FlexureStep, flexure_gain, flexure_step, valve_flexure
+from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
 
 STATE_DTYPE = np.dtype([
     ('time', np.float64),               # s
     ('sample', np.int64),               # ticks so far
     ('command_filtered', np.float64),   # N, the rate filter of the hysteresis
     ('flux', np.float64),               # N, memory of the hysteresis
+    ('drive', np.float64),              # N, output of the hysteresis
     ('coil', np.float64),               # N
     ('flexure', np.float64),            # N
     ('flexure_rate', np.float64),       # N/s
@@ -37,8 +40,9 @@ STATE_DTYPE = np.dtype([
     ('damping_force', np.float64),      # N
     ('position', np.float64),           # m, of the piston
     ('velocity', np.float64),           # m/s, of the piston
+    ('velocity_change', np.float64),    # m/s, over the last sub-step
     ('seal', np.float64),               # m, deflection of the seals
-    ('transmitted', np.float64),        # N, hydraulic force less friction
+    ('friction_force', np.float64),     # N
     ('sensor', np.float64),             # N
     ('sensor_rate', np.float64),        # N/s
     ('card', np.float64),               # N, after the card's filter
@@ -75,28 +79,55 @@ def rest() -> np.void:
     return np.zeros(1, STATE_DTYPE)[0]
 
 
-@jit
-def substep(state, command, p, h):
-    """Advance `state` by `h` s at a constant valve command (N)."""
-    drive_before = saturated(state.flux, p)
-    # The rate filter is a lag at a constant input: its exact solution.
-    decay = math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h)
-    state.command_filtered = command + (state.command_filtered - command) * decay
-    state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
+class Steady(NamedTuple):
+    """What is the same in every sub-step of a step, block by block."""
 
-    deflection = valve_flexure(state, drive_before, saturated(state.flux, p), p, h)
-    state.ring_index = (state.ring_index + 1) % RING
-    if p.valve_flexure_model == FULL:
-        deflection = delay(state.flexure_ring, state.ring_index, deflection,
-                           p.valve_flexure_delay, h)
+    rate_decay: float
+    flexure: FlexureStep
+    fluid: FirstOrder
+    sensor: SensorStep
+
+
+@jit
+def jump(state, command, p):
+    """
+    Let everything jump that a new command or a prescribed motion moves at once.
+
+    So that the first sub-step begins with the values just after, and stays second order.
+    """
+    state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
+    state.drive = saturated(state.flux, p)
+    if p.valve_flexure_model != FULL:
+        state.valve_position = valve_position(flexure_gain(p) * state.drive, p)
+    if p.load_type == PRESCRIBED:
+        state.velocity = prescribed_velocity(state.time, p)
+    state.damping_force = hydraulic_damping(
+        state.velocity, valve_opening(state.valve_position, p), p)
+    if p.fluid_dynamics_model != FULL:
+        state.hydraulic_force = fluid_gain(p) * (
+            valve_characteristic(state.valve_position, p) - state.damping_force)
+
+
+@jit
+def substep(state, command, p, steady, h):
+    """Advance `state` by `h` s at a constant valve command (N)."""
+    drive_before = state.drive
+    # The rate filter is a lag at a constant input: its exact solution.
+    state.command_filtered = command + (state.command_filtered - command) * steady.rate_decay
+    state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
+    state.drive = saturated(state.flux, p)
+
+    state.ring_index = (state.ring_index + 1) & (RING - 1)
     static_before = valve_characteristic(state.valve_position, p)
+    deflection = valve_flexure(state, drive_before, state.drive, p, steady.flexure)
     state.valve_position = valve_position(deflection, p)
     static_after = valve_characteristic(state.valve_position, p)
 
-    transmitted_before = state.transmitted
-    state.transmitted = load(state, static_before, static_after,
-                             valve_opening(state.valve_position, p), fluid_dynamics(p, h), p, h)
-    state.sensed = force_sensor(state, transmitted_before, state.transmitted, p, h)
+    transmitted_before = state.hydraulic_force - state.friction_force
+    load(state, static_before, static_after, valve_opening(state.valve_position, p),
+         steady.fluid, p, h)
+    state.sensed = force_sensor(state, transmitted_before,
+                                state.hydraulic_force - state.friction_force, p, steady.sensor)
     state.time += h
 
 
@@ -109,12 +140,12 @@ def step(state, command, p, period):
     equal sub-steps that are not longer than p.maximum_substep.
     """
     limited = min(max(command, -p.command_limit), p.command_limit)
-    # The command jumps here, so the hysteresis sees it at the start of the first sub-step too.
-    state.flux = valve_hysteresis(state.flux, limited, state.command_filtered, p)
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
+    steady = Steady(rate_decay(p, h), flexure_step(p, h), fluid_dynamics(p, h), sensor_step(p, h))
+    jump(state, limited, p)
     for _ in range(count):
-        substep(state, limited, p, h)
+        substep(state, limited, p, steady, h)
     state.sample += 1
 
 

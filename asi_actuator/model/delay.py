@@ -1,23 +1,32 @@
 """A pure delay: a ring of past values, read between two of them by linear interpolation."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from asi_actuator.model.jit import jit
 
-RING: Final = 512
+# A power of two, so that the index wraps by a mask.
+RING: Final = 1024
+
+
+class DelaySteps(NamedTuple):
+    """A delay in sub-steps: the whole ones, and the rest (0 to 1)."""
+
+    whole: int
+    part: float
 
 
 @jit
-def delay(ring, index, value, delay_s, h):
-    """
-    Put `value` into the ring at `index` and return the value of `delay_s` s ago.
-
-    ring: RING past values, one a sub-step of `h` s; delay_s at most (RING - 2) * h.
-    """
-    ring[index] = value
+def delay_steps(delay_s, h):
+    """Return a delay (s) in sub-steps of `h` s; at most RING - 2 of them fit the ring."""
     steps = delay_s / h
     whole = int(steps)
-    part = steps - whole
-    newer = ring[(index - whole) % RING]
-    older = ring[(index - whole - 1) % RING]
-    return newer + part * (older - newer)
+    return DelaySteps(whole, steps - whole)
+
+
+@jit
+def delay(ring, index, value, steps):
+    """Put `value` into the ring (RING past values) at `index`; return that of `steps` ago."""
+    ring[index] = value
+    newer = ring[(index - steps.whole) & (RING - 1)]
+    older = ring[(index - steps.whole - 1) & (RING - 1)]
+    return newer + steps.part * (older - newer)

@@ -2,35 +2,51 @@
 Force sensor: a flexure on the cylinder with a Hall-effect transducer (paper, section 2.1).
 
 A resonance, the filter of the analogue card that conditions the signal, and the second of the two
-delays; then gain, offset and noise ("this force sensor is a
-non-zero sensor, thus calibration is required").
+delays; then gain, offset and noise ("this force sensor is a non-zero sensor, thus calibration is
+required").
 """
 
 import math
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from asi_actuator.model.delay import delay
+from asi_actuator.model.delay import DelaySteps, delay, delay_steps
 from asi_actuator.model.jit import FULL, LINEAR, jit
-from asi_actuator.model.valve_flexure import second_order
+from asi_actuator.model.linear_lag import SecondOrder, second_order, second_order_step
 
-CARD_DAMPING = math.sqrt(0.5)
+CARD_DAMPING: Final = math.sqrt(0.5)
+
+
+class SensorStep(NamedTuple):
+    """What is the same in every sub-step."""
+
+    flexure: SecondOrder
+    card: SecondOrder
+    delay: DelaySteps
 
 
 @jit
-def force_sensor(state, force_before, force_after, p, h):
-    """Return the sensed force (N) after a sub-step of `h` s, before gain, offset and noise."""
+def sensor_step(p, h):
+    """Return what is the same in every sub-step of `h` s."""
+    return SensorStep(
+        second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h),
+        second_order(p.force_sensor_card_frequency, CARD_DAMPING, h),
+        delay_steps(p.force_sensor_delay, h))
+
+
+@jit
+def force_sensor(state, force_before, force_after, p, steady):
+    """Return the sensed force (N) after a sub-step, before gain, offset and noise."""
     if p.force_sensor_model != FULL:
         gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
         return gain * force_after
     sensor_before = state.sensor
-    state.sensor, state.sensor_rate = second_order(
-        state.sensor, state.sensor_rate, force_before, force_after,
-        p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
-    state.card, state.card_rate = second_order(
-        state.card, state.card_rate, sensor_before, state.sensor,
-        p.force_sensor_card_frequency, CARD_DAMPING, h)
-    return delay(state.sensor_ring, state.ring_index, state.card, p.force_sensor_delay, h)
+    state.sensor, state.sensor_rate = second_order_step(
+        state.sensor, state.sensor_rate, 0.5 * (force_before + force_after), steady.flexure)
+    state.card, state.card_rate = second_order_step(
+        state.card, state.card_rate, 0.5 * (sensor_before + state.sensor), steady.card)
+    return delay(state.sensor_ring, state.ring_index, state.card, steady.delay)
 
 
 @jit

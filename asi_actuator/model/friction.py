@@ -15,11 +15,17 @@ from asi_actuator.model.jit import FULL, LINEAR, jit
 ELASTIC_SHARE = 0.7
 
 
+# Beyond this many Stribeck velocities exp(-x * x) changes no bit of the friction.
+FAR = 7.0
+
+
 @jit
 def sliding_friction(velocity, p):
     """Return the steady friction (N, not negative) when sliding at `velocity` (m/s)."""
-    stiction = p.friction_stiction_push if velocity >= 0.0 else p.friction_stiction_pull
     relative = velocity / p.friction_stribeck_velocity
+    if abs(relative) > FAR:
+        return p.friction_coulomb
+    stiction = p.friction_stiction_push if velocity >= 0.0 else p.friction_stiction_pull
     return p.friction_coulomb + (stiction - p.friction_coulomb) * math.exp(-relative * relative)
 
 
@@ -39,36 +45,50 @@ def sliding_share(deflection, velocity, limit):
 
 
 @jit
-def deflect(deflection, velocity, p, h):
+def deflect(before, velocity, p, h):
     """
     Return the seals' deflection (m) after `h` s at a mean `velocity` (m/s), and its slope (s).
 
     The slope is the derivative with the velocity, for the implicit solution of the load.
+    Second order, and never beyond the breakaway deflection however long the sub-step.
     """
     limit = sliding_friction(velocity, p) / p.friction_presliding_stiffness
     if limit <= 0.0:
         return 0.0, 0.0
-    share = sliding_share(deflection, velocity, limit)
-    loss = 1.0 + h * share * abs(velocity) / limit
-    after = (deflection + h * velocity) / loss
-    return after, h * (1.0 - share * abs(after) / limit) / loss
+    speed = abs(velocity)
+    # What slides, with the deflection of the middle of the sub-step.
+    loss = sliding_share(before, velocity, limit) / limit
+    middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed)
+    loss = sliding_share(middle, velocity, limit) / limit
+    # d(deflection)/dt = velocity - loss * speed * deflection, with 1 + x + x * x / 2 for exp(x).
+    x = h * loss * speed
+    fall = 1.0 + x + 0.5 * x * x
+    after = (before + h * velocity * (1.0 + 0.5 * x)) / fall
+    bound = max(limit, abs(before))
+    if abs(after) > bound:
+        return math.copysign(bound, after), 0.0
+    return after, h * (1.0 + x) / fall * (1.0 - loss * abs(after))
 
 
 @jit
-def friction(before, velocity, p, h):
+def friction(before, mean_velocity, velocity, p, h):
     """
-    Return the seals' state after a sub-step of `h` s, and the friction over it.
+    Return seals and friction after a sub-step of `h` s that ends at `velocity` (m/s).
 
-    before: deflection of the seals, m; velocity: mean of the sub-step, m/s.
-    As (deflection m, friction at the end N, mean friction N, slope of the mean N s/m).
+    before: deflection of the seals, m; mean_velocity: mean of the sub-step, m/s.
+    As (deflection m, its slope s, friction N, its slope N s/m); the slopes are the derivatives
+    with the velocity at the end.
     """
     if p.friction_model == LINEAR:
-        force = p.friction_linear_gain * velocity
-        return 0.0, force, force, p.friction_linear_gain
+        return 0.0, 0.0, p.friction_linear_gain * velocity, p.friction_linear_gain
     if p.friction_model != FULL:
         return 0.0, 0.0, 0.0, 0.0
-    after, slope = deflect(before, velocity, p, h)
+    after, slope = deflect(before, mean_velocity, p, h)
+    slope *= 0.5
     stiffness, damping = p.friction_presliding_stiffness, p.friction_presliding_damping
-    damped = damping * (after - before) / h
-    mean = 0.5 * stiffness * (before + after) + damped
-    return after, stiffness * after + damped, mean, slope * (0.5 * stiffness + damping / h)
+    limit = sliding_friction(velocity, p) / stiffness
+    elastic = 1.0
+    if limit > 0.0:
+        elastic -= sliding_share(after, velocity, limit) * abs(after) / limit
+    return (after, slope, stiffness * after + damping * elastic * velocity,
+            stiffness * slope + damping * elastic)

@@ -6,6 +6,7 @@ prescribed from outside, so that the actuator can be driven back (Fig. 3).
 """
 
 import math
+from typing import Final
 
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
@@ -13,9 +14,11 @@ from asi_actuator.model.jit import jit
 
 LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
-# Newton's rule from the last velocity. Two rounds leave less than the rounding of the trapezoidal
-# rule itself (test/test_model.py compares with many), and a fixed number costs the same each time.
-NEWTON_ROUNDS = 2
+# A Newton step (m/s) so small that the damping is straight over it: for the default damping the
+# rest is below 1e-4 N (test/test_model_convergence.py compares with full convergence).
+STRAIGHT: Final = 1e-4
+# Enough for the halving of the bracket that a Newton step falls back to.
+MOST_ROUNDS: Final = 60
 
 
 @jit
@@ -39,43 +42,53 @@ def prescribed_velocity(time_s, p):
 @jit
 def load(state, static_before, static_after, opening, fluid, p, h):
     """
-    Advance piston, seals and hydraulic force by a sub-step of `h` s; return the transmitted N.
+    Advance piston, seals and hydraulic force by a sub-step of `h` s.
 
     static_before, static_after: static valve force at both ends, N; opening: valve opening at the
-    end, -1 to 1; fluid: coefficients of `fluid_dynamics`. What is transmitted to the load, and so
-    to the force sensor, is the hydraulic force less the friction.
+    end, -1 to 1; fluid: what `fluid_dynamics` returns.
 
     The equation of motion is solved by the trapezoidal rule for the velocity at the end: the slope
-    of the damping over the mass reaches 40 000 1/s, too stiff for an explicit rule.
+    of the damping over the mass reaches 40 000 1/s, too stiff for an explicit rule. Newton's rule
+    from the velocity extrapolated, kept within the bracket that the residual's signs give.
     """
-    keep, old, new = fluid
     curve = damping_curve(opening, p)
-    known = keep * state.hydraulic_force + old * (static_before - state.damping_force)
+    known = (fluid.keep * state.hydraulic_force + fluid.new * static_after
+             + fluid.old * (static_before - state.damping_force))
     stiffness, damper = load_spring(p)
     moves = p.load_type != PRESCRIBED
-    velocity = state.velocity if moves else prescribed_velocity(state.time + h, p)
-
-    damping, slope = damping_force(velocity, curve, p)
-    hydraulic = known + new * (static_after - damping)
-    mean = 0.5 * (state.velocity + velocity)
-    seal, friction_end, friction_mean, friction_slope = friction(state.seal, mean, p, h)
-    if moves:
-        for _ in range(NEWTON_ROUNDS):
-            position = state.position + 0.5 * h * mean
-            residual = (p.load_mass / h * (velocity - state.velocity)
-                        - 0.5 * (state.hydraulic_force + hydraulic) + friction_mean
-                        + stiffness * position + damper * mean - p.load_external_force)
-            steepness = (p.load_mass / h + 0.5 * (new * slope + friction_slope + damper)
-                         + 0.25 * stiffness * h)
-            velocity -= residual / steepness
-            damping, slope = damping_force(velocity, curve, p)
-            hydraulic = known + new * (static_after - damping)
-            mean = 0.5 * (state.velocity + velocity)
-            seal, friction_end, friction_mean, friction_slope = friction(state.seal, mean, p, h)
-
-    state.position += h * mean
+    velocity = (state.velocity + state.velocity_change if moves
+                else prescribed_velocity(state.time + h, p))
+    # Half of the forces at the start, and what the spring holds there.
+    begin = (p.load_external_force - stiffness * state.position
+             + 0.5 * (state.hydraulic_force - state.friction_force))
+    low, high = -math.inf, math.inf
+    change = 0.0
+    for _ in range(MOST_ROUNDS):
+        velocity += change
+        damping, damping_slope = damping_force(velocity, curve, p)
+        hydraulic = known - fluid.new * damping
+        mean = 0.5 * (state.velocity + velocity)
+        seal, seal_slope, rub, rub_slope = friction(state.seal, mean, velocity, p, h)
+        if not moves:
+            break
+        residual = (p.load_mass / h * (velocity - state.velocity) - begin
+                    - 0.5 * (hydraulic - rub) + (damper + 0.5 * h * stiffness) * mean)
+        steepness = (p.load_mass / h + 0.25 * h * stiffness
+                     + 0.5 * (fluid.new * damping_slope + rub_slope + damper))
+        change = -residual / steepness
+        if abs(change) <= STRAIGHT:
+            break
+        if residual > 0.0:
+            high = velocity
+        else:
+            low = velocity
+        if not low <= velocity + change <= high:
+            change = 0.5 * (low + high) - velocity
+    velocity += change
+    state.position += 0.5 * h * (state.velocity + velocity)
+    state.velocity_change = velocity - state.velocity
     state.velocity = velocity
-    state.hydraulic_force = hydraulic
-    state.damping_force = damping
-    state.seal = seal
-    return hydraulic - friction_end
+    state.hydraulic_force = hydraulic - fluid.new * damping_slope * change
+    state.damping_force = damping + damping_slope * change
+    state.seal = seal + seal_slope * change
+    state.friction_force = rub + rub_slope * change

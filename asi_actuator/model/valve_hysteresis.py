@@ -12,6 +12,12 @@ from asi_actuator.model.jit import FULL, LINEAR, jit
 
 
 @jit
+def rate_decay(p, h):
+    """Return how much of command less filtered command is left after `h` s at rest."""
+    return math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h)
+
+
+@jit
 def command_rate(command, filtered, p):
     """Return the rate (N/s) of the command (N) as the rate filter, at `filtered` (N), sees it."""
     return 2.0 * math.pi * p.valve_hysteresis_rate_filter * (command - filtered)
