@@ -7,11 +7,14 @@ that the compiled physics reads are all made from it.
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 Value = bool | int | float | str
+
+# Sub-steps that the model's delays remember; a power of two, so that the index wraps by a mask.
+RING: Final = 1024
 
 
 class Parameter(NamedTuple):
@@ -82,7 +85,7 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('command_limit', 4000.0, 'N', 'Largest valve command that the drive passes on',
               1.0, 1e5, source='assumed'),
     Parameter('maximum_substep', 25e-6, 's', 'Longest sub-step of the integration',
-              1e-6, 1e-4, source='convergence: asi_actuator/model/actuator.py'),
+              1e-6, 1e-4, source='convergence: test/test_model_convergence.py'),
 
     _model('valve_hysteresis', 'linear_gain times the command', 'the command itself'),
     Parameter('valve_hysteresis.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
@@ -241,7 +244,7 @@ def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict
     """
     Return the defaults of a table, changed by `values`.
 
-    Raises ParameterError for an unknown name or a value that is not allowed.
+    Raises ParameterError for an unknown name, or a value or combination that is not allowed.
     """
     by_name = {parameter.name: parameter for parameter in table}
     for name, value in values.items():
@@ -249,7 +252,20 @@ def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict
             raise ParameterError(f'{name} is not a parameter; there are {", ".join(by_name)}')
         if problem := by_name[name].problem(value):
             raise ParameterError(problem)
-    return defaults(table) | dict(values)
+    complete = defaults(table) | dict(values)
+    if table is ACTUATOR_PARAMETERS:
+        _check_delays(complete)
+    return complete
+
+
+def _check_delays(values: Mapping[str, Value]) -> None:
+    # A period is cut into equal sub-steps, each longer than half of the longest allowed.
+    longest = (RING - 2) * float(values['maximum_substep']) / 2.0
+    for name in ('valve_flexure.delay', 'force_sensor.delay'):
+        if float(values[name]) > longest:
+            raise ParameterError(
+                f'{name} = {values[name]!r} is not allowed with maximum_substep = '
+                f'{values["maximum_substep"]!r}: it takes at most {longest:g} s there')
 
 
 def as_number(parameter: Parameter, value: Value) -> float:
@@ -262,7 +278,7 @@ def as_record(values: Mapping[str, Value] | None = None,
     """
     Return the record that compiled code reads: a table's defaults, changed by `values`.
 
-    Raises ParameterError for an unknown name or a value that is not allowed.
+    Raises ParameterError for an unknown name, or a value or combination that is not allowed.
     """
     record = np.zeros(1, record_dtype(table))[0]
     complete = completed(values or {}, table)

@@ -1,11 +1,9 @@
 """A pure delay: a ring of past values, read between two of them by linear interpolation."""
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from asi_actuator.model.jit import jit
-
-# A power of two, so that the index wraps by a mask.
-RING: Final = 1024
+from asi_actuator.parameters import RING
 
 
 class DelaySteps(NamedTuple):

@@ -8,15 +8,25 @@ that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends
 """
 
 import math
+from typing import Final, NamedTuple
 
 from asi_actuator.model.jit import FULL, LINEAR, jit
 
 # Share of the breakaway deflection below which the seals deform without any sliding.
-ELASTIC_SHARE = 0.7
+ELASTIC_SHARE: Final = 0.7
 
 
 # Beyond this many Stribeck velocities exp(-x * x) changes no bit of the friction.
-FAR = 7.0
+FAR: Final = 7.0
+
+
+class Friction(NamedTuple):
+    """Seals and friction at the end of a sub-step; slopes with the velocity there."""
+
+    seal: float         # m, deflection
+    seal_slope: float   # s
+    force: float        # N
+    force_slope: float  # N s/m
 
 
 @jit
@@ -76,19 +86,17 @@ def friction(before, mean_velocity, velocity, p, h):
     Return seals and friction after a sub-step of `h` s that ends at `velocity` (m/s).
 
     before: deflection of the seals, m; mean_velocity: mean of the sub-step, m/s.
-    As (deflection m, its slope s, friction N, its slope N s/m); the slopes are the derivatives
-    with the velocity at the end.
     """
     if p.friction_model == LINEAR:
-        return 0.0, 0.0, p.friction_linear_gain * velocity, p.friction_linear_gain
+        return Friction(0.0, 0.0, p.friction_linear_gain * velocity, p.friction_linear_gain)
     if p.friction_model != FULL:
-        return 0.0, 0.0, 0.0, 0.0
-    after, slope = deflect(before, mean_velocity, p, h)
-    slope *= 0.5
+        return Friction(0.0, 0.0, 0.0, 0.0)
     stiffness, damping = p.friction_presliding_stiffness, p.friction_presliding_damping
-    limit = sliding_friction(velocity, p) / stiffness
+    after, slope = deflect(before, mean_velocity, p, h)
+    slope *= 0.5  # the velocity at the end counts half in the mean
     elastic = 1.0
+    limit = sliding_friction(velocity, p) / stiffness
     if limit > 0.0:
         elastic -= sliding_share(after, velocity, limit) * abs(after) / limit
-    return (after, slope, stiffness * after + damping * elastic * velocity,
-            stiffness * slope + damping * elastic)
+    return Friction(after, slope, stiffness * after + damping * elastic * velocity,
+                    stiffness * slope + damping * elastic)

@@ -68,13 +68,13 @@ def load(state, static_before, static_after, opening, fluid, p, h):
         damping, damping_slope = damping_force(velocity, curve, p)
         hydraulic = known - fluid.new * damping
         mean = 0.5 * (state.velocity + velocity)
-        seal, seal_slope, rub, rub_slope = friction(state.seal, mean, velocity, p, h)
+        rub = friction(state.seal, mean, velocity, p, h)
         if not moves:
             break
         residual = (p.load_mass / h * (velocity - state.velocity) - begin
-                    - 0.5 * (hydraulic - rub) + (damper + 0.5 * h * stiffness) * mean)
+                    - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean)
         steepness = (p.load_mass / h + 0.25 * h * stiffness
-                     + 0.5 * (fluid.new * damping_slope + rub_slope + damper))
+                     + 0.5 * (fluid.new * damping_slope + rub.force_slope + damper))
         change = -residual / steepness
         if abs(change) <= STRAIGHT:
             break
@@ -90,5 +90,5 @@ def load(state, static_before, static_after, opening, fluid, p, h):
     state.velocity = velocity
     state.hydraulic_force = hydraulic - fluid.new * damping_slope * change
     state.damping_force = damping + damping_slope * change
-    state.seal = seal + seal_slope * change
-    state.friction_force = rub + rub_slope * change
+    state.seal = rub.seal + rub.seal_slope * change
+    state.friction_force = rub.force + rub.force_slope * change

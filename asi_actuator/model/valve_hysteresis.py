@@ -13,7 +13,7 @@ from asi_actuator.model.jit import FULL, LINEAR, jit
 
 @jit
 def rate_decay(p, h):
-    """Return how much of command less filtered command is left after `h` s at rest."""
+    """Return the share of command less filtered command that is left after `h` s."""
     return math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h)
 
 
@@ -65,3 +65,17 @@ def valve_hysteresis(flux, command, filtered, p):
     if p.valve_hysteresis_model == LINEAR:
         return p.valve_hysteresis_linear_gain * command
     return command
+
+
+@jit
+def magnetise(state, command, decay, p):
+    """
+    Return the drive (N) after a time at a constant command (N); updates the magnetic circuit.
+
+    decay: what `rate_decay` returns for that time; 1 for no time, so that only the command jumps.
+    """
+    # The rate filter is a lag: its exact solution.
+    state.command_filtered = command + (state.command_filtered - command) * decay
+    state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
+    state.drive = saturated(state.flux, p)
+    return state.drive
