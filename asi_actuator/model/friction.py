@@ -59,7 +59,8 @@ def deflect(before, velocity, p, h):
     """
     Return the seals' deflection (m) after `h` s at a mean `velocity` (m/s), and its slope (s).
 
-    The slope is the derivative with the velocity, for the implicit solution of the load.
+    The slope is the derivative with the velocity, for the implicit solution of the load; not
+    negative, so that Newton's rule always steps the right way.
     Second order, and never beyond the breakaway deflection however long the sub-step.
     """
     limit = sliding_friction(velocity, p) / p.friction_presliding_stiffness
@@ -77,7 +78,7 @@ def deflect(before, velocity, p, h):
     bound = max(limit, abs(before))
     if abs(after) > bound:
         return math.copysign(bound, after), 0.0
-    return after, h * (1.0 + x) / fall * (1.0 - loss * abs(after))
+    return after, h * (1.0 + x) / fall * max(0.0, 1.0 - loss * abs(after))
 
 
 @jit
@@ -94,9 +95,11 @@ def friction(before, mean_velocity, velocity, p, h):
     stiffness, damping = p.friction_presliding_stiffness, p.friction_presliding_damping
     after, slope = deflect(before, mean_velocity, p, h)
     slope *= 0.5  # the velocity at the end counts half in the mean
-    elastic = 1.0
+    # Only motion that deforms the seals is damped, never their relaxation when friction falls
+    # from stiction to Coulomb: else it would drive the piston.
+    elastic = 0.0
     limit = sliding_friction(velocity, p) / stiffness
     if limit > 0.0:
-        elastic -= sliding_share(after, velocity, limit) * abs(after) / limit
+        elastic = max(0.0, 1.0 - sliding_share(after, velocity, limit) * abs(after) / limit)
     return Friction(after, slope, stiffness * after + damping * elastic * velocity,
                     stiffness * slope + damping * elastic)
