@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.actuator import measure, rest, step
+from asi_actuator.model.actuator import advance, measure, prepare, rest
 from asi_actuator.model.jit import jit
 from asi_actuator.parameters import Value, as_record
 from asi_controller.compensator import compensate, compensator
@@ -29,6 +29,7 @@ class LoopRun(NamedTuple):
 
 @jit
 def _close(state, p, c, r, period, out):
+    steady = prepare(p, period)
     for k in range(out.shape[1]):
         force, valve, position, velocity = measure(state, p)
         reference = reference_force(k * period, r)
@@ -39,7 +40,7 @@ def _close(state, p, c, r, period, out):
         out[3, k] = valve
         out[4, k] = position
         out[5, k] = velocity
-        step(state, command, p, period)
+        advance(state, command, p, steady)
 
 
 def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value],

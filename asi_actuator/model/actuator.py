@@ -81,12 +81,27 @@ def rest() -> np.void:
 
 
 class Steady(NamedTuple):
-    """What is the same in every sub-step of a step, block by block."""
+    """What is the same in every sub-step: their number and length (s), then block by block."""
 
+    count: int
+    h: float
     half_decay: float
     flexure: FlexureStep
     fluid: FirstOrder
     sensor: SensorStep
+
+
+@jit
+def prepare(p, period):
+    """
+    Return what is the same in every sub-step of control periods of `period` s.
+
+    The period is cut into the fewest equal sub-steps that are not longer than p.maximum_substep.
+    """
+    count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
+    h = period / count
+    return Steady(count, h, rate_decay(p, 0.5 * h), flexure_step(p, h), fluid_dynamics(p, h),
+                  sensor_step(p, h))
 
 
 @jit
@@ -110,8 +125,8 @@ def jump(state, command, p):
 
 
 @jit
-def substep(state, command, p, steady, h):
-    """Advance `state` by `h` s at a constant valve command (N)."""
+def substep(state, command, p, steady):
+    """Advance `state` by a sub-step at a constant valve command (N)."""
     # The drive bends too much within a sub-step for a straight line: its mean by Simpson's rule.
     drive_before = state.drive
     drive_middle = magnetise(state, command, steady.half_decay, p)
@@ -126,10 +141,20 @@ def substep(state, command, p, steady, h):
 
     transmitted_before = state.hydraulic_force - state.friction_force
     load(state, static_before, static_after, valve_opening(state.valve_position, p),
-         steady.fluid, p, h)
+         steady.fluid, p, steady.h)
     state.sensed = force_sensor(state, transmitted_before,
                                 state.hydraulic_force - state.friction_force, p, steady.sensor)
-    state.time += h
+    state.time += steady.h
+
+
+@jit
+def advance(state, command, p, steady):
+    """Advance `state` by one control period at a constant valve command (N), in place."""
+    limited = min(max(command, -p.command_limit), p.command_limit)
+    jump(state, limited, p)
+    for _ in range(steady.count):
+        substep(state, limited, p, steady)
+    state.sample += 1
 
 
 @jit
@@ -137,18 +162,9 @@ def step(state, command, p, period):
     """
     Advance `state` by one control period (s) at a constant valve command (N), in place.
 
-    state: record of STATE_DTYPE; p: record of ACTUATOR_DTYPE. The period is cut into the fewest
-    equal sub-steps that are not longer than p.maximum_substep.
+    state: record of STATE_DTYPE; p: record of ACTUATOR_DTYPE.
     """
-    limited = min(max(command, -p.command_limit), p.command_limit)
-    count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
-    h = period / count
-    steady = Steady(rate_decay(p, 0.5 * h), flexure_step(p, h), fluid_dynamics(p, h),
-                    sensor_step(p, h))
-    jump(state, limited, p)
-    for _ in range(count):
-        substep(state, limited, p, steady, h)
-    state.sample += 1
+    advance(state, command, p, prepare(p, period))
 
 
 @jit
@@ -160,13 +176,14 @@ def measure(state, p):
 
 @jit
 def _simulate(state, commands, p, period, out):
+    steady = prepare(p, period)
     for k in range(commands.shape[0]):
         force, valve, position, velocity = measure(state, p)
         out[0, k] = force
         out[1, k] = valve
         out[2, k] = position
         out[3, k] = velocity
-        step(state, commands[k], p, period)
+        advance(state, commands[k], p, steady)
 
 
 def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
