@@ -7,6 +7,7 @@ that the compiled physics reads are all made from it.
 
 import math
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -85,7 +86,7 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('command_limit', 4000.0, 'N', 'Largest valve command that the drive passes on',
               1.0, 1e5, source='assumed'),
     Parameter('maximum_substep', 25e-6, 's', 'Longest sub-step of the integration',
-              1e-6, 1e-4, source='convergence: test/test_model_convergence.py'),
+              1e-6, 1e-4, read_only=True, source='convergence: test/test_model_convergence.py'),
 
     _model('valve_hysteresis', 'linear_gain times the command', 'the command itself'),
     Parameter('valve_hysteresis.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
@@ -249,7 +250,9 @@ def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict
     by_name = {parameter.name: parameter for parameter in table}
     for name, value in values.items():
         if name not in by_name:
-            raise ParameterError(f'{name} is not a parameter; there are {", ".join(by_name)}')
+            near = get_close_matches(name, by_name)
+            raise ParameterError(f'{name} is not a parameter' + (
+                f': did you mean {" or ".join(near)}?' if near else '; see doc/parameters.md'))
         if problem := by_name[name].problem(value):
             raise ParameterError(problem)
     complete = defaults(table) | dict(values)

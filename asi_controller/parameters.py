@@ -1,5 +1,6 @@
 """Every parameter of the controller; the one place, as `asi_actuator/parameters.py` is."""
 
+from asi_actuator.node_parameters import LOOP_PARAMETERS
 from asi_actuator.parameters import Parameter
 
 COMPENSATORS = ('proportional', 'lead_lag', 'lead2', 'lead4', 'custom')
@@ -58,4 +59,9 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
               'Last frequency of the chirp, highest of the multisine', 1e-4, 1e4),
     Parameter('reference.tones', 20, '', 'Number of sines of the multisine', 1, 1000),
     Parameter('reference.seed', 1, '', 'Seed of the PRBS', 0, 2**31 - 1),
+)
+
+CONTROLLER_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
+    Parameter('state_timeout', 0.1, 's',
+              'Real time: without a new state for so long no command is given', 1e-3, 60.0),
 )

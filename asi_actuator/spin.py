@@ -1,0 +1,138 @@
+"""How every node is run: its executor, its signals, its exit status."""
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, Final
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from asi_actuator.parameters import ParameterError
+
+# How long services, parameters and new entities may wait.
+SERVICE_PERIOD_S: Final = 0.01
+# How long a node that ends gives others to receive what it has published last. No longer: Fast
+# DDS acknowledges only every 3 s, so to wait for that would make every end slow.
+FAREWELL_S: Final = 0.2
+
+
+class RunError(Exception):
+    """The run cannot go on; the text says why."""
+
+
+class RunFinished(Exception):  # noqa: N818
+    """The run has reached its end."""
+
+
+class LoopExecutor(SingleThreadedExecutor):
+    """
+    An executor for a loop of thousands of messages a second.
+
+    rclpy's executor builds its wait set anew and makes a task for every message. This one keeps
+    the wait set of subscriptions and timers and calls their callbacks (plain functions of the
+    message, or of nothing) directly, which takes half the time (bench/loop_rate.py). All else -
+    services, parameters, events - goes through rclpy's own spin_once every SERVICE_PERIOD_S.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stopped = False
+
+    def spin(self) -> None:
+        """Serve the nodes until `stopped` is true or the context is shut down."""
+        while not self.stopped and self.context.ok():
+            self.spin_once(timeout_sec=0.0)
+            self._spin_loop(time.monotonic_ns() + int(SERVICE_PERIOD_S * 1e9))
+
+    def can_execute(self, entity: Any) -> bool:
+        """Keep spin_once away from what the loop serves."""
+        return not isinstance(entity, Subscription | Timer) and super().can_execute(entity)
+
+    def _spin_loop(self, end_ns: int) -> None:
+        subscriptions: list[Any] = [s for node in self.get_nodes() for s in node.subscriptions]
+        timers: list[Any] = [t for node in self.get_nodes() for t in node.timers]
+        with ExitStack() as in_use:
+            for entity in (*subscriptions, *timers):
+                in_use.enter_context(entity.handle)
+            context: Any = self.context.handle
+            in_use.enter_context(context)
+            wait_set = rclpy_implementation.WaitSet(
+                len(subscriptions), 0, len(timers), 0, 0, 0, context)
+            while not self.stopped and (left_ns := end_ns - time.monotonic_ns()) > 0:
+                wait_set.clear_entities()
+                for subscription in subscriptions:
+                    wait_set.add_subscription(subscription.handle)
+                for timer in timers:
+                    wait_set.add_timer(timer.handle)
+                wait_set.wait(left_ns)
+                ready = wait_set.get_ready_entities('subscription')
+                for subscription in subscriptions:
+                    if subscription.handle.pointer in ready:
+                        taken = subscription.handle.take_message(
+                            subscription.msg_type, subscription.raw)
+                        if taken is not None:
+                            subscription.callback(taken[0])
+                # Asked one by one: a /clock message just taken may have made one ready.
+                for timer in timers:
+                    if timer.handle.is_timer_ready():
+                        timer.handle.call_timer()
+                        timer.callback()
+
+
+def run_node(make_node: Callable[[], Node]) -> int:
+    """
+    Run a node until SIGINT, SIGTERM or its own end; return the exit status.
+
+    0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
+    parameter or ROS argument. What went wrong is said in one line on stderr.
+    """
+    try:
+        # rclpy's own handlers would shut the context down in the middle of a callback.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except (RuntimeError, ValueError) as error:
+        print(str(error).splitlines()[0], file=sys.stderr)
+        return 2
+    executor = LoopExecutor()
+
+    def stop(*_: object) -> None:
+        executor.stopped = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        node = make_node()
+    except ParameterError as error:
+        print(error, file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except RunFinished:
+        pass
+    except RunError as error:
+        node.get_logger().fatal(str(error))
+        return 1
+    finally:
+        _say_farewell(node)
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _say_farewell(node: Node) -> None:
+    """Wait until what the node has published has arrived, so that a recorder loses nothing."""
+    end = time.monotonic() + FAREWELL_S
+    for publisher in node.publishers:
+        left = max(0.0, end - time.monotonic())
+        publisher.wait_for_all_acked(Duration(nanoseconds=int(left * 1e9)))

@@ -1,0 +1,280 @@
+"""The node `asi_controller`: closes the force loop, answering states with valve commands."""
+
+import math
+import sys
+import time
+from typing import Final, Protocol
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from asi_actuator.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
+from asi_actuator.discovery import not_recorded
+from asi_actuator.node_parameters import control_rate
+from asi_actuator.ros_parameters import RosParameters
+from asi_actuator.spin import RunError, run_node
+from asi_actuator.topics import CONTROL_QOS, FRAME, PISTON, STREAM_QOS, nanoseconds, set_time
+from asi_controller.controller import Controller
+from asi_controller.parameters import (
+    COMPENSATOR_PARAMETERS,
+    CONTROLLER_NODE_PARAMETERS,
+    REFERENCE_PARAMETERS,
+)
+
+# An old state is a straggler, unless it comes so often in a row: then the actuator, which asks
+# again and again, has begun a new run.
+BEGIN_ANEW_AFTER: Final = 3
+# How often a controller that waits for a recorder looks for it, s.
+WATCH_PERIOD_S: Final = 0.02
+
+
+class ControllerNode(Node):
+    """Wires the controller to its topics, services and parameters; a loop decides when."""
+
+    def __init__(self) -> None:
+        super().__init__('asi_controller', automatically_declare_parameters_from_overrides=True)
+        self.parameters = RosParameters(
+            self, CONTROLLER_NODE_PARAMETERS + COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS,
+            lambda values: Controller.check(values, control_rate(values)))
+        values = self.parameters.values
+        self.rate_hz = control_rate(values)
+        lockstep = values['mode'] == 'lockstep'
+        self.controller = Controller(values, self.rate_hz, lockstep)
+        self.parameters.when_changed(self._change)
+        self.statistics = LoopStatistics()
+        self.ignored = 0
+        self.recorded = not values['await_recorder']
+
+        # Made once; an answer only changes the numbers.
+        self.stamp = Time()
+        self.command, self.reference = WrenchStamped(), WrenchStamped()
+        for message in (self.command, self.reference):
+            message.header.frame_id = FRAME
+            message.header.stamp = self.stamp
+        self.commands = self.create_publisher(WrenchStamped, 'valve_command', STREAM_QOS)
+        self.references = self.create_publisher(WrenchStamped, 'force_reference', STREAM_QOS)
+        self.loop: Loop = (LockStep if lockstep else RealTime)(self)
+        self.create_subscription(JointState, 'joint_states', self._on_state, CONTROL_QOS)
+        self.wanted: Subscription | None = None
+        self._listen()
+        self.create_service(SetBool, '~/enable', self._enable)
+        Diagnostics(self, self._describe)
+        self.get_logger().info(
+            f'{values["compensator"]}, {values["mode"]} at {self.rate_hz:g} Hz')
+
+    def answer(self, stamp_ns: int, force_n: float) -> None:
+        """Publish the answer to the state of a stamp."""
+        reference, command = self.controller.answer(stamp_ns, force_n)
+        set_time(self.stamp, stamp_ns)
+        if self.controller.generates:
+            self.reference.wrench.force.x = reference
+            self.references.publish(self.reference)
+        self.command.wrench.force.x = command
+        self.commands.publish(self.command)
+        self.statistics.tick(self.controller.saturated)
+
+    def ready(self) -> bool:
+        """Return whether nothing is to be waited for any more."""
+        self.recorded = self.recorded or not not_recorded(self, [self.commands, self.references])
+        return self.recorded
+
+    def _on_state(self, message: JointState) -> None:
+        try:
+            force = message.effort[message.name.index(PISTON)]
+        except (ValueError, IndexError):
+            force = math.nan
+        if math.isfinite(force):
+            self.loop.on_state(nanoseconds(message.header.stamp), force)
+        else:
+            self.ignored += 1
+            self.get_logger().error(
+                f'joint_states without a finite effort of the joint {PISTON}: ignored',
+                throttle_duration_sec=1.0)
+
+    def _on_reference(self, message: WrenchStamped) -> None:
+        if math.isfinite(message.wrench.force.x):
+            self.controller.topic_n = message.wrench.force.x
+        else:
+            self.ignored += 1
+            self.get_logger().error(
+                f'force_reference: {message.wrench.force.x} N is not a force: ignored',
+                throttle_duration_sec=1.0)
+
+    def _change(self, changed: set[str]) -> None:
+        self.controller.change(self.parameters.values, changed)
+        self._listen()
+
+    def _listen(self) -> None:
+        """Hear force_reference only while the controller does not publish it itself."""
+        if self.controller.generates and self.wanted is not None:
+            self.destroy_subscription(self.wanted)
+            self.wanted = None
+        elif not self.controller.generates and self.wanted is None:
+            self.controller.topic_n = 0.0
+            self.wanted = self.create_subscription(
+                WrenchStamped, 'force_reference', self._on_reference, CONTROL_QOS)
+
+    def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        self.controller.enable(request.data, self.parameters.values)
+        answer.success = True
+        answer.message = 'enabled' if request.data else 'disabled: the valve command is 0'
+        self.get_logger().info(answer.message)
+        return answer
+
+    def _describe(self) -> tuple[bytes, str, dict[str, object]]:
+        values = self.parameters.values
+        level, text = self.loop.health()
+        if level == OK and not self.controller.enabled:
+            level, text = WARN, 'disabled: the valve command is 0'
+        return level, text, {
+            'mode': values['mode'], 'rate (Hz)': self.rate_hz,
+            'compensator': values['compensator'], **self.statistics.values(),
+            'states ignored': self.ignored, **self.loop.counts()}
+
+
+class Loop(Protocol):
+    """What decides when the controller answers: lock-step or real time."""
+
+    def __init__(self, node: ControllerNode): ...
+
+    def on_state(self, stamp_ns: int, force_n: float) -> None:
+        """Take a state."""
+
+    def health(self) -> tuple[bytes, str]:
+        """Return diagnostic level and message."""
+
+    def counts(self) -> dict[str, object]:
+        """Return what was counted, by name."""
+
+
+class LockStep:
+    """
+    Answers each state once the clock has reached it (doc/architecture.md, "Lock-step").
+
+    State and clock may come in either order, so both look whether an answer is due.
+    """
+
+    def __init__(self, node: ControllerNode):
+        self.node = node
+        self.pending: tuple[int, float] | None = None
+        self.last_ns: int | None = None
+        self.answered_ns: int | None = None
+        self.stragglers = 0
+        self.resent = 0
+        node.set_parameters([RosParameter('use_sim_time', value=True)])
+        node.create_timer(1.0 / node.rate_hz, self._answer_if_due)
+        if not node.recorded:
+            node.create_timer(WATCH_PERIOD_S, self._answer_if_due,
+                              clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def on_state(self, stamp_ns: int, force_n: float) -> None:
+        if stamp_ns == self.answered_ns:
+            # Asked again: the answer was lost. Nothing is computed twice.
+            self.resent += 1
+            self.node.commands.publish(self.node.command)
+            return
+        if self.last_ns is not None and stamp_ns != self.last_ns:
+            if stamp_ns < self.last_ns and not self._begins_anew():
+                return
+            self._check_spacing(stamp_ns)
+        self.last_ns = stamp_ns
+        self.stragglers = 0
+        self.pending = stamp_ns, force_n
+        self._answer_if_due()
+
+    def health(self) -> tuple[bytes, str]:
+        if self.pending is not None:
+            return WARN, ('a state waits for its /clock: is the actuator in lock-step?'
+                          if self.node.recorded else 'waiting for a recorder')
+        if self.answered_ns is None:
+            return WARN, 'waiting for the actuator'
+        return OK, 'running'
+
+    def counts(self) -> dict[str, object]:
+        return {'resent': self.resent}
+
+    def _begins_anew(self) -> bool:
+        """Return whether a state from the past is the first of a new run, and forget the old."""
+        self.stragglers += 1
+        self.node.ignored += 1
+        if self.stragglers < BEGIN_ANEW_AFTER:
+            return False
+        self.node.get_logger().info('the actuator has begun a new run')
+        self.node.controller.begin(self.node.parameters.values)
+        self.last_ns = self.answered_ns = self.pending = None
+        return True
+
+    def _check_spacing(self, stamp_ns: int) -> None:
+        if self.last_ns is None:
+            return
+        apart_s = (stamp_ns - self.last_ns) * 1e-9
+        # Stamps are whole nanoseconds.
+        if abs(apart_s - 1.0 / self.node.rate_hz) > 1.5e-9:
+            raise RunError(
+                f'states are {apart_s:.9g} s apart, but rate_hz = {self.node.rate_hz:g} asks for '
+                f'{1.0 / self.node.rate_hz:.9g} s: has the actuator another rate_hz, or does a '
+                'second controller answer?')
+
+    def _answer_if_due(self) -> None:
+        if (self.pending is None or not self.node.ready()
+                or self.node.get_clock().now().nanoseconds < self.pending[0]):
+            return
+        stamp_ns, force_n = self.pending
+        self.pending = None
+        self.answered_ns = stamp_ns
+        self.node.answer(stamp_ns, force_n)
+
+
+class RealTime:
+    """Answers the latest state at each tick of the wall clock."""
+
+    def __init__(self, node: ControllerNode):
+        self.node = node
+        self.latest: tuple[int, float] | None = None
+        self.received_at = 0.0
+        self.lost = 0
+        node.create_timer(1.0 / node.rate_hz, self._tick,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def on_state(self, stamp_ns: int, force_n: float) -> None:
+        if self.latest is not None:
+            periods = (stamp_ns - self.latest[0]) * 1e-9 * self.node.rate_hz
+            self.lost += max(0, round(periods) - 1)
+        self.latest = stamp_ns, force_n
+        self.received_at = time.monotonic()
+        self.node.statistics.latency(self.node.get_clock().now().nanoseconds - stamp_ns)
+
+    def health(self) -> tuple[bytes, str]:
+        if self.latest is None:
+            return WARN, 'waiting for the actuator'
+        if self._stale():
+            return ERROR, 'no new state: no command is given'
+        return OK, 'running'
+
+    def counts(self) -> dict[str, object]:
+        return {'lost samples': self.lost}
+
+    def _stale(self) -> bool:
+        silence = time.monotonic() - self.received_at
+        return silence > float(self.node.parameters.values['state_timeout'])
+
+    def _tick(self) -> None:
+        if self.latest is None or self._stale() or not self.node.ready():
+            return
+        self.node.answer(*self.latest)
+
+
+def main() -> int:
+    """Run the node; return the exit status."""
+    return run_node(ControllerNode)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
