@@ -8,6 +8,7 @@ second order in the sub-step, which is fixed, and stable for any.
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -15,7 +16,7 @@ from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain
 from asi_actuator.model.force_sensor import SensorStep, force_sensor, reading, sensor_step
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
-from asi_actuator.model.jit import FULL, jit
+from asi_actuator.model.jit import FULL, jit, jit_parallel
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
@@ -25,7 +26,7 @@ from asi_actuator.model.valve_characteristic import (
 )
 from asi_actuator.model.valve_flexure import FlexureStep, flexure_gain, flexure_step, valve_flexure
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
-from asi_actuator.parameters import RING
+from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 
 STATE_DTYPE = np.dtype([
     ('time', np.float64),               # s
@@ -83,7 +84,7 @@ def rest() -> np.void:
 class Steady(NamedTuple):
     """What is the same in every sub-step: their number and length (s), then block by block."""
 
-    count: int
+    substeps: int
     h: float
     half_decay: float
     flexure: FlexureStep
@@ -152,7 +153,7 @@ def advance(state, command, p, steady):
     """Advance `state` by one control period at a constant valve command (N), in place."""
     limited = min(max(command, -p.command_limit), p.command_limit)
     jump(state, limited, p)
-    for _ in range(steady.count):
+    for _ in range(steady.substeps):
         substep(state, limited, p, steady)
     state.sample += 1
 
@@ -175,14 +176,12 @@ def measure(state, p):
 
 
 @jit
-def _simulate(state, commands, p, period, out):
+def _simulate(state, commands, p, period, every, out):
     steady = prepare(p, period)
-    for k in range(commands.shape[0]):
-        force, valve, position, velocity = measure(state, p)
-        out[0, k] = force
-        out[1, k] = valve
-        out[2, k] = position
-        out[3, k] = velocity
+    for k in range(commands.size):
+        if k % every == 0:
+            out[0, k // every], out[1, k // every], out[2, k // every], out[3, k // every] = (
+                measure(state, p))
         advance(state, commands[k], p, steady)
 
 
@@ -197,6 +196,37 @@ def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
     """
     commands = np.ascontiguousarray(commands, np.float64)
     out = np.empty((4, commands.size))
-    _simulate(rest() if state is None else state, commands, p, period_s, out)
+    _simulate(rest() if state is None else state, commands, p, period_s, 1, out)
     time_s = np.arange(commands.size, dtype=np.float64) * period_s
     return Trajectory(time_s, commands, *out)
+
+
+@jit
+def _simulate_from_rest(commands, p, period, every, out):
+    _simulate(np.zeros(1, STATE_DTYPE)[0], commands, p, period, every, out)
+
+
+@jit_parallel
+def _simulate_many(parameters, commands, period, every, out):
+    for i in numba.prange(parameters.size):
+        _simulate_from_rest(commands[i % commands.shape[0]], parameters[i], period, every, out[i])
+
+
+def simulate_many(parameters: npt.NDArray[np.void], commands: npt.ArrayLike, period_s: float,
+                  every: int = 1) -> Trajectory:
+    """
+    Return the runs, each from rest, of many parameter sets, on all cores.
+
+    parameters: m records of ACTUATOR_DTYPE; commands: n valve commands, N, for all runs, or m x n;
+    every: keep only every so-manieth sample. The arrays of forces, positions and velocities are
+    m x n / every, each row bit for bit what `simulate` returns.
+    """
+    parameters = np.ascontiguousarray(parameters, ACTUATOR_DTYPE)
+    rows = np.atleast_2d(np.ascontiguousarray(commands, np.float64))
+    if rows.shape[0] not in (1, parameters.size):
+        raise ValueError(f'commands has {rows.shape[0]} rows for {parameters.size} parameter sets')
+    kept = rows[:, ::every]
+    out = np.empty((parameters.size, 4, kept.shape[1]))
+    _simulate_many(parameters, rows, period_s, every, out)
+    time_s = np.arange(kept.shape[1], dtype=np.float64) * every * period_s
+    return Trajectory(time_s, kept, out[:, 0], out[:, 1], out[:, 2], out[:, 3])
