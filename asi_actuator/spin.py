@@ -58,7 +58,9 @@ class LoopExecutor(SingleThreadedExecutor):
         return not isinstance(entity, Subscription | Timer) and super().can_execute(entity)
 
     def _spin_loop(self, end_ns: int) -> None:
-        subscriptions: list[Any] = [s for node in self.get_nodes() for s in node.subscriptions]
+        # A recorder's callback group keeps its subscriptions out: it polls them.
+        subscriptions: list[Any] = [s for node in self.get_nodes() for s in node.subscriptions
+                                    if s.callback_group.can_execute(s)]
         timers: list[Any] = [t for node in self.get_nodes() for t in node.timers]
         with ExitStack() as in_use:
             for entity in (*subscriptions, *timers):

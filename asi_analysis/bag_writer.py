@@ -1,0 +1,160 @@
+"""
+Writes a rosbag2 directory: metadata.yaml (version 9) and one MCAP file of profile ros2.
+
+On the `mcap` library rather than the writer of rosbags, because that one puts chunks of a
+megabyte on the disk without ever flushing, and knows no sequence numbers and no metadata records
+of our own; the writer of mcap-ros2-support leaves out the QoS.
+"""
+
+import functools
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import yaml
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from asi_analysis.errors import InputError
+
+# About a hundred ticks of the loop: well under a second of either mode, and it compresses well.
+# Chunks end by size, not by the clock, so that the same messages make the same file.
+CHUNK_BYTES: Final = 64 * 1024
+INFORMATION: Final = 'asi.run'
+
+_NEVER = {'sec': 9223372036, 'nsec': 854775807}
+RELIABLE: Final[dict[str, Any]] = {
+    'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
+    'deadline': _NEVER, 'lifespan': _NEVER, 'liveliness': 'automatic',
+    'liveliness_lease_duration': _NEVER, 'avoid_ros_namespace_conventions': False}
+
+
+class _Topic(NamedTuple):
+    name: str
+    type: str
+    offered: Sequence[Mapping[str, Any]]
+
+
+@functools.cache
+def typestore() -> Typestore:
+    """Return the message types of Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+class BagWriter:
+    """
+    A bag being written.
+
+    Raises InputError if the directory exists already or cannot be made; OSError from any method
+    when the disk is full, after which only `abandon` may be called.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError:
+            raise InputError(f'{directory} exists already: a bag is never written over, give '
+                             'another directory') from None
+        except OSError as error:
+            raise InputError(f'{directory} cannot be made: {error.strerror}') from None
+        self._directory = directory
+        self._file = (directory / f'{directory.name}_0.mcap').open('xb')
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer.start(profile='ros2', library='asi_actuator')
+        self._schemas: dict[str, int] = {}
+        self._topics: dict[int, _Topic] = {}
+        self._counts: dict[int, int] = {}
+        self._start_ns, self._end_ns = 2**63 - 1, 0
+
+    def add_information(self, information: Mapping[str, Any]) -> None:
+        """Add to what the bag says of its run: plain data by name, each kept as JSON."""
+        self._writer.add_metadata(INFORMATION, {
+            name: json.dumps(value) for name, value in information.items()})
+
+    def add_topic(self, name: str, type_: str,
+                  offered: Sequence[Mapping[str, Any]] = (RELIABLE,)) -> int:
+        """Add a topic with the QoS that its publishers offer; return its channel."""
+        if type_ not in self._schemas:
+            definition, _ = typestore().generate_msgdef(type_, ros_version=2)
+            self._schemas[type_] = self._writer.register_schema(
+                type_, 'ros2msg', definition.encode())
+        channel = self._writer.register_channel(
+            name, 'cdr', self._schemas[type_],
+            {'offered_qos_profiles': yaml.safe_dump(list(offered)).strip(),
+             'topic_type_hash': typestore().hash_rihs01(type_)})
+        self._topics[channel] = _Topic(name, type_, offered)
+        self._counts[channel] = 0
+        return channel
+
+    def write(self, channel: int, log_ns: int, publish_ns: int, sequence: int,
+              data: bytes) -> None:
+        """Add a message as it came from the wire."""
+        self._writer.add_message(channel, log_ns, data, publish_ns, sequence & 0xFFFFFFFF)
+        self._counts[channel] += 1
+        if log_ns < self._start_ns:
+            self._start_ns = log_ns
+        if log_ns > self._end_ns:
+            self._end_ns = log_ns
+
+    def flush(self) -> None:
+        """Hand the finished chunks to the system, where a kill of this process leaves them."""
+        self._file.flush()
+
+    def end_chunk(self) -> None:
+        """Finish the chunk that is open, and flush."""
+        self._writer.flush()
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file so far."""
+        return self._file.tell()
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of messages written, by topic."""
+        return {self._topics[channel].name: count for channel, count in self._counts.items()}
+
+    def close(self) -> None:
+        """Finish the bag: summary, index, metadata.yaml."""
+        self._writer.finish()
+        self._file.close()
+        text = yaml.safe_dump({'rosbag2_bagfile_information': self._description()},
+                              sort_keys=False)
+        (self._directory / 'metadata.yaml').write_text(text)
+
+    def abandon(self) -> None:
+        """Leave the bag as it is, after an error: readable up to the last whole chunk."""
+        with suppress(OSError):
+            self._file.close()
+
+    def _description(self) -> dict[str, Any]:
+        """Return the contents of metadata.yaml."""
+        total = sum(self._counts.values())
+
+        def span() -> dict[str, Any]:
+            return {'starting_time': {'nanoseconds_since_epoch': self._start_ns if total else 0},
+                    'duration': {'nanoseconds': self._end_ns - self._start_ns if total else 0},
+                    'message_count': total}
+
+        name = Path(self._file.name).name
+        return {
+            'version': 9,
+            'storage_identifier': 'mcap',
+            'relative_file_paths': [name],
+            **span(),
+            'topics_with_message_count': [
+                {'topic_metadata': {
+                    'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
+                    'offered_qos_profiles': [dict(offered) for offered in topic.offered],
+                    'type_description_hash': typestore().hash_rihs01(topic.type)},
+                 'message_count': self._counts[channel]}
+                for channel, topic in self._topics.items()],
+            'compression_format': '',
+            'compression_mode': '',
+            'files': [{'path': name, **span()}],
+            'custom_data': None,
+            'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
+        }

@@ -1,0 +1,173 @@
+"""
+The order and the times in which a recorder writes what has come.
+
+In real time: the order and the times of receipt. In lock-step every tick has a stamp k T, and its
+messages come from two processes over several topics. They are held until every topic has come
+that far, then written tick by tick, at the time of the tick, in the order of the topics; so two
+runs of the same experiment give the same file, however they were scheduled.
+"""
+
+import heapq
+from collections import Counter, deque
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+# A topic that is silent this long (s) is not waited for; a kill loses this much and one chunk.
+HOLD_S: Final = 0.3
+# Unless it has spoken in most ticks: then a message was lost on the way, and DDS sends it again
+# when it next compares notes (Fast DDS: after some thousand messages, or three seconds).
+PATIENCE_S: Final = 5.0
+FEW_TICKS: Final = 10
+# Written ticks that are remembered, to know a late repetition when it comes.
+REMEMBERED: Final = 1000
+# A stamp this far (ns) from another is not of the same clock.
+OTHER_CLOCK_NS: Final = 3600 * 10**9
+
+
+class Arrival(NamedTuple):
+    """A message as it came: topic (index), number on its topic, times (ns), CDR bytes."""
+
+    topic: int
+    number: int
+    stamp_ns: int | None    # None: its type has no stamp; 0: the stamp was not set
+    received_ns: int
+    published_ns: int
+    data: bytes
+
+
+class Item(NamedTuple):
+    """A message as it goes into the bag."""
+
+    topic: int
+    number: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+
+class ReceiptOrder:
+    """Real time: messages in the order of their receipt."""
+
+    def ready(self, arrivals: Iterable[Arrival], now_s: float) -> list[Item]:
+        """Return what can be written: everything."""
+        return [Item(a.topic, a.number, a.received_ns, a.published_ns, a.data)
+                for a in sorted(arrivals, key=lambda arrival: arrival.received_ns)]
+
+    def repairing(self, now_s: float) -> bool:
+        """Tell whether lost messages are waited for: never."""
+        return False
+
+
+class _Tick(NamedTuple):
+    arrived_s: float
+    items: dict[tuple[int, bytes], Item]
+    written: bool
+
+
+class TickOrder:
+    """
+    Lock-step: messages tick by tick; a message that was sent again is left out.
+
+    topics: how many there are; guide: index of the stamped topic that the others go by. Messages
+    without a stamp belong to the tick of the guide's message with the same number: the actuator
+    publishes `force`, `valve_position` and `velocity` together, and sends none of them again.
+    """
+
+    def __init__(self, topics: int, guide: int) -> None:
+        self._guide = guide
+        self._stamps: dict[int, int] = {}       # of the guide's messages, by number
+        self._newest = 0
+        self._latest = dict.fromkeys(range(topics), -1)
+        self._repeated: Counter[int] = Counter()
+        self._unplaced: list[tuple[float, Arrival]] = []
+        self._ticks: dict[int, _Tick] = {}
+        self._order: list[int] = []             # stamps of the ticks not written, a heap
+        self._done: deque[int] = deque()
+        self._late: list[Item] = []
+        self._spoken: Counter[int] = Counter()  # ticks in which a topic has spoken
+        self._written = 0                       # ticks
+
+    def ready(self, arrivals: Iterable[Arrival], now_s: float) -> list[Item]:
+        """
+        Take what has come; return, in order, what need not wait any longer.
+
+        now_s: time since any moment, s; infinite: return everything.
+        """
+        waiting, self._unplaced = self._unplaced, []
+        for arrival in arrivals:
+            self._add(arrival, now_s)
+        for arrived_s, arrival in waiting:
+            self._add_unstamped(arrival, arrived_s, now_s)
+        items, self._late = self._late, []
+        while self._order and self._may_go(self._order[0], now_s):
+            items += self._release(heapq.heappop(self._order))
+        self._forget()
+        return items
+
+    def _forget(self) -> None:
+        while len(self._done) > REMEMBERED:
+            stamp = self._done.popleft()
+            del self._ticks[stamp]
+            while self._stamps and next(iter(self._stamps.values())) <= stamp:
+                del self._stamps[next(iter(self._stamps))]
+
+    def repairing(self, now_s: float) -> bool:
+        """Tell whether lost messages, which DDS sends again, are waited for."""
+        return bool(self._order) and now_s - self._ticks[self._order[0]].arrived_s > HOLD_S
+
+    def _may_go(self, stamp: int, now_s: float) -> bool:
+        """Tell whether a tick is complete, or has waited long enough for what may still come."""
+        behind = [topic for topic, latest in self._latest.items() if latest < stamp]
+        age_s = now_s - self._ticks[stamp].arrived_s
+        regular = [topic for topic in behind
+                   if self._spoken[topic] > max(FEW_TICKS, self._written / 2)]
+        if age_s > PATIENCE_S:
+            for topic in regular:
+                self._spoken[topic] = 0
+            return True
+        return not behind or (age_s > HOLD_S and not regular)
+
+    def _release(self, stamp: int) -> list[Item]:
+        tick = self._ticks[stamp]
+        self._ticks[stamp] = tick._replace(written=True)
+        self._done.append(stamp)
+        self._written += 1
+        items = sorted(tick.items.values(), key=lambda item: item.topic)
+        self._spoken.update({item.topic for item in items})
+        return items
+
+    def _add(self, arrival: Arrival, now_s: float) -> None:
+        stamp = arrival.stamp_ns
+        if stamp is None:
+            self._add_unstamped(arrival, now_s, now_s)
+            return
+        if arrival.topic == self._guide:
+            self._stamps[arrival.number] = stamp
+            self._newest = max(self._newest, stamp)
+        elif self._newest and (not stamp or abs(stamp - self._newest) > OTHER_CLOCK_NS):
+            stamp = self._newest
+        self._place(arrival, stamp, now_s)
+
+    def _add_unstamped(self, arrival: Arrival, arrived_s: float, now_s: float) -> None:
+        stamp = self._stamps.get(arrival.number)
+        if stamp is None and now_s - arrived_s > PATIENCE_S:
+            stamp = self._newest
+        if stamp is None:
+            self._unplaced.append((arrived_s, arrival))
+        else:
+            self._place(arrival, stamp, now_s)
+
+    def _place(self, arrival: Arrival, stamp: int, now_s: float) -> None:
+        topic = arrival.topic
+        self._latest[topic] = max(self._latest.get(topic, -1), stamp)
+        tick = self._ticks.get(stamp)
+        if tick is None:
+            tick = self._ticks[stamp] = _Tick(now_s, {}, False)
+            heapq.heappush(self._order, stamp)
+        if (topic, arrival.data) in tick.items:
+            self._repeated[topic] += 1
+            return
+        item = Item(topic, arrival.number - self._repeated[topic], stamp, stamp, arrival.data)
+        tick.items[topic, arrival.data] = item
+        if tick.written:
+            self._late.append(item)

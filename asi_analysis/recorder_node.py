@@ -1,0 +1,328 @@
+"""
+The node `asi_recorder`: writes the topics of the loop to a bag, as they come from the wire.
+
+In real time a message is logged at the time of its receipt. In lock-step, which it knows by
+stamps far from the wall clock, at the time of its tick, and in an order of its own (see
+`message_order`), so that the same experiment gives the same file.
+"""
+
+import json
+import math
+import struct
+import sys
+import time
+from datetime import datetime
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.task import Future
+
+from asi_actuator.parameters import ParameterError
+from asi_actuator.spin import RunError, run_node
+from asi_analysis.bag_writer import RELIABLE, BagWriter, typestore
+from asi_analysis.errors import InputError
+from asi_analysis.message_order import (
+    HOLD_S,
+    OTHER_CLOCK_NS,
+    Arrival,
+    ReceiptOrder,
+    TickOrder,
+)
+from asi_analysis.qos import as_dictionary
+
+TYPES: Final = {
+    'joint_states': 'sensor_msgs/msg/JointState',
+    'force': 'geometry_msgs/msg/WrenchStamped',
+    'valve_position': 'std_msgs/msg/Float64',
+    'velocity': 'std_msgs/msg/Float64',
+    'force_reference': 'geometry_msgs/msg/WrenchStamped',
+    'valve_command': 'geometry_msgs/msg/WrenchStamped',
+    '/clock': 'rosgraph_msgs/msg/Clock',
+    '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
+}
+NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
+# Often enough that little waits, seldom enough that one wake-up serves many messages.
+DRAIN_PERIOD_S: Final = 0.01
+LOOK_AROUND_PERIOD_S: Final = 0.2
+# A chunk that is open this long is finished though it is small: what a kill may lose.
+OPEN_CHUNK_S: Final = 0.5
+FAREWELL_S: Final = 0.05
+# Messages of one topic that may wait: ten seconds of lock-step.
+DEPTH: Final = 50_000
+
+
+class _Polled(CallbackGroup):
+    """Keeps the executor's hands off: waking for each message costs more than writing it."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+class _Recorded:
+    """One topic: its subscription, the place of the stamp, what was lost."""
+
+    def __init__(self, node: Node, group: CallbackGroup, name: str, type_: str) -> None:
+        package, _, kind = type_.split('/')
+        self.message = getattr(import_module(f'{package}.msg'), kind)
+        first = next(iter(self.message.get_fields_and_field_types().values()))
+        self.stamped = first in ('std_msgs/Header', 'builtin_interfaces/Time')
+        self.type = type_
+        self.name = node.resolve_topic_name(name)
+        self.channel: int | None = None
+        self.number = 0
+        self.lost = 0
+        self.one_publisher = True
+        self.reliability = ReliabilityPolicy.RELIABLE
+        self.subscription = self._subscription(node, group)
+
+    def accept_best_effort(self, node: Node, group: CallbackGroup) -> None:
+        """Subscribe again so that a best-effort publisher is heard too."""
+        node.destroy_subscription(self.subscription)
+        self.reliability = ReliabilityPolicy.BEST_EFFORT
+        self.subscription = self._subscription(node, group)
+
+    def _subscription(self, node: Node, group: CallbackGroup) -> Subscription:
+        return node.create_subscription(
+            self.message, self.name, _never,
+            QoSProfile(depth=DEPTH, reliability=self.reliability), callback_group=group, raw=True)
+
+    def take(self) -> tuple[bytes, dict[str, Any]] | None:
+        """Return the next message that has come, and what DDS says of it."""
+        return self.subscription.handle.take_message(self.message, True)
+
+    def stamp(self, data: bytes) -> int | None:
+        """Return the stamp (ns) of a message; None if its type has none."""
+        if not self.stamped:
+            return None
+        seconds, nanoseconds = _STAMP[data[1]].unpack_from(data, 4)
+        return seconds * 10**9 + nanoseconds
+
+    def count(self, number: int | None) -> int:
+        """Return the number of a message on its topic, and note a gap before it."""
+        if number is None:      # this RMW does not number: then no gap can be seen
+            number = self.number + 1
+        if number <= self.number:
+            self.one_publisher = False
+        elif self.number:
+            self.lost += number - self.number - 1
+        self.number = number
+        return number
+
+
+# Byte 1 of CDR: 1 for little endian; a stamp, if any, follows the four bytes of this header.
+_STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
+
+
+def _never(message: object) -> None:
+    """Stand for the callback that rclpy wants; the topics are polled."""
+
+
+class Recorder(Node):
+    """The node; `destroy_node` finishes the bag. Raises InputError for what cannot be used."""
+
+    def __init__(self) -> None:
+        super().__init__('asi_recorder')
+        output = self._text('output', datetime.now().strftime('asi_%Y_%m_%d-%H_%M_%S'),
+                            'Directory of the bag, which must not exist')
+        configuration = self._text(
+            'configuration', '', 'JSON file with the configuration of the run, kept in the bag; '
+            'empty: the parameters that the nodes report')
+        wanted = self.declare_parameter('topics', list(TYPES), ParameterDescriptor(
+            description='Topics to record', read_only=True)).value
+        information = _configuration(configuration) if configuration else {}
+        self._writer = BagWriter(Path(output))
+        if information:
+            self._writer.add_information(information)
+        self.failed = False
+        self._group = _Polled()
+        self._topics: list[_Recorded] = []
+        self._unknown: list[str] = []
+        for name in wanted:
+            if name in TYPES:
+                self._topics.append(_Recorded(self, self._group, name, TYPES[name]))
+            else:
+                self._unknown.append(self.resolve_topic_name(name))
+        self._arrived: list[Arrival] = []
+        self._order: ReceiptOrder | TickOrder | None = None
+        self._pending = False       # is there something in the open chunk?
+        self._size, self._opened_s = 0, time.monotonic()
+        self._unasked = [] if configuration else [
+            (name, AsyncParameterClient(self, node)) for name, node in NODES.items()]
+        self.create_timer(DRAIN_PERIOD_S, self._record)
+        self.create_timer(LOOK_AROUND_PERIOD_S, self._look_around)
+        self.get_logger().info(f'recording to {output}')
+
+    def destroy_node(self) -> None:
+        """Write what has come so far, and finish the bag."""
+        if not self.failed:
+            # What was published just before the end may still be on its way.
+            time.sleep(FAREWELL_S)
+            try:
+                self._drain()
+                self._write(final=True)
+                self._writer.close()
+                self._report()
+            except OSError as error:
+                self._fail(error)
+        super().destroy_node()
+
+    def _text(self, name: str, default: str, description: str) -> str:
+        return self.declare_parameter(name, default, ParameterDescriptor(
+            description=description, read_only=True)).value
+
+    def _record(self) -> None:
+        """Write what has come since the last time."""
+        try:
+            self._drain()
+            self._write()
+            self._hand_over()
+        except OSError as error:
+            self._fail(error)
+            raise RunError('the recording has ended') from None
+
+    def _drain(self) -> None:
+        """Take everything that has come."""
+        for index, topic in enumerate(self._topics):
+            with topic.subscription.handle:
+                while (taken := topic.take()) is not None:
+                    data, info = taken
+                    self._arrived.append(Arrival(
+                        index, topic.count(info['publication_sequence_number']),
+                        topic.stamp(data), info['received_timestamp'] or time.time_ns(),
+                        info['source_timestamp'], data))
+
+    def _write(self, final: bool = False) -> None:
+        """Write what has been taken, as far as its turn has come; everything, if `final`."""
+        if self._order is None and self._arrived:
+            self._order = self._choose_order(final)
+        if self._order is None:
+            return
+        arrived, self._arrived = self._arrived, []
+        for item in self._order.ready(arrived, math.inf if final else time.monotonic()):
+            topic = self._topics[item.topic]
+            if topic.channel is None:
+                topic.channel = self._writer.add_topic(
+                    topic.name, topic.type, self._offered(topic.name))
+            self._writer.write(topic.channel, item.log_ns, item.publish_ns, item.number,
+                               item.data)
+            self._pending = True
+
+    def _choose_order(self, final: bool) -> ReceiptOrder | TickOrder | None:
+        """Tell real time from lock-step by the first stamp; None while there is none."""
+        for arrival in self._arrived:
+            if arrival.stamp_ns:
+                if abs(arrival.stamp_ns - arrival.received_ns) < OTHER_CLOCK_NS:
+                    return ReceiptOrder()
+                stamped = [i for i, topic in enumerate(self._topics) if topic.stamped]
+                guides = [i for i in stamped if self._topics[i].type == TYPES['force']] or stamped
+                return TickOrder(len(self._topics), guides[0])
+        waited_ns = time.time_ns() - self._arrived[0].received_ns
+        return ReceiptOrder() if final or waited_ns > HOLD_S * 1e9 else None
+
+    def _hand_over(self) -> None:
+        """Let the system have finished chunks, and an unfinished one that has become old."""
+        self._writer.flush()
+        now_s = time.monotonic()
+        if self._writer.size != self._size or not self._pending:
+            self._size, self._opened_s = self._writer.size, now_s
+        elif now_s - self._opened_s > OPEN_CHUNK_S and not (
+                self._order and self._order.repairing(now_s)):
+            self._writer.end_chunk()
+            self._pending = False
+
+    def _offered(self, name: str) -> list[dict[str, Any]]:
+        """Return the different QoS that the publishers of a topic offer."""
+        offered = [as_dictionary(publisher.qos_profile)
+                   for publisher in self.get_publishers_info_by_topic(name)]
+        return [profile for i, profile in enumerate(offered) if profile not in offered[:i]] or [
+            RELIABLE]
+
+    def _look_around(self) -> None:
+        """Adapt to the publishers that there are now, and ask their nodes for parameters."""
+        for topic in self._topics:
+            offered = [publisher.qos_profile.reliability
+                       for publisher in self.get_publishers_info_by_topic(topic.name)]
+            if (topic.reliability == ReliabilityPolicy.RELIABLE
+                    and ReliabilityPolicy.BEST_EFFORT in offered):
+                topic.accept_best_effort(self, self._group)
+        types = dict(self.get_topic_names_and_types()) if self._unknown else {}
+        for name in [name for name in self._unknown if name in types]:
+            self._unknown.remove(name)
+            if types[name][0] in typestore().fielddefs:
+                self._topics.append(_Recorded(self, self._group, name, types[name][0]))
+            else:
+                self.get_logger().warning(f'{name} is not recorded: its type {types[name][0]} is '
+                                          'not one of the common messages')
+        for name, client in list(self._unasked):
+            if client.services_are_ready():
+                self._unasked.remove((name, client))
+                client.list_parameters(callback=partial(self._ask, name, client))
+
+    def _ask(self, name: str, client: AsyncParameterClient, listed: Future) -> None:
+        names = listed.result().result.names
+        client.get_parameters(names, callback=partial(self._keep, name, names))
+
+    def _keep(self, node: str, names: list[str], values: Future) -> None:
+        self._writer.add_information({node: {
+            name: parameter_value_to_python(value)
+            for name, value in zip(names, values.result().values, strict=True)}})
+
+    def _fail(self, error: OSError) -> None:
+        self.failed = True
+        self._writer.abandon()
+        self.get_logger().error(f'the bag cannot be written any more: {error.strerror}; what is '
+                                'there can be read')
+
+    def _report(self) -> None:
+        """Say what was recorded, and what was lost on the way."""
+        counts = self._writer.counts()
+        self.get_logger().info('recorded ' + (', '.join(
+            f'{count} {name}' for name, count in counts.items()) or 'nothing'))
+        for topic in self._topics:
+            if topic.lost and topic.one_publisher:
+                self.get_logger().error(f'{topic.lost} messages of {topic.name} were lost')
+
+
+def _configuration(path: str) -> dict[str, Any]:
+    """Return what the file says. Raises InputError if it is no JSON object."""
+    try:
+        configuration = json.loads(Path(path).read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(f'configuration = {path!r} cannot be used: {error}') from None
+    if not isinstance(configuration, dict):
+        raise InputError(f'configuration = {path!r} cannot be used: it must hold a JSON object')
+    return configuration
+
+
+def main() -> None:
+    """Run the node until it is stopped."""
+    nodes: list[Recorder] = []
+
+    def make() -> Recorder:
+        try:
+            nodes.append(Recorder())
+        except InputError as error:
+            raise ParameterError(str(error)) from None
+        return nodes[0]
+
+    status = run_node(make)
+    sys.exit(status or int(any(node.failed for node in nodes)))
+
+
+if __name__ == '__main__':
+    main()
