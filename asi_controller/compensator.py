@@ -21,7 +21,7 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS
 # Phase counts most where the limit cycle is.
 PREWARP_HZ: Final = 90.0
 MOST_SECTIONS: Final = 8
-OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 14.5, 'lead2': 3.0, 'lead4': 2.2,
+OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 20.0, 'lead2': 1.5, 'lead4': 1.5,
                    'custom': 1.0}
 
 
@@ -207,8 +207,9 @@ def compensate(c, reference, measured):
     """
     Return the valve command (N) for a desired and a measured force (N); updates `c` in place.
 
-    The slowest pole remembers the command that the valve was really given, so that a saturated
-    command does not wind it up: its recursion runs on the output after the saturation.
+    While the command is saturated the slowest pole stands still, unless the error drives it back:
+    so it does not wind up. (To set it to what the valve was given instead would let the short
+    kick of a lead after a step shift it for seconds.)
     """
     error = reference - measured
     if c.fresh == 1:
@@ -228,9 +229,8 @@ def compensate(c, reference, measured):
     c.bias *= c.bias_decay
     free = c.gain * out + direct
     c.command = min(max(free, -c.saturation), c.saturation)
-    if c.command != free and c.gain > 0.0:
-        out = (c.command - direct) / c.gain
-    c.lag_memory = c.lag[1] * value - c.lag[2] * out
+    if c.command == free or free * value < 0.0:
+        c.lag_memory = c.lag[1] * value - c.lag[2] * out
     return c.command
 
 
