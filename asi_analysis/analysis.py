@@ -1,5 +1,6 @@
 """What `asi analyze` says of a run: step, bandwidth and oscillation, as one plain dictionary."""
 
+from pathlib import Path
 from typing import Any
 
 from asi_analysis.frequency_response import loop_bandwidth
@@ -43,3 +44,9 @@ def analyze(run: Run) -> dict[str, Any]:
         'steps': [step_as_dict(each) for each in steps],
         'notes': notes,
     }
+
+
+def analyze_bag(path: Path) -> dict[str, Any]:
+    """Read a bag and return what `asi analyze --json` prints. Raises InputError."""
+    from asi_analysis.bag import read_bag
+    return analyze(read_bag(path))

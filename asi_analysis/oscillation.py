@@ -48,6 +48,8 @@ def dominant_frequency(time: Array, values: Array, fewest_periods: int = FEWEST_
     period = (time[-1] - time[0]) / (time.size - 1)
     spectrum = np.abs(np.fft.rfft(values * signal.windows.hann(values.size)))
     spectrum[:fewest_periods] = 0.0
+    # At half the sampling rate itself amplitude and phase cannot be told apart.
+    spectrum[int(0.95 * spectrum.size):] = 0.0
     line = 1.0 / (period * values.size)
     guess = float(np.argmax(spectrum)) * line
     best = optimize.minimize_scalar(

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.errors import InputError
+
 Array = npt.NDArray[np.float64]
 
 
@@ -69,6 +71,14 @@ class Run:
         """Return the signals that are there, by name ('force', not 'force_n')."""
         return {signal.name: values for signal in SIGNALS
                 if (values := getattr(self, signal.field)) is not None}
+
+    def signal(self, name: str) -> Array:
+        """Return a signal by name; raises InputError if the run does not hold it."""
+        try:
+            return self.signals()[name]
+        except KeyError:
+            raise InputError(f'{self.source}: no {name} in this run; it holds '
+                             f'{", ".join(self.signals()) or "nothing"}') from None
 
     def unit(self, name: str) -> str:
         """Return the unit of a signal: that of `information['signals']`, or the usual one."""

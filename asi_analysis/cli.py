@@ -1,0 +1,214 @@
+"""
+The `asi` command: reads the command line, calls, prints.
+
+No logic, and nothing heavy is imported before a command needs it.
+
+A new command is one function with @command; what it raises becomes the exit status (see `main`).
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from asi_analysis.errors import InputError
+
+app = typer.Typer(
+    help='Run, record and understand a force-controlled hydraulic actuator.',
+    no_args_is_help=True, add_completion=False, rich_markup_mode='markdown',
+    pretty_exceptions_enable=False,
+    context_settings={'help_option_names': ['-h', '--help']})
+
+Json = Annotated[bool, typer.Option('--json', help='Print one JSON document (doc/json.md).')]
+
+
+def command(name: str, example: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Make a function a command; `example` is the end of its help."""
+    return app.command(name, epilog=f'Example: `{example}`')
+
+
+def answer(document: Mapping[str, Any], as_json: bool, show: Callable[[Any], None]) -> None:
+    """Print an answer: as one JSON document, or for people by `show(document)`."""
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        show(document)
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[str, float | None], None]]:
+    """Give report(what is going on, share done or None): a bar on stderr, gone at the end."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    with Progress(SpinnerColumn(), TextColumn('{task.description}'), BarColumn(),
+                  TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task('', total=None)
+
+        def report(text: str, share: float | None = None) -> None:
+            bars.update(task, description=text, total=None if share is None else 1.0,
+                        completed=share or 0.0)
+
+        yield report
+
+
+@command('run', 'asi run --compensator lead_lag --gain 20 --step 500 --duration 1')
+def run(
+    compensator: Annotated[str | None, typer.Option(
+        help='proportional, lead_lag, lead2, lead4 or custom')] = None,
+    gain: Annotated[float | None, typer.Option(help='Its gain; 0: its own default')] = None,
+    step: Annotated[float | None, typer.Option(
+        help='Size of a step in the reference, N; the same as --reference step --amplitude')
+    ] = None,
+    reference: Annotated[str | None, typer.Option(
+        help='step, constant, ramp, sine, triangle, chirp, multisine, prbs or topic')] = None,
+    amplitude: Annotated[float | None, typer.Option(help='Size of the reference, N')] = None,
+    offset: Annotated[float | None, typer.Option(
+        help='Force about which it moves, N')] = None,
+    frequency: Annotated[float | None, typer.Option(
+        help='Its frequency, or the first or lowest, Hz')] = None,
+    end_frequency: Annotated[float | None, typer.Option(
+        help='Last or highest frequency of chirp or multisine, Hz')] = None,
+    load: Annotated[str | None, typer.Option(help='locked, spring, free or prescribed')] = None,
+    duration: Annotated[float, typer.Option(help='Length of the run, s')] = 1.0,
+    mode: Annotated[str, typer.Option(
+        help='lockstep: repeatable, however slow the machine; realtime: by the wall clock')
+    ] = 'lockstep',
+    rate: Annotated[float, typer.Option(
+        help='Control rate, Hz; 0: 5000 in lock-step, 1000 in real time')] = 0.0,
+    seed: Annotated[int | None, typer.Option(help='Seed of sensor noise and PRBS')] = None,
+    actuator: Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')] = None,
+    controller: Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')] = None,
+    set_: Annotated[list[str] | None, typer.Option(
+        '--set', metavar='NODE.NAME=VALUE',
+        help='Any other parameter, as actuator.load.mass=0.3; may be repeated')] = None,
+    out: Annotated[Path | None, typer.Option(
+        help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Run one experiment over ROS: start the nodes, record a bag, analyse it.
+
+    The later wins: parameter files, then --set, then the options by name.
+    """
+    from asi_analysis import experiment as ex
+    named = {'compensator': compensator, 'gain': gain, 'reference.shape': reference,
+             'reference.amplitude': amplitude, 'reference.offset': offset,
+             'reference.frequency': frequency, 'reference.end_frequency': end_frequency,
+             'reference.seed': seed}
+    if step is not None:
+        if reference not in (None, 'step') or amplitude is not None:
+            raise InputError('--step is a reference of its own: it goes without --reference '
+                             'and --amplitude')
+        named |= {'reference.shape': 'step', 'reference.amplitude': step}
+    values = ex.gather({'actuator': actuator, 'controller': controller}, set_ or [],
+                       {'actuator': {'load.type': load, 'force_sensor.noise_seed': seed},
+                        'controller': named}, duration)
+    wanted = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
+                                      rate))
+    out = out or ex.free_directory(Path('runs'), str(wanted.controller['compensator']))
+    with progress() as report:
+        bag = ex.run_experiment(wanted, out, report)
+        document = ex.run_as_dict(wanted, bag)
+    answer(document, as_json, _show_run)
+
+
+@command('analyze', 'asi analyze runs/demo/lead_lag/bag')
+def analyze(
+    bag: Annotated[Path, typer.Argument(help='A bag: its directory or its .mcap file')],
+    as_json: Json = False,
+) -> None:
+    """Measure step response, bandwidth and oscillation of a recorded run."""
+    from asi_analysis.analysis import analyze_bag
+    answer(analyze_bag(bag), as_json, _show_analysis)
+
+
+@command('demo', 'asi demo --out runs/demo')
+def demo(
+    out: Annotated[Path, typer.Option(
+        help='Directory of the report; an earlier demo there is replaced')] = Path('runs/demo'),
+    as_json: Json = False,
+) -> None:
+    """Run the paper's experiments over ROS and write a report: OUT/report.html."""
+    from asi_analysis.demo import run_demo
+    with progress() as report:
+        document = run_demo(out, report)
+    answer(document, as_json, _show_demo)
+
+
+def _figure(value: float | None, unit: str, scale: float = 1.0, digits: int = 4) -> str:
+    return '-' if value is None else f'{value * scale:.{digits}g} {unit}'
+
+
+def _show_run(document: Mapping[str, Any]) -> None:
+    print(f'{document["bag"]}: {document["compensator"]}, {document["mode"]}, '
+          f'{document["ticks"]} ticks at {document["rate_hz"]:g} Hz')
+    _show_analysis(document)
+
+
+def _show_analysis(document: Mapping[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    table = Table(show_header=False, box=None, pad_edge=False)
+    swing = document['oscillation']
+    rise = _figure(document['rise_time_s'], 'ms', 1e3)
+    if document['monotone_rise'] is False:
+        rise += f' (but the waveform is a {document["rise_shape"]})'
+    told = {True: 'yes', False: 'no', None: '-'}[swing['sustained']]
+    if swing['frequency_hz'] is not None:
+        told += (f', {swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} N'
+                 + ('' if swing['sustained'] else ', dying out'))
+    width = _figure(document['bandwidth_hz'], 'Hz', digits=3)
+    if document['bandwidth_method'] == 'step' and document['bandwidth_hz'] is not None:
+        width += ' (from the step)'
+    for name, value in (
+            ('rise time 10-90 %', rise),
+            ('overshoot', _figure(document['overshoot_percent'], '%', digits=3)),
+            ('settling time 2 %', _figure(document['settling_time_2_s'], 'ms', 1e3)),
+            ('settling time 5 %', _figure(document['settling_time_5_s'], 'ms', 1e3)),
+            ('steady-state error', _figure(document['steady_state_error_n'], 'N', digits=3)),
+            ('bandwidth', width),
+            ('delay', _figure(document['delay_s'], 'ms', 1e3)),
+            ('sustained oscillation', told)):
+        table.add_row(name, value)
+    Console().print(table)
+    for note in document['notes']:
+        print('note: ' + note)
+
+
+def _show_demo(document: Mapping[str, Any]) -> None:
+    print(f'report: {document["report"]}')
+
+
+def main() -> int:
+    """
+    Run the command; return the exit status.
+
+    0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError), said
+    in one line on stderr; 130: Ctrl-C.
+    """
+    # Typer brings its own copy of click; this is its ClickException.
+    click_exception: Any = typer.BadParameter.__mro__[2]
+    try:
+        return app(prog_name='asi', standalone_mode=False) or 0
+    except InputError as error:
+        return _fail(str(error), 2)
+    except RuntimeError as error:
+        return _fail(str(error), 1)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail('interrupted', 130)
+    except click_exception as error:
+        where = error.ctx.command_path if getattr(error, 'ctx', None) else 'asi'
+        return _fail(f'{error.format_message().rstrip(".")} (see {where} --help)', 2)
+
+
+def _fail(text: str, status: int) -> int:
+    print(f'asi: {" ".join(text.split())}', file=sys.stderr)
+    return status
+
+
+if __name__ == '__main__':
+    sys.exit(main())

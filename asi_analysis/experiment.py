@@ -1,0 +1,400 @@
+"""
+`asi run`: one experiment. Recorder, controller and actuator as processes, from start to stop.
+
+The actuator ends by itself when the time is up; the others are asked to (SIGINT). Whatever
+happens, Ctrl-C and errors included, no process is left behind and the bag so far is whole.
+"""
+
+import ctypes
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from asi_actuator.node_parameters import DEFAULT_RATE_HZ, MODES
+from asi_actuator.parameters import (
+    ACTUATOR_PARAMETERS,
+    Parameter,
+    ParameterError,
+    Value,
+    completed,
+)
+from asi_analysis.errors import InputError
+from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
+
+CONTROLLER_PARAMETERS: Final = COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS
+TABLES: Final = {'actuator': ACTUATOR_PARAMETERS, 'controller': CONTROLLER_PARAMETERS}
+# Started in this order, asked to end in the reverse: the recorder hears everything.
+MODULES: Final = {'recorder': 'asi_analysis.recorder_node',
+                  'controller': 'asi_controller.controller_node',
+                  'actuator': 'asi_actuator.actuator_node'}
+# A node that is asked to end and does not within this time is killed.
+PATIENCE_S: Final = 15.0
+POLL_S: Final = 0.1
+
+# progress(what is going on, share done or None)
+Progress = Callable[[str, float | None], None]
+
+
+class RunFailedError(RuntimeError):
+    """A node failed; the text names it and its last words."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is to be run: parameters by name, the rest at their defaults."""
+
+    actuator: Mapping[str, Value] = field(default_factory=dict)
+    controller: Mapping[str, Value] = field(default_factory=dict)
+    duration_s: float = 1.0
+    mode: str = 'lockstep'
+    rate_hz: float = 0.0      # 0: the default of the mode
+
+    @property
+    def control_rate_hz(self) -> float:
+        """The rate at which the loop is closed."""
+        return self.rate_hz or DEFAULT_RATE_HZ[self.mode]
+
+    @property
+    def ticks(self) -> int:
+        """How many states the actuator is to publish."""
+        return round(self.duration_s * self.control_rate_hz)
+
+
+def checked(experiment: Experiment) -> Experiment:
+    """Return the experiment with every parameter; raises InputError if one is not allowed."""
+    if experiment.mode not in MODES:
+        raise InputError(f'mode = {experiment.mode!r} is not allowed: it takes one of '
+                         + ', '.join(MODES))
+    if not experiment.duration_s > 0.0 or experiment.ticks < 1:
+        raise InputError(f'duration = {experiment.duration_s:g} s is not allowed: it takes a '
+                         'number above 0')
+    if not 0.0 <= experiment.rate_hz <= 2e4:
+        raise InputError(f'rate = {experiment.rate_hz:g} Hz is not allowed: it takes a number '
+                         'from 0 to 20000')
+    try:
+        from asi_controller.compensator import design
+        controller = completed(experiment.controller, CONTROLLER_PARAMETERS)
+        design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS})
+        return Experiment(completed(experiment.actuator, ACTUATOR_PARAMETERS), controller,
+                          experiment.duration_s, experiment.mode, experiment.rate_hz)
+    except ParameterError as error:
+        raise InputError(str(error)) from None
+
+
+def read_parameters(path: Path, which: str) -> dict[str, Value]:
+    """
+    Return the parameters of a ROS parameter file for 'actuator' or 'controller', by dotted name.
+
+    The node may be named asi_actuator, /asi_actuator or /**. Raises InputError.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
+    names = (f'asi_{which}', f'/asi_{which}', '/**')
+    values: dict[str, Value] = {}
+    found = [content[name] for name in names
+             if isinstance(content, dict) and name in content]
+    for section in found:
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise InputError(f'{path}: ros__parameters is missing under the node')
+        values |= dict(_flat(section['ros__parameters']))
+    if not found:
+        raise InputError(f'{path} has nothing for the node asi_{which}: it takes a ROS parameter '
+                         f'file with asi_{which}: ros__parameters: ...')
+    known = {parameter.name: parameter for parameter in TABLES[which]}
+    return {name: _as_meant(known[name], value) if name in known else value
+            for name, value in values.items()}
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Value]]:
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f'{prefix}{name}.')
+        else:
+            yield prefix + str(name), value
+
+
+def _as_meant(parameter: Parameter, value: Value) -> Value:
+    """Return 8 as 8.0 where a number is wanted; a text of digits stays what YAML says it is."""
+    if isinstance(parameter.default, float) and type(value) is int:
+        return float(value)
+    return value
+
+
+def parse_setting(text: str) -> tuple[str, str, Value]:
+    """
+    Return (actuator or controller, parameter, value) of 'actuator.load.type=spring'.
+
+    Raises InputError if it is not of that form or names no parameter.
+    """
+    name, sign, value = text.partition('=')
+    which, _, parameter = name.strip().partition('.')
+    if not sign or which not in TABLES:
+        raise InputError(f'--set {text}: it takes actuator.NAME=VALUE or controller.NAME=VALUE')
+    known = {each.name: each for each in TABLES[which]}
+    if parameter not in known:
+        import difflib
+        near = difflib.get_close_matches(parameter, known, 3)
+        hint = f'; did you mean {", ".join(near)}?' if near else ''
+        raise InputError(f'--set {text}: {parameter!r} is not a parameter of the {which}{hint}')
+    table_entry = known[parameter]
+    if isinstance(table_entry.default, str):
+        return which, parameter, value.strip()
+    try:
+        return which, parameter, _as_meant(table_entry, yaml.safe_load(_as_number(value)))
+    except yaml.YAMLError:
+        raise InputError(f'--set {text}: {value!r} is not a value') from None
+
+
+def _as_number(text: str) -> str:
+    """Return 1e5 as 1.0e+5: YAML 1.1 takes the first for a text."""
+    try:
+        return repr(float(text)) if re.search(r'\d[eE]', text) else text
+    except ValueError:
+        return text
+
+
+def gather(files: Mapping[str, Path | None], settings: list[str],
+           named: Mapping[str, Mapping[str, Value | None]], duration_s: float
+           ) -> dict[str, dict[str, Value]]:
+    """
+    Return the parameters of 'actuator' and 'controller' from files, --set and named options.
+
+    The later wins; a named option that is None is not given. With no reference at all it is a
+    step; a chirp or ramp without a duration of its own lasts to the end of the run.
+    """
+    values = {which: read_parameters(path, which) if path else {}
+              for which, path in files.items()}
+    for text in settings:
+        which, name, value = parse_setting(text)
+        values[which][name] = value
+    for which, options in named.items():
+        values[which] |= {name: value for name, value in options.items() if value is not None}
+    controller = values['controller']
+    shape = controller.setdefault('reference.shape', 'step')
+    if shape in ('chirp', 'ramp') and 'reference.duration' not in controller:
+        start = float(controller.get('reference.start', 0.05))
+        controller['reference.duration'] = max(duration_s - start, 1e-3)
+    return values
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what a run depends on."""
+    names = ('asi_actuator', 'numpy', 'numba', 'scipy', 'ros-jazzy-rclpy', 'rosbags')
+    found = {'python': platform.python_version()}
+    for name in names:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def information(experiment: Experiment) -> dict[str, Any]:
+    """Return what goes into the bag as `asi.run`; the same experiment gives the same."""
+    return {
+        'experiment': {'mode': experiment.mode, 'rate_hz': experiment.control_rate_hz,
+                       'duration_s': experiment.duration_s, 'ticks': experiment.ticks},
+        'actuator': dict(experiment.actuator),
+        'controller': dict(experiment.controller),
+        'seed': {'noise': experiment.actuator['force_sensor.noise_seed'],
+                 'reference': experiment.controller['reference.seed']},
+        'versions': versions(),
+    }
+
+
+def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambda *_: None
+                   ) -> Path:
+    """
+    Run an experiment over ROS and return its bag.
+
+    out: a directory that does not exist or is empty; gets `bag`, `log`, and what was run:
+    `experiment.json` and the parameter files of the nodes. Raises InputError for what cannot be
+    run, RunFailedError if a node fails. Its ROS domain is ROS_DOMAIN_ID, or one of its own.
+    """
+    experiment = checked(experiment)
+    bag = out / 'bag'
+    _prepare(experiment, out)
+    environment = _environment()
+    with _nodes(experiment, out, environment) as nodes, _watched(environment) as ticks:
+        progress('starting the nodes', None)
+        while nodes['actuator'].poll() is None:
+            _complain_of_dead(nodes, out)
+            done, text = ticks()
+            if done:
+                progress(f'{experiment.mode}: {done} of {experiment.ticks} ticks',
+                         done / experiment.ticks)
+            else:
+                progress(text, None)
+        if nodes['actuator'].returncode:
+            raise RunFailedError(_last_words('actuator', nodes['actuator'], out))
+        progress('finishing the bag', 1.0)
+    return bag
+
+
+def _prepare(experiment: Experiment, out: Path) -> None:
+    """Write what the nodes are to read."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()):
+            raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
+        (out / 'log').mkdir()
+        (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
+        loop: dict[str, Value] = {'mode': experiment.mode, 'rate_hz': float(experiment.rate_hz),
+                                  'await_recorder': True}
+        _write_parameters(out, 'actuator', {
+            **experiment.actuator, **loop, 'duration': float(experiment.duration_s)})
+        _write_parameters(out, 'controller', {**experiment.controller, **loop})
+    except OSError as error:
+        raise InputError(f'{out}: {error.strerror}') from None
+
+
+def _write_parameters(out: Path, which: str, values: Mapping[str, Value]) -> None:
+    (out / f'{which}.yaml').write_text(yaml.safe_dump(
+        {f'asi_{which}': {'ros__parameters': dict(values)}}, sort_keys=False))
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of the nodes: by default alone on this machine, in a free domain."""
+    # Up to 101 the ports of a domain are clear of those that Linux hands out.
+    return {'ROS_DOMAIN_ID': str(42 + os.getpid() % 60),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+
+
+def _end_with_parent() -> None:
+    """Have Linux send SIGINT to this node when the process that started it dies."""
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
+
+
+@contextmanager
+def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
+           ) -> Iterator[dict[str, subprocess.Popen]]:
+    """Start the nodes; at the end, whatever happened, ask them to end and see that they do."""
+    arguments = {
+        'recorder': ['-p', f'output:={out / "bag"}',
+                     '-p', f'configuration:={out / "experiment.json"}'],
+        'controller': ['--params-file', str(out / 'controller.yaml')],
+        'actuator': ['--params-file', str(out / 'actuator.yaml')],
+    }
+    nodes: dict[str, subprocess.Popen] = {}
+    try:
+        for name, module in MODULES.items():
+            with open(out / 'log' / f'{name}.log', 'w') as log:
+                # A session of its own: Ctrl-C in the terminal comes to us alone.
+                nodes[name] = subprocess.Popen(
+                    [sys.executable, '-m', module, '--ros-args', *arguments[name]],
+                    stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                    env=dict(environment), start_new_session=True, preexec_fn=_end_with_parent)
+        yield nodes
+    finally:
+        _stop(nodes)
+    failed = [name for name, process in nodes.items() if process.returncode]
+    if failed:
+        raise RunFailedError(_last_words(failed[0], nodes[failed[0]], out))
+
+
+def _stop(nodes: Mapping[str, subprocess.Popen]) -> None:
+    for name in reversed(MODULES):
+        process = nodes.get(name)
+        if process is None or process.poll() is not None:
+            continue
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(PATIENCE_S)
+        except (subprocess.TimeoutExpired, KeyboardInterrupt):
+            process.kill()
+            process.wait()
+
+
+def _complain_of_dead(nodes: Mapping[str, subprocess.Popen], out: Path) -> None:
+    for name, process in nodes.items():
+        if name != 'actuator' and process.poll() is not None:
+            raise RunFailedError(_last_words(name, process, out))
+
+
+def _last_words(name: str, process: subprocess.Popen, out: Path) -> str:
+    """Say how a node ended and the last line of its log."""
+    path = out / 'log' / f'{name}.log'
+    lines = [line for line in path.read_text(errors='replace').splitlines() if line.strip()]
+    status = process.returncode
+    how = (f'killed by {signal.Signals(-status).name}' if status is not None and status < 0
+           else f'ended with status {status}')
+    return f'the {name} {how}: {lines[-1] if lines else "it said nothing"} (see {path})'
+
+
+@contextmanager
+def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int, str]]]:
+    """
+    Give a function that waits a moment and returns the actuator's ticks and its state in words.
+
+    From /diagnostics, which comes twice a second: the loop does not notice.
+    """
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE',
+                          environment['ROS_AUTOMATIC_DISCOVERY_RANGE'])
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    ticks, state = 0, 'starting the nodes'
+
+    def hear(message: DiagnosticArray) -> None:
+        nonlocal ticks, state
+        for status in message.status:
+            if status.hardware_id == 'asi_actuator':
+                values = {value.key: value.value for value in status.values}
+                ticks, state = int(values.get('ticks', 0)), status.message
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
+               signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
+                             start_parameter_services=False)
+    node.create_subscription(DiagnosticArray, '/diagnostics', hear, 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def look() -> tuple[int, str]:
+        executor.spin_once(timeout_sec=POLL_S)
+        return ticks, state
+
+    try:
+        yield look
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def run_as_dict(experiment: Experiment, bag: Path) -> dict[str, Any]:
+    """Return what `asi run --json` prints of a finished run."""
+    from asi_analysis.analysis import analyze_bag
+    return {'bag': str(bag), 'mode': experiment.mode, 'ticks': experiment.ticks,
+            'compensator': experiment.controller['compensator'], **analyze_bag(bag)}
+
+
+def free_directory(parent: Path, name: str) -> Path:
+    """Return runs/<time>-<name>, a directory that does not exist."""
+    stem = f'{time.strftime("%Y-%m-%d_%H-%M-%S")}-{name}'
+    for number in range(1, 1000):
+        path = parent / (stem if number == 1 else f'{stem}-{number}')
+        if not path.exists():
+            return path
+    raise InputError(f'{parent}: no free name left for {stem}')

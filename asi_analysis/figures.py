@@ -1,0 +1,181 @@
+"""
+The pictures of reports, in one style. Each function makes one matplotlib figure of plain arrays.
+
+Drawn 5.2 inches wide with 9 point text: as large as a phone is wide, so nothing has to shrink.
+"""
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Final
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+Array = npt.NDArray[np.float64]
+
+WIDTH_IN: Final = 5.2
+# Okabe and Ito's colours, told apart with every kind of colour vision.
+BLUE, ORANGE, GREEN, PURPLE, GREY = '#0072b2', '#d55e00', '#009e73', '#a0519b', '#9aa3ab'
+COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE)
+STYLE: Final[Any] = {
+    'font.size': 9.0, 'axes.titlesize': 9.5, 'axes.titleweight': 'bold',
+    'axes.titlelocation': 'left', 'axes.labelsize': 9.0, 'legend.fontsize': 8.5,
+    'axes.spines.top': False, 'axes.spines.right': False, 'axes.edgecolor': '#555555',
+    'axes.grid': True, 'grid.color': '#e3e6e8', 'grid.linewidth': 0.7,
+    'axes.axisbelow': True, 'lines.linewidth': 1.4, 'legend.frameon': False,
+    'xtick.color': '#333333', 'ytick.color': '#333333', 'savefig.dpi': 160.0,
+    'svg.fonttype': 'path', 'svg.hashsalt': 'asi', 'path.simplify_threshold': 0.3,
+}
+
+
+def style() -> AbstractContextManager[None]:
+    """Return the context in which every figure is made and saved."""
+    return matplotlib.rc_context(STYLE)
+
+
+def _figure(height_in: float) -> Figure:
+    return Figure(figsize=(WIDTH_IN, height_in), layout='constrained')
+
+
+def svg(figure: Figure) -> str:
+    """Return a figure as an <svg> element to be put into HTML."""
+    text = io.StringIO()
+    with style():
+        figure.savefig(text, format='svg', metadata={'Date': None})
+    return text.getvalue()[text.getvalue().index('<svg'):]
+
+
+def png_address(figure: Figure) -> str:
+    """Return a figure as a data: address for <img>."""
+    data = io.BytesIO()
+    with style():
+        figure.savefig(data, format='png')
+    return 'data:image/png;base64,' + base64.b64encode(data.getvalue()).decode()
+
+
+def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], step_n: float,
+                   end_s: float) -> Figure:
+    """
+    Draw force and valve command after a step.
+
+    runs: label -> time since the step (s), force (N), command (N); drawn to end_s.
+    """
+    with style():
+        figure = _figure(4.6)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        above.step([-0.01e3, 0.0, 1e3 * end_s], [0.0, 0.0, step_n], color='black',
+                   linewidth=0.9, linestyle='--', where='pre', label='reference')
+        for colour, (label, (time, force, command)) in zip(COLOURS, runs.items(), strict=False):
+            shown = (time >= -0.01) & (time <= end_s)
+            above.plot(1e3 * time[shown], force[shown], color=colour, label=label)
+            below.plot(1e3 * time[shown], command[shown], color=colour, linewidth=1.1)
+        above.set(ylabel='force (N)', xlim=(-10.0, 1e3 * end_s))
+        above.set_title('Force')
+        above.legend(loc='lower right')
+        below.set(ylabel='command (N)', xlabel='time after the step (ms)')
+        below.set_title('Valve command')
+        return figure
+
+
+def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: float) -> Figure:
+    """Draw a force (N) over time (s): all of it, and the last zoom_s."""
+    with style():
+        figure = _figure(4.2)
+        above, below = figure.subplots(2, 1)
+        above.plot(time, force, color=BLUE, linewidth=0.6)
+        above.set(ylabel='force (N)', xlabel='time (s)', xlim=(time[0], time[-1]))
+        above.set_title('The whole run')
+        start = time[-1] - zoom_s
+        above.axvspan(start, time[-1], color=ORANGE, alpha=0.18, linewidth=0.0)
+        last = time >= start
+        below.plot(1e3 * time[last], force[last], color=BLUE, label='force')
+        below.plot(1e3 * time[last], reference[last], color='black', linestyle='--',
+                   linewidth=0.9, label='reference')
+        below.set(ylabel='force (N)', xlabel='time (ms)',
+                  xlim=(1e3 * start, 1e3 * time[-1]))
+        below.set_title(f'The last {1e3 * zoom_s:.0f} ms (shaded above)')
+        figure.legend(*below.get_legend_handles_labels(), loc='outside lower right', ncols=2)
+        return figure
+
+
+def phase_plane(time: Array, force: Array, steady: npt.NDArray[np.bool_]) -> Figure:
+    """Draw force rate (kN/s) against force (N): the way in, and what stays."""
+    with style():
+        figure = _figure(3.9)
+        axes = figure.subplots()
+        # Central differences; the ends of the record have none.
+        rate = 1e-3 * np.gradient(force, time)[:-1]
+        force, steady = force[:-1], steady[:-1]
+        axes.plot(force[~steady], rate[~steady], color=GREY, linewidth=0.5,
+                  label='the way in')
+        axes.plot(force[steady], rate[steady], color=BLUE, linewidth=0.9,
+                  label='the last cycles')
+        start = int(np.flatnonzero(np.abs(np.diff(force)) > 0)[0])
+        axes.plot(force[start], rate[start], 'o', color='black', markersize=4, label='start')
+        axes.set(xlabel='force (N)', ylabel='force rate (kN/s)')
+        figure.legend(*axes.get_legend_handles_labels(), loc='outside upper center', ncols=3)
+        return figure
+
+
+def spectrum(frequency: Array, amplitude: Array, harmonics: Sequence[tuple[float, float]],
+             end_hz: float) -> Figure:
+    """
+    Draw the amplitude (N) of each frequency (Hz) up to end_hz, on a logarithmic axis.
+
+    harmonics: frequency (Hz) and amplitude (N) of the fundamental and its multiples.
+    """
+    with style():
+        figure = _figure(3.0)
+        axes = figure.subplots()
+        shown = (frequency > 0.0) & (frequency <= end_hz)
+        axes.semilogy(frequency[shown], amplitude[shown], color=BLUE, linewidth=0.9)
+        top = max(level for _, level in harmonics)
+        axes.set(xlabel='frequency (Hz)', ylabel='amplitude (N)', xlim=(0.0, end_hz),
+                 ylim=(1e-4 * top, 4.0 * top))
+        for number, (place, level) in enumerate(harmonics, 1):
+            if place <= end_hz and level > 1e-4 * top:
+                text = f'{place:.1f} Hz\n{level:.0f} N' if number == 1 else f'{number}×'
+                axes.annotate(text, (place, level), xytext=(7 if number == 1 else 0, 3),
+                              textcoords='offset points', ha='left' if number == 1 else 'center',
+                              va='center' if number == 1 else 'bottom', color=ORANGE)
+        return figure
+
+
+def hysteresis_loop(command: Array, valve_position: Array, straight: tuple[float, float],
+                    width_n: float) -> Figure:
+    """
+    Draw valve position (um) against command (N), with the way round.
+
+    straight: slope (m/N) and offset (m) of the line through the middle of the loop; width_n: how
+    far the branches are apart at the middle.
+    """
+    with style():
+        figure = _figure(3.7)
+        axes = figure.subplots()
+        slope, offset = straight
+        ends = np.array([command.min(), command.max()])
+        axes.plot(ends, 1e6 * (slope * ends + offset), color=GREY, linewidth=0.9,
+                  linestyle='--', label='straight line through the middle')
+        axes.plot(command, 1e6 * valve_position, color=BLUE, label='recorded')
+        rising = np.diff(command, append=command[-1]) > 0
+        for up, sign in ((True, 1), (False, -1)):
+            branch = np.flatnonzero(rising == up)
+            k = branch[int(np.argmin(np.abs(command[branch] - sign * 0.4 * ends[1])))]
+            ahead = min(k + max(3, command.size // 100), command.size - 1)
+            axes.annotate('', (command[ahead], 1e6 * valve_position[ahead]),
+                          (command[k], 1e6 * valve_position[k]),
+                          arrowprops={'arrowstyle': '-|>', 'color': BLUE, 'mutation_scale': 14})
+        axes.annotate('', (-0.5 * width_n, 1e6 * offset), (0.5 * width_n, 1e6 * offset),
+                      arrowprops={'arrowstyle': '<|-|>', 'color': ORANGE, 'shrinkA': 0,
+                                  'shrinkB': 0})
+        axes.annotate(f'{width_n:.0f} N', (0.5 * width_n, 1e6 * offset), xytext=(6, -12),
+                      textcoords='offset points', color=ORANGE, fontweight='bold')
+        axes.set(xlabel='valve command (N)', ylabel='valve position (µm)')
+        axes.xaxis.set_major_locator(MaxNLocator(7))
+        axes.legend(loc='upper left')
+        return figure

@@ -1,0 +1,148 @@
+"""
+What `--json` prints, command by command: the source of doc/json.md and of its test.
+
+`python -m asi_analysis.json_keys > doc/json.md` writes the page anew.
+"""
+
+from typing import Any, Final, NamedTuple
+
+
+class Key(NamedTuple):
+    """
+    One key of a document.
+
+    kind: number, integer, text, boolean, object, [object], [text], or one of these with '?' for
+    "or null". keys: what an object, or each object of a list, holds; none: anything.
+    """
+
+    name: str
+    kind: str
+    meaning: str
+    keys: tuple['Key', ...] = ()
+
+
+_STEP: Final = (
+    Key('rise_time_s', 'number?', '10 to 90 % of the way to the force that is reached'),
+    Key('overshoot_percent', 'number?', 'largest force beyond the one reached, share of the step'),
+    Key('settling_time_2_s', 'number?', 'from the jump of the reference until the force stays '
+        'within 2 % of the step about the force reached; null: it does not stay'),
+    Key('settling_time_5_s', 'number?', 'the same with 5 %'),
+    Key('steady_state_error_n', 'number?', 'reference less the mean force over the last fifth '
+        'of the time after the step'),
+    Key('rise_shape', 'text?', 'monotone; or dip, spike, creep: then the rise time says little'),
+    Key('monotone_rise', 'boolean?', 'whether rise_shape is monotone'),
+)
+
+ANALYZE: Final = (
+    Key('source', 'text', 'what was analysed'),
+    Key('samples', 'integer', 'samples of the run'),
+    Key('duration_s', 'number', 'length of the run'),
+    Key('rate_hz', 'number', 'samples a second'),
+    *_STEP,
+    Key('bandwidth_hz', 'number?', 'where the gain from reference to force has fallen by 3 dB'),
+    Key('bandwidth_method', 'text?', 'excitation: spectra of chirp, multisine or PRBS; step: '
+        'spectrum of the differentiated step response'),
+    Key('delay_s', 'number?', 'lag of the force behind the reference, from the slope of the '
+        'phase up to the bandwidth'),
+    Key('correlation_delay_s', 'number?', 'shift at which force and reference are most alike'),
+    Key('oscillation', 'object', 'self-sustained oscillation of the force at the end of the run', (
+        Key('sustained', 'boolean?', 'false: none, or one that dies out; null: cannot be told'),
+        Key('frequency_hz', 'number?', 'its frequency'),
+        Key('amplitude_n', 'number?', 'amplitude of its fundamental'))),
+    Key('steps', '[object]', 'every step; the keys above are those of the largest, the first of '
+        'equals', (
+            Key('time_s', 'number', 'when the reference jumps'),
+            Key('initial_n', 'number', 'reference before'),
+            Key('final_n', 'number', 'reference after'),
+            *_STEP,
+            Key('notes', '[text]', 'why a value is null or to be doubted'))),
+    Key('notes', '[text]', 'why a value is null or to be doubted'),
+)
+
+DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
+    'asi analyze': ANALYZE,
+    'asi run': (
+        Key('bag', 'text', 'path of the bag'),
+        Key('mode', 'text', 'lockstep or realtime'),
+        Key('ticks', 'integer', 'states that the actuator was to publish'),
+        Key('compensator', 'text', 'name of the compensator'),
+        *ANALYZE),
+    'asi demo': (
+        Key('report', 'text', 'path of the report'),
+        Key('runs', '[object]', 'what was run, each with its bag', (
+            Key('name', 'text', 'name of the run'),
+            Key('bag', 'text', 'path of the bag'),
+            Key('analysis', 'object', 'as `asi analyze`', ANALYZE))),
+        Key('table_1', '[object]', "the paper's Table 1 beside this model", (
+            Key('compensator', 'text', 'row'),
+            Key('quantity', 'text', 'column'),
+            Key('unit', 'text', 'unit of both figures'),
+            Key('published', 'text', 'figure of the paper, in its words'),
+            Key('simulated', 'number?', 'figure of this run'))),
+    ),
+    'asi import': (
+        Key('bag', 'text', 'path of the bag'),
+        Key('samples', 'integer', 'samples imported'),
+        Key('duration_s', 'number', 'length of the recording'),
+        Key('rate_hz', 'number', 'samples a second'),
+        Key('signals', '[text]', 'signals that the bag holds')),
+    'asi export': (
+        Key('file', 'text', 'path of the file'),
+        Key('samples', 'integer', 'rows'),
+        Key('signals', '[text]', 'columns beside the time')),
+}
+
+_KINDS: Final[dict[str, Any]] = {
+    'number': (int, float), 'integer': int, 'text': str, 'boolean': bool, 'object': dict}
+
+
+def problems(document: Any, keys: tuple[Key, ...], where: str = '') -> list[str]:
+    """Return what in a document is not as documented: missing, of another kind, or unknown."""
+    found = [f'{where}{name} is not documented' for name in document
+             if name not in {key.name for key in keys}]
+    for key in keys:
+        place = where + key.name
+        if key.name not in document:
+            found.append(f'{place} is missing')
+            continue
+        value, kind = document[key.name], key.kind.removesuffix('?')
+        if value is None and key.kind.endswith('?'):
+            continue
+        inner = kind.strip('[]')
+        values = value if kind.startswith('[') and isinstance(value, list) else [value]
+        if kind.startswith('[') != isinstance(value, list) or not all(
+                isinstance(each, _KINDS[inner])
+                and (inner == 'boolean' or not isinstance(each, bool)) for each in values):
+            found.append(f'{place} is not {key.kind}: {value!r}')
+        elif key.keys:
+            for number, each in enumerate(values):
+                found += problems(each, key.keys, f'{place}[{number}].')
+    return found
+
+
+def page() -> str:
+    """Return doc/json.md."""
+    lines = ['# What `--json` prints', '',
+             'One JSON document on stdout, nothing else; progress and errors go to stderr. '
+             '`?`: or null. Exit status: 0 answered; 1 a check or a run failed; 2 the input or '
+             'the call is wrong, with one line on stderr.', '',
+             '*Made by `python -m asi_analysis.json_keys > doc/json.md`.*']
+    for command, keys in DOCUMENTS.items():
+        lines += ['', f'## `{command}`', '', '| key | kind | meaning |', '|---|---|---|']
+        shared = keys is not ANALYZE and keys[-len(ANALYZE):] == ANALYZE
+        lines += _rows(keys[:-len(ANALYZE)] if shared else keys)
+        lines += ['', 'and the keys of `asi analyze`.'] if shared else []
+    return '\n'.join(lines) + '\n'
+
+
+def _rows(keys: tuple[Key, ...], prefix: str = '') -> list[str]:
+    rows = []
+    for key in keys:
+        rows.append(f'| `{prefix}{key.name}` | {key.kind} | {key.meaning} |')
+        if key.keys and key.keys is not ANALYZE:
+            rows += _rows(key.keys, f'{prefix}{key.name}.')
+    return rows
+
+
+if __name__ == '__main__':
+    print(page(), end='')
