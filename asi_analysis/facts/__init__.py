@@ -1,0 +1,1 @@
+"""The facts that the paper publishes about the actuator, each measured on the simulator."""

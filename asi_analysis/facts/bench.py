@@ -1,0 +1,67 @@
+"""The test bench: the actuator under one controller, run piece by piece in one process."""
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.actuator import Trajectory, rest, simulate
+from asi_actuator.parameters import Value, as_record
+from asi_analysis.closed_loop import LoopRun, _close
+from asi_analysis.run import Run
+from asi_controller.compensator import compensator
+from asi_controller.parameters import REFERENCE_PARAMETERS
+from asi_controller.reference import CONSTANT, SINE
+
+RATE_HZ: Final = 5000.0
+
+Array = npt.NDArray[np.float64]
+Values = Mapping[str, Value]
+
+
+class Bench:
+    """
+    A closed loop that keeps its state from one `run` to the next.
+
+    plant: record of ACTUATOR_DTYPE; controller: parameters by name, the rest at their defaults.
+    """
+
+    def __init__(self, plant: np.void, controller: Values) -> None:
+        self.plant = plant.copy()
+        self.compensator = compensator(controller, RATE_HZ)
+        self.reference = as_record({'reference.start': 0.0}, REFERENCE_PARAMETERS)
+        self.state = rest()
+        self.samples = 0
+
+    def change(self, controller: Values) -> None:
+        """Replace the compensator while the loop runs, as the node does on a new parameter."""
+        self.compensator = compensator(controller, RATE_HZ, self.compensator)
+
+    def run(self, duration_s: float, amplitude_n: float, frequency_hz: float = 0.0,
+            push_n: float = 0.0) -> LoopRun:
+        """Hold a force, or follow a sine about zero, while something pushes on the piston."""
+        self.reference['reference_shape'] = SINE if frequency_hz else CONSTANT
+        self.reference['reference_amplitude'] = amplitude_n
+        self.reference['reference_frequency'] = frequency_hz
+        self.plant['load_external_force'] = push_n
+        out = np.empty((6, math.ceil(duration_s * RATE_HZ - 1e-9)))
+        _close(self.state, self.plant, self.compensator, self.reference, 1.0 / RATE_HZ, out)
+        time = (self.samples + np.arange(out.shape[1])) / RATE_HZ
+        self.samples += out.shape[1]
+        return LoopRun(time, *out)
+
+
+def open_loop(plant: np.void, commands: Array) -> Trajectory:
+    """Return what the actuator does with a sequence of valve commands (N) at the bench's rate."""
+    return simulate(plant, commands, 1.0 / RATE_HZ)
+
+
+def step_run(plant: np.void, controller: Values, amplitude_n: float, duration_s: float,
+             before_s: float = 0.01) -> Run:
+    """Return a step of the reference from rest, as `asi run --step` makes it."""
+    bench = Bench(plant, controller)
+    before, after = bench.run(before_s, 0.0), bench.run(duration_s, amplitude_n)
+    return Run(**{name: np.concatenate([getattr(before, name), getattr(after, name)])
+                  for name in LoopRun._fields})

@@ -1,0 +1,41 @@
+"""
+The conditions of the experiments, which the paper gives only in part.
+
+What it does not give (loads, steps, gains of the lead compensators) is chosen here, once, and
+stated with each row.
+"""
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+from asi_actuator.parameters import Value, defaults
+from asi_controller.parameters import COMPENSATOR_PARAMETERS
+
+LOCKED: Final[Mapping[str, Value]] = {'load.type': 'locked'}
+SPRING: Final[Mapping[str, Value]] = {'load.type': 'spring'}
+
+
+class StepTest(NamedTuple):
+    """A step of the desired force (N) on the spring load, and what controls it."""
+
+    controller: Mapping[str, Value]
+    amplitude_n: float
+
+
+class Conditions(NamedTuple):
+    """Everything about the experiments that is not the actuator."""
+
+    proportional: StepTest = StepTest({'compensator': 'proportional', 'gain': 3.0}, 670.0)
+    lead_lag: StepTest = StepTest({'compensator': 'lead_lag'}, 150.0)
+    lead4: StepTest = StepTest({'compensator': 'lead4'}, 150.0)
+    feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
+    # Section 3.1 gives 0 to 600 N. Nothing starts a cycle at 0 N: 10 N stand for it.
+    onset_steps_n: tuple[float, ...] = (10.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
+    onset_accuracy: float = 0.003
+    # Fig. 6: a step of this size, at this multiple of the onset gain.
+    cycle_step_n: float = 100.0
+    cycle_gain: float = 1.15
+    open_loop_amplitude_n: float = 300.0
+    small_amplitude_n: float = 50.0
+    # The largest sine that the actuator can follow: 90 % of its thrust.
+    large_amplitude_n: float = 900.0
