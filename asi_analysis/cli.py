@@ -139,6 +139,24 @@ def demo(
     answer(document, as_json, _show_demo)
 
 
+@command('reproduce', 'asi reproduce --json')
+def reproduce(
+    actuator: Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Measure every fact that the paper publishes on the simulator: a table of 57 rows.
+
+    Exit status 0, whether all are met or not: the table says so.
+    """
+    from asi_analysis import reproduction
+    from asi_analysis.experiment import read_parameters
+    values = read_parameters(actuator, 'actuator') if actuator else {}
+    with progress() as report:
+        document = reproduction.as_document(reproduction.reproduce(values, report=report))
+    answer(document, as_json, reproduction.show)
+
+
 def _figure(value: float | None, unit: str, scale: float = 1.0, digits: int = 4) -> str:
     return '-' if value is None else f'{value * scale:.{digits}g} {unit}'
 

@@ -80,6 +80,24 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('published', 'text', 'figure of the paper, in its words'),
             Key('simulated', 'number?', 'figure of this run'))),
     ),
+    'asi reproduce': (
+        Key('facts', '[object]', 'one row of the table each', (
+            Key('id', 'text', 'F1 to F18; a fact of several quantities has several rows'),
+            Key('quantity', 'text', 'what is measured'),
+            Key('published', 'number', 'value of the paper, or the limit that its words set'),
+            Key('simulated', 'number?', 'value of the simulator; null: it does not exist, as '
+                'the settling time of a loop that does not settle'),
+            Key('unit', 'text', 'unit of both'),
+            Key('tolerance', 'text', 'which values meet the fact'),
+            Key('met', 'boolean', 'whether this one does'),
+            Key('section', 'text', 'section, figure or table of the paper'),
+            Key('conditions', 'text', 'load, step and controller'),
+            Key('method', 'text', 'how it was measured'),
+            Key('fitted', 'boolean', 'whether the calibration may see it'))),
+        Key('met', 'integer', 'rows met'),
+        Key('total', 'integer', 'rows'),
+        Key('ids_met', '[text]', 'facts all of whose rows are met'),
+        Key('ids_total', 'integer', 'facts')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

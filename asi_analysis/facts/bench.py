@@ -63,5 +63,4 @@ def step_run(plant: np.void, controller: Values, amplitude_n: float, duration_s:
     """Return a step of the reference from rest, as `asi run --step` makes it."""
     bench = Bench(plant, controller)
     before, after = bench.run(before_s, 0.0), bench.run(duration_s, amplitude_n)
-    return Run(**{name: np.concatenate([getattr(before, name), getattr(after, name)])
-                  for name in LoopRun._fields})
+    return Run(*LoopRun(*(np.concatenate(pair) for pair in zip(before, after, strict=True))))

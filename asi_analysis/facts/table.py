@@ -183,5 +183,5 @@ def measure(actuator: Values, conditions: Conditions | None = None,
     }
     for done, (name, group) in enumerate(groups.items()):
         report(name, done / len(groups))
-        measured.update(group())
+        measured.update({key: float(value) for key, value in group().items()})
     return measured
