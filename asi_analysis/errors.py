@@ -8,3 +8,7 @@ class InputError(ValueError):
     Its text is one line that names the file or field, what is wrong and what is allowed. The
     commands print it on stderr and end with status 2.
     """
+
+
+class InputWarning(UserWarning):
+    """A file could be used only in part; its text is one line that says what is missing."""

@@ -1,0 +1,262 @@
+"""Bags: ours and others' are read alike, damaged ones as far as they go, the rest is refused."""
+
+import shutil
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from asi_analysis.bag import read_bag, write_bag
+from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.run import Run
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TIME = STORE.types['builtin_interfaces/msg/Time']
+HEADER = STORE.types['std_msgs/msg/Header']
+VECTOR = STORE.types['geometry_msgs/msg/Vector3']
+WRENCH = STORE.types['geometry_msgs/msg/Wrench']
+STAMPED = 'geometry_msgs/msg/WrenchStamped'
+
+
+def a_run(count: int = 500) -> Run:
+    rng = np.random.default_rng(1)
+    columns: dict[str, Any] = {field: rng.normal(size=count) for field in (
+        'reference_n', 'command_n', 'force_n', 'valve_position_m', 'position_m', 'velocity_m_s')}
+    return Run(np.arange(count) / 5000.0, **columns, information={'seed': 7, 'name': 'a run'})
+
+
+def assert_same(run: Run, expected: Run) -> None:
+    np.testing.assert_array_equal(run.time_s, expected.time_s)
+    assert run.signals().keys() == expected.signals().keys()
+    for name, values in expected.signals().items():
+        np.testing.assert_array_equal(run.signals()[name], values, err_msg=name)
+
+
+def wrench(stamp_ns: int, force: float, frame: str = 'piston') -> bytes:
+    message = STORE.types[STAMPED](
+        HEADER(TIME(stamp_ns // 10**9, stamp_ns % 10**9), frame),
+        WRENCH(VECTOR(force, 0.0, 0.0), VECTOR(0.0, 0.0, 0.0)))
+    return bytes(STORE.serialize_cdr(message, STAMPED))
+
+
+def foreign_bag(path: Path, messages: dict[str, list[tuple[int, bytes]]],
+                plugin: StoragePlugin = StoragePlugin.MCAP,
+                types: dict[str, str] | None = None,
+                compression: CompressionMode = CompressionMode.NONE) -> Path:
+    """Write messages (log time ns, bytes) by topic as rosbag2 does, without our writer."""
+    writer = Writer(path, version=9, storage_plugin=plugin)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        rows = []
+        for topic, entries in messages.items():
+            connection = writer.add_connection(
+                topic, (types or {}).get(topic, STAMPED), typestore=STORE)
+            rows += [(time, connection, data) for time, data in entries]
+        for time, connection, data in sorted(rows, key=lambda row: row[0]):
+            writer.write(connection, time, data)
+    return path
+
+
+def test_round_trip_is_exact(tmp_path: Path) -> None:
+    run = a_run()
+    write_bag(run, tmp_path / 'bag')
+    again = read_bag(tmp_path / 'bag')
+    assert_same(again, run)
+    assert again.information == {'seed': 7, 'name': 'a run'}
+    assert_same(read_bag(tmp_path / 'bag' / 'bag_0.mcap'), run)
+
+
+def test_missing_samples_and_absent_signals_stay_so(tmp_path: Path) -> None:
+    command = np.arange(50.0)
+    command[[3, 30]] = np.nan
+    run = Run(np.arange(50) / 1000.0, force_n=np.arange(50.0), command_n=command)
+    write_bag(run, tmp_path / 'bag')
+    assert_same(read_bag(tmp_path / 'bag'), run)
+
+
+def test_other_readers_find_what_was_written(tmp_path: Path) -> None:
+    run = a_run(50)
+    write_bag(run, tmp_path / 'bag')
+    metadata = yaml.safe_load((tmp_path / 'bag/metadata.yaml').read_text())
+    assert metadata['rosbag2_bagfile_information']['version'] == 9
+    with AnyReader([tmp_path / 'bag']) as reader:
+        assert reader.message_count == 6 * 50
+        topics: dict[str, Any] = {c.topic: c for c in reader.connections}
+        assert topics['/joint_states'].digest == STORE.hash_rihs01('sensor_msgs/msg/JointState')
+        assert topics['/force'].ext.offered_qos_profiles[0].reliability.name == 'RELIABLE'
+        forces: list[Any] = [reader.deserialize(data, connection.msgtype)
+                  for connection, _, data in reader.messages([topics['/force']])]
+    np.testing.assert_array_equal([m.wrench.force.x for m in forces], run.force_n)
+    assert forces[4].header.stamp.nanosec == 1_000_000      # the first stamp is one period
+
+
+@pytest.mark.parametrize(('plugin', 'compression'), [
+    (StoragePlugin.MCAP, CompressionMode.NONE), (StoragePlugin.SQLITE3, CompressionMode.NONE),
+    (StoragePlugin.SQLITE3, CompressionMode.FILE), (StoragePlugin.MCAP, CompressionMode.MESSAGE)])
+def test_reads_what_others_recorded(tmp_path: Path, plugin: StoragePlugin,
+                                    compression: CompressionMode) -> None:
+    """Two topics, wall-clock stamps, times of receipt that jitter, frames of two lengths."""
+    start, period = 1_790_000_000 * 10**9, 1_000_000
+    stamps = [start + k * period for k in range(40)]
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/arm/force': [(t + 300_000 * (k % 3), wrench(t, float(k), 'piston' if k % 2 else 'p'))
+                       for k, t in enumerate(stamps)],
+        '/arm/valve_command': [(t + 900_000, wrench(t, 10.0 * k))
+                               for k, t in enumerate(stamps) if k != 5]},
+        plugin, compression=compression)
+    run = read_bag(bag)
+    np.testing.assert_array_equal(run.time_s, np.arange(40) / 1000.0)
+    np.testing.assert_array_equal(run.force_n, np.arange(40.0))
+    expected = 10.0 * np.arange(40)
+    expected[5] = np.nan
+    np.testing.assert_array_equal(run.command_n, expected)
+    assert set(run.signals()) == {'force', 'command'}
+
+
+def test_holds_a_reference_that_comes_seldom(tmp_path: Path) -> None:
+    """A user's publisher: wrong clock or no stamp at all, once in a while."""
+    ticks = [200_000 * k for k in range(1, 31)]
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/force': [(t, wrench(t, 1.0)) for t in ticks],
+        '/force_reference': [(ticks[4], wrench(0, 100.0)), (ticks[20] - 1, wrench(0, 200.0))]})
+    reference = read_bag(bag).reference_n
+    assert reference is not None
+    assert np.isnan(reference[:4]).all()
+    assert (reference[4:20] == 100.0).all()
+    assert (reference[20:] == 200.0).all()
+
+
+def test_reads_a_bag_of_several_files(tmp_path: Path) -> None:
+    run = a_run(300)
+    bag = tmp_path / 'bag'
+    bag.mkdir()
+    names = []
+    for i in range(3):
+        write_bag(run[100 * i:100 * (i + 1)], tmp_path / f'part{i}')
+    # write_bag starts every bag at one period; only the first one's times are used here.
+    for i in range(3):
+        names.append(f'bag_{i}.mcap')
+        shutil.copy(tmp_path / f'part{i}/part{i}_0.mcap', bag / names[-1])
+    (bag / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': {
+        'storage_identifier': 'mcap', 'relative_file_paths': names[:1]}}))
+    assert_same(read_bag(bag), run[:100])
+    (bag / 'metadata.yaml').unlink()
+    with pytest.warns(InputWarning, match='has no metadata.yaml'):
+        assert len(read_bag(bag)) == 100    # the same stamps three times
+
+
+def damaged(path: Path) -> Run | None:
+    """Return what can be read; None if it is refused, which must be said in one line."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', InputWarning)
+        try:
+            return read_bag(path)
+        except InputError as error:
+            assert '\n' not in str(error)
+            assert path.name in str(error)
+            return None
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Run, bytes, Path]]:
+    folder = tmp_path_factory.mktemp('whole')
+    run = a_run(1500)
+    write_bag(run, folder / 'bag')
+    yield run, (folder / 'bag/bag_0.mcap').read_bytes(), folder / 'cut.mcap'
+
+
+def test_a_truncated_bag_gives_a_prefix_or_is_refused(whole: tuple[Run, bytes, Path]) -> None:
+    run, data, path = whole
+    lengths = []
+    for size in (*range(1, 400, 13), *np.linspace(400, len(data) - 1, 100).astype(int)):
+        path.write_bytes(data[:size])
+        part = damaged(path)
+        if part is not None:
+            lengths.append(len(part))
+            assert_prefix(part, run)
+    # Nearly all of the file's chunks can be read from nearly all of the file.
+    assert max(lengths) == len(run)
+    assert len(set(lengths)) > 5
+
+
+def assert_prefix(part: Run, run: Run) -> None:
+    """Check that the samples are right; only the last tick may miss some topics."""
+    np.testing.assert_array_equal(part.time_s, run.time_s[:len(part)])
+    for name, values in part.signals().items():
+        known = ~np.isnan(values)
+        assert known[:-1].all()
+        np.testing.assert_array_equal(values[known], run.signals()[name][:len(part)][known])
+
+
+def test_a_flipped_bit_gives_no_wrong_number(whole: tuple[Run, bytes, Path]) -> None:
+    run, data, path = whole
+    rng = np.random.default_rng(2)
+    for place in rng.integers(0, len(data), 60):
+        broken = bytearray(data)
+        broken[place] ^= 1 << rng.integers(8)
+        path.write_bytes(broken)
+        part = damaged(path)
+        if part is not None:
+            # A lost chunk leaves a gap; what is there is at its time after the first sample.
+            known = np.flatnonzero(~np.isnan(part.signals()['force']))
+            start = int(np.flatnonzero(run.force_n == part.signals()['force'][known[0]])[0])
+            ticks = np.round((part.time_s - part.time_s[known[0]]) * 5000).astype(int) + start
+            for name, values in part.signals().items():
+                there = ~np.isnan(values)
+                np.testing.assert_array_equal(values[there], run.signals()[name][ticks[there]])
+
+
+@pytest.mark.parametrize(('name', 'content'), [
+    ('empty.mcap', b''), ('text.mcap', b'time,force\n0,1\n'), ('garbage.db3', bytes(range(256))),
+    ('force.csv', b'time,force\n0,1\n'), ('magic.mcap', b'\x89MCAP0\r\n')])
+def test_refuses_what_is_no_bag(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=name):
+        read_bag(tmp_path / name)
+
+
+def test_refuses_a_folder_without_bag_and_an_absent_path(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='is not a bag: expected a rosbag2 directory'):
+        read_bag(tmp_path)
+    with pytest.raises(InputError, match='absent does not exist'):
+        read_bag(tmp_path / 'absent')
+    (tmp_path / 'metadata.yaml').write_text('}{')
+    with pytest.raises(InputError, match='is not a bag'):
+        read_bag(tmp_path)
+
+
+def test_refuses_a_foreign_bag_naming_the_topics(tmp_path: Path) -> None:
+    bag = foreign_bag(tmp_path / 'bag', {'/wheel': [(1, wrench(1, 2.0))]})
+    with pytest.raises(InputError, match='holds no message of the topics joint_states, force'):
+        read_bag(bag)
+
+
+def test_refuses_known_names_with_other_types(tmp_path: Path) -> None:
+    types = {'/force': 'geometry_msgs/msg/Vector3'}
+    data = bytes(STORE.serialize_cdr(VECTOR(1.0, 2.0, 3.0), types['/force']))
+    bag = foreign_bag(tmp_path / 'bag', {'/force': [(1, data)]}, types=types)
+    with pytest.raises(InputError, match='geometry_msgs/msg/Vector3, expected '):
+        read_bag(bag)
+
+
+def test_refuses_messages_that_are_too_short(tmp_path: Path) -> None:
+    bag = foreign_bag(tmp_path / 'bag', {'/force': [(1, b'\0\1\0\0abcdefgh')]})
+    with pytest.raises(InputError, match='ends too early'):
+        read_bag(bag)
+
+
+def test_never_writes_over_a_bag(tmp_path: Path) -> None:
+    write_bag(a_run(5), tmp_path / 'bag')
+    before = (tmp_path / 'bag/bag_0.mcap').read_bytes()
+    with pytest.raises(InputError, match='exists already'):
+        write_bag(a_run(6), tmp_path / 'bag')
+    assert (tmp_path / 'bag/bag_0.mcap').read_bytes() == before
+    with Reader(tmp_path / 'bag') as reader:
+        assert reader.message_count == 30
