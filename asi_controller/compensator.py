@@ -25,6 +25,12 @@ OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 20.0, 'lead2': 1.5, 'lead4':
                    'custom': 1.0}
 
 
+# What `fresh` says about the memory: it begins at the next error, with the lag at rest, or as if
+# the lag had been giving the running command.
+REST: Final = 1
+TAKE_OVER: Final = 2
+
+
 class Design(NamedTuple):
     """A compensator in continuous time: zeros and poles in rad/s, gain at zero frequency."""
 
@@ -42,7 +48,7 @@ COMPENSATOR_DTYPE = np.dtype([
     ('lag', np.float64, (3,)),                       # b0 b1 a1, the slowest pole
     ('memory', np.float64, (MOST_SECTIONS, 2)),
     ('lag_memory', np.float64),
-    ('fresh', np.int64),                             # 1: settle the memory at the next error
+    ('fresh', np.int64),                             # REST, TAKE_OVER or neither
     ('changed', np.int64),                           # 1: the next command shall not jump
     ('bias', np.float64),                            # N, what keeps it from jumping
     ('bias_decay', np.float64),                      # its share that is left after a tick
@@ -105,25 +111,50 @@ def _custom(zeros: tuple[complex, ...], poles: tuple[complex, ...], gain: float)
     if len(poles) > 2 * MOST_SECTIONS:
         raise ParameterError(f'custom.poles has {len(poles)} numbers: at most '
                              f'{2 * MOST_SECTIONS} are allowed')
-    for name, roots in (('custom.poles', poles), ('custom.zeros', zeros)):
-        if any(root == 0 for root in roots) or (name == 'custom.poles'
-                                                and any(root.real >= 0 for root in roots)):
-            raise ParameterError(f'{name}: every number must have a real part below 0'
-                                 if name == 'custom.poles' else f'{name}: 0 is not allowed')
+    for pole in poles:
+        if pole.real >= 0.0:
+            raise ParameterError(f'custom.poles: {pole:g} is not allowed: every pole needs a real '
+                                 'part below 0')
+    for zero in zeros:
+        if zero == 0.0:
+            raise ParameterError('custom.zeros: 0 is not allowed: the gain is that at zero '
+                                 'frequency')
     return Design(zeros, poles, gain)
 
 
-def _discrete_root(root: complex, rate_hz: float) -> complex:
+def _discrete(root: complex, rate_hz: float) -> complex:
     """Return where Tustin's rule, prewarped at PREWARP_HZ, puts a root (rad/s)."""
     w = 2.0 * math.pi * PREWARP_HZ
-    scale = w / math.tan(0.5 * w / rate_hz)
-    return (1.0 + root / scale) / (1.0 - root / scale)
+    relative = root * math.tan(0.5 * w / rate_hz) / w
+    # A zero at exactly 1 would go to infinity.
+    return (1.0 + relative) / (1.0 - relative or 1e-12)
 
 
-def _first_order(zero: float | None, pole: float) -> npt.NDArray[np.float64]:
-    """Return b0, b1, a1 with gain 1 at zero frequency; a zero at Nyquist if none is given."""
-    b = np.array([1.0, 1.0]) if zero is None else np.array([1.0, -zero])
+def _first_order(zero: float, pole: float) -> npt.NDArray[np.float64]:
+    """Return b0, b1, a1 of a discrete zero and pole, with gain 1 at zero frequency."""
+    b = np.array([1.0, -zero])
     return np.append(b * (1.0 - pole) / b.sum(), -pole)
+
+
+def _take_lag(poles: list[complex], zeros: list[complex]) -> tuple[complex, complex | None] | None:
+    """
+    Remove and return the slowest real pole, and the real zero nearest to it if it needs one.
+
+    It needs one only where the rest would have more zeros than poles: a lag alone passes nothing
+    on at once. None is returned, and nothing removed, if there is no such pole or zero.
+    """
+    real_poles = [pole for pole in poles if pole.imag == 0.0]
+    real_zeros = [zero for zero in zeros if zero.imag == 0.0]
+    needs_zero = len(zeros) == len(poles)
+    if not real_poles or (needs_zero and not real_zeros):
+        return None
+    pole = max(real_poles, key=lambda pole: pole.real)
+    poles.remove(pole)
+    if not needs_zero:
+        return pole, None
+    zero = min(real_zeros, key=lambda zero: abs(zero - pole))
+    zeros.remove(zero)
+    return pole, zero
 
 
 def discretise(design_: Design, rate_hz: float) -> tuple[
@@ -131,30 +162,27 @@ def discretise(design_: Design, rate_hz: float) -> tuple[
     """
     Return the sections (n x 5: b0 b1 b2 a1 a2) and the slowest pole's section (b0 b1 a1).
 
-    Each has gain 1 at zero frequency. The slowest real pole comes last, alone with the nearest
-    real zero, because that is where anti-windup must act.
+    Each has gain 1 at zero frequency. The slowest real pole comes last, alone or with a real zero,
+    because that is where anti-windup must act.
+    Raises ParameterError if the control rate is too low or a root is out of its reach.
     """
-    zeros, poles = list(design_.zeros), list(design_.poles)
+    if rate_hz <= 2.0 * PREWARP_HZ:
+        raise ParameterError(f'a control rate of {rate_hz:g} Hz is not allowed: the compensators '
+                             f'need more than {2.0 * PREWARP_HZ:g} Hz')
+    poles, zeros = ([_discrete(root, rate_hz) for root in roots]
+                    for roots in (design_.poles, design_.zeros))
+    if (any(abs(pole) > 1.0 - 1e-13 for pole in poles)
+            or any(abs(zero - 1.0) < 1e-13 for zero in zeros)):
+        raise ParameterError('the compensator has a zero or a pole too slow or too fast for a '
+                             f'control rate of {rate_hz:g} Hz')
     lag = np.array([1.0, 0.0, 0.0])
-    real_poles = [pole for pole in poles if pole.imag == 0]
-    if real_poles:
-        slowest = max(real_poles, key=lambda pole: pole.real)
-        poles.remove(slowest)
-        # Its zero is the slowest one, but only where the rest stays proper without it ... and
-        # only where it must go: a lag alone keeps no feedthrough, so nothing can wind up.
-        zero = None
-        if len(zeros) > len(poles):
-            zero = min((z for z in zeros if z.imag == 0), key=abs)
-            zeros.remove(zero)
-        lag = _first_order(None if zero is None else _discrete_root(zero, rate_hz).real,
-                           _discrete_root(slowest, rate_hz).real)
-    discrete_poles = [_discrete_root(pole, rate_hz) for pole in poles]
-    discrete_zeros = [_discrete_root(zero, rate_hz) for zero in zeros]
-    # Tustin's rule puts the zeros at infinity at the Nyquist frequency.
-    discrete_zeros += [-1.0] * (len(poles) - len(zeros))
+    if taken := _take_lag(poles, zeros):
+        # Tustin's rule puts the zeros at infinity at the Nyquist frequency.
+        lag = _first_order(-1.0 if taken[1] is None else taken[1].real, taken[0].real)
     if not poles:
         return np.empty((0, 5)), lag
-    sections = signal.zpk2sos(discrete_zeros, discrete_poles, 1.0)[:, [0, 1, 2, 4, 5]]
+    sections = signal.zpk2sos(zeros + [-1.0] * (len(poles) - len(zeros)), poles, 1.0)
+    sections = sections[:, [0, 1, 2, 4, 5]]
     at_zero = sections[:, :3].sum(1) / (1.0 + sections[:, 3:].sum(1))
     sections[:, :3] /= at_zero[:, None]
     return sections, lag
@@ -178,27 +206,29 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     c['count'] = len(sections)
     c['sections'][:len(sections)] = sections
     c['lag'] = lag
-    c['fresh'] = 1
+    c['fresh'] = REST
     transfer = float(v['transfer_time'])
     c['bias_decay'] = math.exp(-1.0 / (rate_hz * transfer)) if transfer else 0.0
     if running is not None:
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
-        same = (np.array_equal(running['sections'], c['sections'])
-                and np.array_equal(running['lag'], c['lag']))
-        if same:
-            for field in ('memory', 'lag_memory', 'fresh'):
-                c[field] = running[field]
+        if (np.array_equal(running['sections'], c['sections'])
+                and np.array_equal(running['lag'], c['lag'])):
+            c['fresh'], c['memory'] = running['fresh'], running['memory']
+            # The slow part of the command goes on where it is, whatever the gain.
+            c['lag_memory'] = running['lag_memory'] * running['gain'] / c['gain']
+        else:
+            c['fresh'] = TAKE_OVER
     return c
 
 
 @jit
-def _settle(c, value):
-    """Give every section the memory that it would have after a long time at `value` (N)."""
+def _begin(c, error, slow):
+    """Remember an `error` (N) that has stood for long, answered by the lag with `slow` (N)."""
     for i in range(c.count):
-        b0, b1, b2, a1, a2 = c.sections[i]
-        c.memory[i, 0] = value - b0 * value
-        c.memory[i, 1] = b2 * value - a2 * value
-    c.lag_memory = value - c.lag[0] * value
+        b0, _, b2, _, a2 = c.sections[i]
+        c.memory[i, 0] = error - b0 * error
+        c.memory[i, 1] = b2 * error - a2 * error
+    c.lag_memory = c.lag[1] * error - c.lag[2] * slow
     c.fresh = 0
 
 
@@ -207,13 +237,14 @@ def compensate(c, reference, measured):
     """
     Return the valve command (N) for a desired and a measured force (N); updates `c` in place.
 
-    While the command is saturated the slowest pole stands still, unless the error drives it back:
-    so it does not wind up. (To set it to what the valve was given instead would let the short
-    kick of a lead after a step shift it for seconds.)
+    While the command is saturated the lag does not move further that way, so it does not wind up.
+    (To set it to what the valve was given instead would let the short kick of a lead after a step
+    shift it for seconds.)
     """
     error = reference - measured
-    if c.fresh == 1:
-        _settle(c, error)
+    direct = c.feedforward * reference
+    if c.fresh != 0:
+        _begin(c, error, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
     value = error
     for i in range(c.count):
         out = c.sections[i, 0] * value + c.memory[i, 0]
@@ -221,16 +252,15 @@ def compensate(c, reference, measured):
         c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
         value = out
     out = c.lag[0] * value + c.lag_memory
-    direct = c.feedforward * reference
     if c.changed == 1:
         c.bias = c.command - (c.gain * out + direct)
         c.changed = 0
-    direct += c.bias
+    free = c.gain * out + direct + c.bias
     c.bias *= c.bias_decay
-    free = c.gain * out + direct
     c.command = min(max(free, -c.saturation), c.saturation)
-    if c.command == free or free * value < 0.0:
-        c.lag_memory = c.lag[1] * value - c.lag[2] * out
+    memory = c.lag[1] * value - c.lag[2] * out
+    if (free - c.command) * (memory - c.lag_memory) <= 0.0:
+        c.lag_memory = memory
     return c.command
 
 
