@@ -62,6 +62,9 @@ class LoopExecutor(SingleThreadedExecutor):
         subscriptions: list[Any] = [s for node in self.get_nodes() for s in node.subscriptions
                                     if s.callback_group.can_execute(s)]
         timers: list[Any] = [t for node in self.get_nodes() for t in node.timers]
+        if not subscriptions and not timers:
+            time.sleep(SERVICE_PERIOD_S)
+            return
         with ExitStack() as in_use:
             for entity in (*subscriptions, *timers):
                 in_use.enter_context(entity.handle)

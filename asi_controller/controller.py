@@ -45,7 +45,10 @@ class Controller:
     @staticmethod
     def check(values: Mapping[str, Value], rate_hz: float) -> None:
         """Raise ParameterError if the parameters do not go together."""
-        compensator(_of(COMPENSATOR_PARAMETERS, values), rate_hz)
+        chosen = _of(COMPENSATOR_PARAMETERS, values)
+        compensator(chosen, rate_hz)
+        # Its texts are refused when they are given, not when it is chosen.
+        compensator(chosen | {'compensator': 'custom'}, rate_hz)
 
     def begin(self, values: Mapping[str, Value]) -> None:
         """Begin anew: nothing remembered, and the reference starts at the next answer."""

@@ -28,8 +28,8 @@ from asi_controller.parameters import (
     REFERENCE_PARAMETERS,
 )
 
-# An old state is a straggler, unless it comes so often in a row: then the actuator, which asks
-# again and again, has begun a new run.
+# An old state is a straggler, unless the same one comes so often in a row: then the actuator,
+# which asks again and again, has begun a new run.
 BEGIN_ANEW_AFTER: Final = 3
 # How often a controller that waits for a recorder looks for it, s.
 WATCH_PERIOD_S: Final = 0.02
@@ -166,7 +166,8 @@ class LockStep:
         self.pending: tuple[int, float] | None = None
         self.last_ns: int | None = None
         self.answered_ns: int | None = None
-        self.stragglers = 0
+        self.straggler_ns: int | None = None
+        self.repeats = 0
         self.resent = 0
         node.set_parameters([RosParameter('use_sim_time', value=True)])
         node.create_timer(1.0 / node.rate_hz, self._answer_if_due)
@@ -181,11 +182,11 @@ class LockStep:
             self.node.commands.publish(self.node.command)
             return
         if self.last_ns is not None and stamp_ns != self.last_ns:
-            if stamp_ns < self.last_ns and not self._begins_anew():
+            if stamp_ns < self.last_ns and not self._begins_anew(stamp_ns):
                 return
             self._check_spacing(stamp_ns)
         self.last_ns = stamp_ns
-        self.stragglers = 0
+        self.straggler_ns = None
         self.pending = stamp_ns, force_n
         self._answer_if_due()
 
@@ -200,11 +201,12 @@ class LockStep:
     def counts(self) -> dict[str, object]:
         return {'resent': self.resent}
 
-    def _begins_anew(self) -> bool:
+    def _begins_anew(self, stamp_ns: int) -> bool:
         """Return whether a state from the past is the first of a new run, and forget the old."""
-        self.stragglers += 1
+        self.repeats = self.repeats + 1 if stamp_ns == self.straggler_ns else 1
+        self.straggler_ns = stamp_ns
         self.node.ignored += 1
-        if self.stragglers < BEGIN_ANEW_AFTER:
+        if self.repeats < BEGIN_ANEW_AFTER:
             return False
         self.node.get_logger().info('the actuator has begun a new run')
         self.node.controller.begin(self.node.parameters.values)

@@ -1,0 +1,189 @@
+"""What the tests that run real nodes share: a domain of their own, processes, and a ROS node."""
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# Domains whose ports stay below those that Linux gives to clients.
+DOMAINS = range(30, 100)
+# Generous: a process starts in two seconds, but a busy machine takes far longer.
+PATIENCE_S = 60.0
+
+
+def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
+    """Return condition() once it is true; fail, naming `what`, if it never is."""
+    end = time.monotonic() + timeout_s
+    while not (result := condition()):
+        if time.monotonic() > end:
+            pytest.fail(f'not within {timeout_s:g} s: {what}')
+        time.sleep(0.01)
+    return result
+
+
+class NodeProcess:
+    """A node in a process of its own; what it prints goes to a file."""
+
+    def __init__(self, command: list[str], environment: dict[str, str], log: Path):
+        """Start it."""
+        self._log = log
+        with log.open('w') as out:
+            self._process = subprocess.Popen(
+                command, env=environment, stdout=out, stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL)
+
+    @property
+    def text(self) -> str:
+        """What it has printed so far."""
+        return self._log.read_text()
+
+    def wait_for(self, text: str) -> None:
+        """Wait until it has printed `text`."""
+        wait_until(lambda: text in self.text or self._process.poll() is not None,
+                   f'{text!r} in {self._log.name}')
+        assert text in self.text, f'ended with {self._process.poll()}: {self.text}'
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
+
+    def exit_status(self, timeout_s: float = PATIENCE_S) -> int:
+        """Wait until it ends by itself and return its exit status."""
+        try:
+            return self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f'has not ended within {timeout_s:g} s: {self.text}')
+
+    def stop(self) -> int:
+        """End it as a user does, by SIGINT, and return its exit status."""
+        self.send(signal.SIGINT)
+        return self.exit_status()
+
+    def kill(self) -> None:
+        """End it so that it cannot say anything any more."""
+        self._process.kill()
+        self._process.wait()
+
+
+@pytest.fixture
+def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
+    """Give the test a domain id that no other test on this machine has; return the environment."""
+    folder = Path(tempfile.gettempdir()) / 'asi_test_domains'
+    folder.mkdir(exist_ok=True)
+    for domain in DOMAINS:
+        lock = (folder / str(domain)).open('w')
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
+        except BlockingIOError:
+            lock.close()
+    else:
+        pytest.fail(f'all domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', os.environ.get('AMENT_PREFIX_PATH', sys.prefix))
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(
+        [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')]))
+    with lock:
+        yield dict(os.environ)
+
+
+@pytest.fixture
+def start_node(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[
+        Callable[..., NodeProcess]]:
+    """
+    Return start(module, *ros_arguments, **parameters), which starts a node as a process.
+
+    Parameters with a dot in the name go into a dictionary: start(..., **{'load.type': 'free'}).
+    """
+    started: list[NodeProcess] = []
+
+    def start(module: str, *arguments: str, **parameters: object) -> NodeProcess:
+        given = [part for name, value in parameters.items()
+                 for part in ('-p', f'{name}:={_yaml(value)}')]
+        command = [sys.executable, '-m', module, '--ros-args', *given, *arguments]
+        log = tmp_path / f'{module}-{len(started)}.log'
+        started.append(NodeProcess(command, ros_environment, log))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+
+
+def _yaml(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+@pytest.fixture
+def ros_node(ros_environment: dict[str, str]) -> Iterator[Any]:
+    """Return an rclpy node of this process that a thread spins, in the domain of the test."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    from asi_actuator.discovery import RECORDER
+    from asi_actuator.spin import LoopExecutor
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    # Named as a recorder, so that nodes with await_recorder wait for it.
+    node = rclpy.create_node(RECORDER)
+    executor = LoopExecutor()
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    yield node
+    executor.stopped = True
+    thread.join()
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def call(ros_node: Any) -> Callable[[type, str, Any], Any]:
+    """Return a function that calls a service: (type, name, request) to response."""
+    def call_service(kind: type, name: str, request: Any) -> Any:
+        client = ros_node.create_client(kind, name)
+        assert client.wait_for_service(PATIENCE_S), f'there is no service {name}'
+        future = client.call_async(request)
+        wait_until(future.done, f'an answer of {name}')
+        return future.result()
+
+    return call_service
+
+
+@pytest.fixture
+def set_parameters(call: Callable) -> Callable[..., list[Any]]:
+    """Return what `ros2 param set` calls: (node, {name: value}) to results."""
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    def set_by_service(node: str, values: dict[str, object]) -> list[Any]:
+        return call(SetParameters, f'/{node}/set_parameters', SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg()
+            for name, value in values.items()])).results
+
+    return set_by_service
+
+
+@pytest.fixture
+def get_parameters(call: Callable) -> Callable[..., dict[str, object]]:
+    """Return what `ros2 param get` calls: (node, names) to {name: value}."""
+    from rcl_interfaces.srv import GetParameters
+    from rclpy.parameter import parameter_value_to_python
+
+    def get_by_service(node: str, names: list[str]) -> dict[str, object]:
+        answer = call(GetParameters, f'/{node}/get_parameters', GetParameters.Request(names=names))
+        return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
+
+    return get_by_service

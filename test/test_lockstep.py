@@ -1,0 +1,160 @@
+"""Lock-step over DDS, in separate processes: the same run as in one process, whatever happens."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import wait_until
+from relay import TOPICS
+
+from asi_actuator.topics import nanoseconds
+from asi_analysis.closed_loop import LoopRun, simulate_loop
+
+ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
+RATE_HZ = 5000.0
+# Noise, so that a sample too many or too few shows; an odd gain, so that roundings do.
+NOISY = {'force_sensor.noise': 0.7, 'force_sensor.offset': -3.3}
+LEAD_LAG = {'compensator': 'lead_lag', 'gain': 13.7}
+STEP = {'reference.shape': 'step', 'reference.amplitude': 321.0, 'reference.start': 0.01}
+
+
+class Recording:
+    """What was said on the topics of the loop, by stamp."""
+
+    def __init__(self, node: Any, suffix: str = ''):
+        """Subscribe to every topic of the loop; those that the relay takes have a suffix."""
+        from geometry_msgs.msg import WrenchStamped
+        from rosgraph_msgs.msg import Clock
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64
+
+        self.messages: dict[str, list[Any]] = {}
+        for kind, name in ((JointState, 'joint_states'), (WrenchStamped, 'force'),
+                           (Float64, 'valve_position'), (Float64, 'velocity'), (Clock, '/clock'),
+                           (WrenchStamped, 'valve_command'), (WrenchStamped, 'force_reference')):
+            self.messages[name] = []
+            topic = name + suffix if (kind, name) in TOPICS else name
+            node.create_subscription(kind, topic, self.messages[name].append, 10_000)
+
+    def stamps(self, name: str) -> list[int]:
+        """Return the stamps (ns) of a topic, in the order of arrival."""
+        return [nanoseconds(m.clock if name == '/clock' else m.header.stamp)
+                for m in self.messages[name]]
+
+    def once(self, name: str) -> list[Any]:
+        """Return the messages of a topic, those that were sent again only once."""
+        return list(dict(zip(self.stamps(name), self.messages[name], strict=True)).values())
+
+    def is_quiet(self) -> bool:
+        """Return whether nothing arrives any more."""
+        before = [len(messages) for messages in self.messages.values()]
+        time.sleep(0.5)
+        return before == [len(messages) for messages in self.messages.values()]
+
+    def run(self) -> LoopRun:
+        """Return the signals, in the order of the stamps."""
+        states = self.once('joint_states')
+        return LoopRun(
+            np.array([nanoseconds(m.header.stamp) for m in states]) * 1e-9,
+            *(np.array([m.wrench.force.x for m in self.once(name)])
+              for name in ('force_reference', 'valve_command', 'force')),
+            np.array([m.data for m in self.messages['valve_position']]),
+            np.array([m.position[0] for m in states]),
+            np.array([m.data for m in self.messages['velocity']]))
+
+
+@pytest.fixture
+def recording(ros_node: Any) -> Iterator[Recording]:
+    return Recording(ros_node)
+
+
+def assert_same_run(recording: Recording, expected: LoopRun) -> None:
+    """Compare sample for sample, bit for bit."""
+    ticks = expected.time_s.size
+    wait_until(lambda: len(recording.once('valve_command')) >= ticks, f'{ticks} commands')
+    run = recording.run()
+    period_ns = round(1e9 / RATE_HZ)
+    assert recording.stamps('force') == [k * period_ns for k in range(1, ticks + 1)]
+    for name in LoopRun._fields[1:]:
+        np.testing.assert_array_equal(getattr(run, name), getattr(expected, name), name)
+
+
+def test_run_over_ros_is_the_run_in_process(
+        start_node: Callable, recording: Recording) -> None:
+    expected = simulate_loop(NOISY, LEAD_LAG | STEP, 0.3, RATE_HZ)
+    controller = start_node(CONTROLLER, await_recorder=True, **LEAD_LAG, **STEP)
+    actuator = start_node(ACTUATOR, duration=0.3, await_recorder=True, **NOISY)
+    assert actuator.exit_status() == 0, actuator.text
+    assert_same_run(recording, expected)
+    assert controller.stop() == 0
+
+
+def test_lost_repeated_and_late_messages_change_nothing(
+        start_node: Callable, ros_node: Any) -> None:
+    expected = simulate_loop(NOISY, LEAD_LAG | STEP, 0.1, RATE_HZ)
+    recording = Recording(ros_node, suffix='_sent')
+    relay = start_node('relay')
+    start_node(CONTROLLER, '-r', 'valve_command:=valve_command_sent', await_recorder=True,
+               **LEAD_LAG, **STEP)
+    actuator = start_node(ACTUATOR, '-r', 'joint_states:=joint_states_sent',
+                          '-r', '/clock:=/clock_sent', duration=0.1, resend_after=0.01,
+                          await_recorder=True, **NOISY)
+    assert actuator.exit_status() == 0, actuator.text
+    assert_same_run(recording, expected)
+    assert relay.stop() == 0
+    counts = json.loads(relay.text.splitlines()[-1])
+    assert min(counts['dropped'], counts['repeated'], counts['delayed']) > 20
+    assert len(recording.messages['joint_states']) > expected.time_s.size
+
+
+def test_silent_controller_ends_the_run_with_an_error(
+        start_node: Callable, recording: Recording) -> None:
+    actuator = start_node(ACTUATOR, give_up_after=0.5)
+    controller = start_node(CONTROLLER, **STEP)
+    wait_until(lambda: recording.messages['valve_command'], 'a command')
+    controller.kill()
+    assert actuator.exit_status() == 1
+    tick = len(recording.once('joint_states'))
+    assert f'no valve_command answers state {tick} ' in actuator.text
+    assert 'Traceback' not in actuator.text
+
+
+def test_next_controller_goes_on_where_the_killed_one_stopped(
+        start_node: Callable, recording: Recording) -> None:
+    actuator = start_node(ACTUATOR, give_up_after=60.0)
+    first = start_node(CONTROLLER, **STEP)
+    wait_until(lambda: recording.messages['valve_command'], 'a command')
+    first.kill()
+    answered = len(recording.once('valve_command'))
+    second = start_node(CONTROLLER, **STEP)
+    wait_until(lambda: len(recording.once('valve_command')) > answered + 100, 'more commands')
+    assert second.stop() == 0
+    assert actuator.stop() == 0
+    stamps = sorted(set(recording.stamps('joint_states')))
+    assert set(np.diff(stamps)) == {round(1e9 / RATE_HZ)}
+
+
+def test_controller_begins_anew_with_the_next_actuator(
+        start_node: Callable, recording: Recording) -> None:
+    expected = simulate_loop(NOISY, LEAD_LAG | STEP, 0.1, RATE_HZ)
+    controller = start_node(CONTROLLER, **LEAD_LAG, **STEP)
+    first = start_node(ACTUATOR, **NOISY)
+    wait_until(lambda: len(recording.messages['valve_command']) > 100, 'commands')
+    first.kill()
+    wait_until(recording.is_quiet, 'silence')
+    for messages in recording.messages.values():
+        messages.clear()
+    second = start_node(ACTUATOR, duration=0.1, resend_after=0.02, await_recorder=True, **NOISY)
+    assert second.exit_status() == 0
+    assert_same_run(recording, expected)
+    assert controller.stop() == 0
+
+
+def test_different_rates_are_an_error_that_says_both(start_node: Callable) -> None:
+    start_node(ACTUATOR, rate_hz=2000.0)
+    controller = start_node(CONTROLLER, rate_hz=5000.0)
+    assert controller.exit_status() == 1
+    assert '0.0005 s apart' in controller.text and '0.0002 s' in controller.text
