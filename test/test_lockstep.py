@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,15 +10,17 @@ import pytest
 from conftest import wait_until
 from relay import TOPICS
 
+from asi_actuator.parameters import Value
 from asi_actuator.topics import nanoseconds
 from asi_analysis.closed_loop import LoopRun, simulate_loop
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 RATE_HZ = 5000.0
 # Noise, so that a sample too many or too few shows; an odd gain, so that roundings do.
-NOISY = {'force_sensor.noise': 0.7, 'force_sensor.offset': -3.3}
-LEAD_LAG = {'compensator': 'lead_lag', 'gain': 13.7}
-STEP = {'reference.shape': 'step', 'reference.amplitude': 321.0, 'reference.start': 0.01}
+NOISY: dict[str, Value] = {'force_sensor.noise': 0.7, 'force_sensor.offset': -3.3}
+LEAD_LAG: dict[str, Value] = {'compensator': 'lead_lag', 'gain': 13.7}
+STEP: dict[str, Value] = {'reference.shape': 'step', 'reference.amplitude': 321.0,
+                          'reference.start': 0.01}
 
 
 class Recording:
@@ -67,7 +69,7 @@ class Recording:
 
 
 @pytest.fixture
-def recording(ros_node: Any) -> Iterator[Recording]:
+def recording(ros_node: Any) -> Recording:
     return Recording(ros_node)
 
 

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asi_actuator.parameter_files import NODES, files
+from asi_actuator.parameter_files import NODES, NodeTables, files
 from asi_actuator.parameters import Parameter, ParameterError, completed, defaults
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
@@ -108,7 +108,7 @@ def test_written_files_are_current() -> None:
 
 
 @pytest.mark.parametrize('node', NODES, ids=lambda node: node.node)
-def test_yaml_file_holds_the_defaults(node: object) -> None:
+def test_yaml_file_holds_the_defaults(node: NodeTables) -> None:
     def flat(tree: dict, prefix: str = '') -> dict:
         return {key: value for name, branch in tree.items()
                 for key, value in (flat(branch, f'{prefix}{name}.').items()
