@@ -1,0 +1,266 @@
+"""
+Someone else's recording (CSV, TSV, MAT, Parquet) → `Run` and bag.
+
+What stands where is told by mappings such as `force=CHANNEL1*9806.65[N]`; see doc/importing.md.
+"""
+
+import csv
+import gzip
+import io
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.bag import write_bag
+from asi_analysis.errors import InputError
+from asi_analysis.run import SIGNALS, Array, Run
+
+# unit → SI unit, factor
+UNITS: Final = {
+    's': ('s', 1.0), 'ms': ('s', 1e-3), 'us': ('s', 1e-6),
+    'N': ('N', 1.0), 'kN': ('N', 1e3), 'kgf': ('N', 9.80665), 'tf': ('N', 9806.65),
+    'lbf': ('N', 4.4482216152605),
+    'm': ('m', 1.0), 'cm': ('m', 1e-2), 'mm': ('m', 1e-3), 'um': ('m', 1e-6), 'in': ('m', 0.0254),
+    'm/s': ('m/s', 1.0), 'cm/s': ('m/s', 1e-2), 'mm/s': ('m/s', 1e-3)}
+# A servo's reference is in the unit of what it controls.
+TAKES: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
+                'reference': ('N', 'm', 'm/s')}
+_NUMBER: Final = r'[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
+_TERM: Final = re.compile(
+    rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_NUMBER})?$')
+
+# column name → its values; a scalar of a MAT file is a column of one value
+Table = dict[str, npt.NDArray]
+
+
+class Assignment(NamedTuple):
+    """One mapping: signal = (column * scale + offset) in a unit."""
+
+    text: str
+    signal: str
+    term: str
+    unit: str
+
+
+def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
+                     skip_lines: int = 0, delimiter: str | None = None,
+                     columns: Sequence[str] | None = None, zero_s: float = 0.0,
+                     out: str | Path | None = None) -> Run:
+    """
+    Return someone else's recording as a run; written as the bag `out` too, if that is given.
+
+    path: .csv, .tsv, .txt, .dat (also .gz), .mat or .parquet; mapping: texts
+    SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]], none for the columns that `asi export` writes; rate_hz:
+    samples a second, where no column is mapped to time; skip_lines: lines before the header;
+    columns: names for a file without a header; zero_s: take off each signal its mean over so many
+    seconds from the start. Raises InputError.
+    """
+    path = Path(path)
+    table = read_table(path, skip_lines, delimiter, columns)
+    mappings = [parse_mapping(text) for text in mapping or own_mapping(table)]
+    signals = {each.signal: evaluate(each, table, path) for each in mappings}
+    if not signals.keys() - {'time'}:
+        raise InputError(f'{path}: no signal is mapped; it has the columns {", ".join(table)}')
+    if len(signals) < len(mappings):
+        raise InputError('a signal is mapped twice: ' + ', '.join(mapping))
+    lengths = {name: len(values) for name, (values, _) in signals.items()}
+    if len(set(lengths.values())) > 1:
+        raise InputError(f'{path}: the columns differ in length: {lengths}')
+    time_s = _time(signals.pop('time', None), next(iter(lengths.values())), rate_hz, path)
+    units = {name: unit for name, (_, unit) in signals.items()}
+    values = {name: column - _start(column, time_s, zero_s, name, path)
+              for name, (column, _) in signals.items()}
+    information: dict[str, Any] = {'imported': {
+        'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
+    if units.get('reference', 'N') != 'N':
+        information['signals'] = {'reference': units['reference']}
+    run = Run(time_s, **{signal.field: values.get(signal.name) for signal in SIGNALS},
+              source=str(path), information=information)
+    if out is not None:
+        write_bag(run, out)
+    return run
+
+
+def parse_mapping(text: str) -> Assignment:
+    """Return the parts of a mapping. Raises InputError if it is none."""
+    signal, equals, term = text.partition('=')
+    signal, term, unit = signal.strip(), term.strip(), ''
+    if not equals or not term:
+        raise InputError(f'{text!r} is not a mapping: expected '
+                         'SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]')
+    if signal not in TAKES:
+        raise InputError(f'{text!r}: there is no signal {signal}; there are {", ".join(TAKES)}')
+    if found := re.fullmatch(r'(.*?)\s*\[([^\[\]]*)\]', term):
+        term, unit = found[1], found[2].strip()
+        allowed = [name for name, (si, _) in UNITS.items() if si in TAKES[signal]]
+        if unit not in allowed:
+            raise InputError(f'{text!r}: {signal} takes {", ".join(allowed)}, not {unit!r}; scale '
+                             'other quantities, as in force=volts*250[N]')
+    return Assignment(text, signal, term, unit or TAKES[signal][0])
+
+
+def own_mapping(table: Table) -> list[str]:
+    """Return the mappings of the columns that `asi export` writes."""
+    names = {f'{signal}_{unit.replace("/", "_").lower()}': f'{signal}={{}}[{unit}]'
+             for signal, units in TAKES.items() for unit in units}
+    return [names[column].format(column) for column in table if column in names]
+
+
+def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:
+    """Return the values of a mapping in SI units, and the unit. Raises InputError."""
+    term, scale, offset = mapping.term, 1.0, 0.0
+    if term not in table:
+        found = _TERM.fullmatch(term)
+        if found is None or found['column'].strip() not in table:
+            raise InputError(f'{path}: {mapping.text!r} names no column; there are '
+                             + ', '.join(table))
+        term = found['column'].strip()
+        scale = _scale(found['scale'], table, mapping, path)
+        offset = float(found['offset'] or 0.0)
+    unit, factor = UNITS[mapping.unit]
+    values = _numbers(term, table[term], path)
+    if scale != 1.0 or offset != 0.0:
+        values = values * scale + offset
+    return (values if factor == 1.0 else values * factor), unit
+
+
+def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> float:
+    if text is None:
+        return 1.0
+    if text in table:
+        if np.size(table[text]) != 1:
+            raise InputError(f'{path}: {mapping.text!r}: {text} holds {np.size(table[text])} '
+                             'values, a scale is one')
+        return float(_numbers(text, table[text], path)[0])
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f'{path}: {mapping.text!r}: the scale {text!r} is neither a number nor '
+                         'one of ' + ', '.join(table)) from None
+
+
+def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
+    """Return a column as numbers, NaN where a cell is empty."""
+    if np.issubdtype(column.dtype, np.number):
+        values = np.ravel(column).astype(float)
+    else:
+        values = np.full(len(column), np.nan)
+        for row, cell in enumerate(column):
+            if str(cell).strip():
+                try:
+                    values[row] = float(cell)
+                except ValueError:
+                    raise InputError(f'{path}: column {name}, row {row + 1}: {cell!r} is not a '
+                                     'number') from None
+    if np.isinf(values).any():
+        raise InputError(f'{path}: column {name}, row {int(np.argmax(np.isinf(values))) + 1}: '
+                         'infinite')
+    return values
+
+
+def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, path: Path
+          ) -> Array:
+    if (mapped is None) == (rate_hz is None):
+        raise InputError(f'{path}: expected either a mapping time=COLUMN or a rate in Hz')
+    if mapped is None:
+        if rate_hz is None or not 0.0 < rate_hz < np.inf:
+            raise InputError(f'rate = {rate_hz} Hz is not allowed: it must be above 0')
+        return np.arange(count) / rate_hz
+    time_s = mapped[0] - mapped[0][0]
+    bad = ~(np.diff(time_s) > 0.0)
+    if bad.any():
+        raise InputError(f'{path}: time does not rise at row {int(np.argmax(bad)) + 2}')
+    return time_s
+
+
+def _start(values: Array, time_s: Array, zero_s: float, name: str, path: Path) -> float:
+    """Return the mean of the first `zero_s` seconds; 0 for none."""
+    if not zero_s:
+        return 0.0
+    first = values[time_s < zero_s]
+    if np.isnan(first).all():
+        raise InputError(f'{path}: {name} has no value in the first {zero_s:g} s')
+    return float(np.nanmean(first))
+
+
+def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
+               columns: Sequence[str] | None = None) -> Table:
+    """Return the columns of a file by name. Raises InputError."""
+    kind = Path(path.stem).suffix if path.suffix == '.gz' else path.suffix
+    try:
+        if kind == '.mat':
+            return _read_mat(path)
+        if kind == '.parquet':
+            return _read_parquet(path)
+        if kind in ('.csv', '.tsv', '.txt', '.dat'):
+            return _read_text(path, skip_lines, delimiter, columns)
+    except OSError as error:
+        raise InputError(f'{path} cannot be read: {error.strerror or error}') from None
+    except (ValueError, EOFError, NotImplementedError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
+    raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat (also .gz), .mat or .parquet '
+                     'file')
+
+
+def _read_mat(path: Path) -> Table:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+    try:
+        variables = loadmat(path)
+    except MatReadError as error:
+        raise ValueError(error) from None
+    return {name: np.ravel(values) for name, values in variables.items()
+            if not name.startswith('__') and np.issubdtype(values.dtype, np.number)
+            and values.size == max(values.shape, default=0)}
+
+
+def _read_parquet(path: Path) -> Table:
+    from pyarrow.parquet import read_table as read_parquet
+    table = read_parquet(path)
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def _read_text(path: Path, skip_lines: int, delimiter: str | None,
+               columns: Sequence[str] | None) -> Table:
+    opened: Any = gzip.open if path.suffix == '.gz' else open
+    with opened(path, 'rt', encoding='utf-8-sig', newline='') as stream:
+        lines = [line for line in itertools.islice(stream, skip_lines, None) if line.strip()]
+    if not lines:
+        raise InputError(f'{path} is empty' + (f' after {skip_lines} lines' if skip_lines else ''))
+    delimiter = delimiter or next((mark for mark in '\t;,' if mark in lines[0]), ' ')
+    rows = list(_cells(lines, delimiter))
+    if columns is None:
+        header = not all(map(_is_number, rows[0]))
+        columns = rows.pop(0) if header else [f'#{i + 1}' for i in range(len(rows[0]))]
+    if not rows:
+        raise InputError(f'{path} has no rows')
+    short = next((i for i, row in enumerate(rows) if len(row) < len(columns) - 1), None)
+    if short is not None:
+        raise InputError(f'{path}: row {short + 1} has {len(rows[short])} cells, expected '
+                         f'{len(columns)}')
+    # A last column of remarks may be left out, or hold the delimiter.
+    padded: Iterable[tuple[str, ...]] = zip(*[[*row, ''][:len(columns)] for row in rows],
+                                            strict=True)
+    return {name: np.array(cells, object) for name, cells in zip(columns, padded, strict=True)}
+
+
+def _cells(lines: list[str], delimiter: str) -> Iterable[list[str]]:
+    if delimiter == ' ':
+        return (line.split() for line in lines)
+    reader = csv.reader(io.StringIO(''.join(lines)), delimiter=delimiter, skipinitialspace=True)
+    return ([cell.strip() for cell in row] for row in reader)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or 'nan')
+    except ValueError:
+        return False
+    return True
