@@ -18,24 +18,32 @@ def _triangle(phase):
 
 @jit
 def _chirp(time, start_hz, end_hz, duration):
-    """Return a sine whose frequency moves geometrically; it ends at zero after `duration` s."""
-    if time >= duration:
-        return 0.0
+    """Return a sine whose frequency moves geometrically, and ends at its next zero."""
+    swept = min(time, duration)
     if start_hz == end_hz:
-        return math.sin(2.0 * math.pi * start_hz * time)
-    rate = math.log(end_hz / start_hz) / duration
-    return math.sin(2.0 * math.pi * start_hz * (math.exp(rate * time) - 1.0) / rate)
+        cycles, in_all = start_hz * swept, start_hz * duration
+    else:
+        rate = math.log(end_hz / start_hz) / duration
+        cycles = start_hz * math.expm1(rate * swept) / rate
+        in_all = (end_hz - start_hz) / rate
+    cycles += end_hz * (time - swept)
+    return math.sin(2.0 * math.pi * cycles) if 2.0 * cycles < math.ceil(2.0 * in_all) else 0.0
 
 
 @jit
 def _multisine(time, start_hz, end_hz, tones):
-    """Return `tones` sines with Schroeder's phases (1970), which keep the peak low."""
+    """
+    Return `tones` sines, as far apart, with Schroeder's phases (1970), which keep the peak low.
+
+    With those the sum stays below 1.53 times the root of their number, whatever their frequencies
+    (the worst are three; test/test_reference.py tries each number).
+    """
     total = 0.0
     step = (end_hz - start_hz) / (tones - 1) if tones > 1 else 0.0
     for k in range(tones):
-        phase = -math.pi * k * (k + 1) / tones
+        phase = -math.pi * (k * (k + 1) % (2 * tones)) / tones
         total += math.sin(2.0 * math.pi * (start_hz + k * step) * time + phase)
-    return total * math.sqrt(2.0 / tones) / 2.0
+    return total / min(tones, 1.53 * math.sqrt(tones))
 
 
 @jit
@@ -52,7 +60,7 @@ def reference_force(time, r):
     """
     Return the desired force (N) at `time` s after the signal was chosen.
 
-    r: record of REFERENCE_PARAMETERS.
+    r: record of REFERENCE_PARAMETERS. It never differs from the offset by more than the amplitude.
     """
     t = time - r.reference_start
     # A whole tick that rounding puts just before the start belongs to the signal.
