@@ -87,7 +87,7 @@ def _compare(analysis: dict[str, Any], entry: Published) -> _Cell:
     value = scaled(analysis, entry)
     if value is None:
         return _Cell(entry.words, '-', 'not reached', False)
-    text = f'{value:.3g}' if abs(value) >= 0.01 else '0'
+    text = (f'{value:.3g}' if abs(value) >= 0.01 else '0').replace('-', '−')
     if entry.words.startswith(('<', '≪')):
         below = abs(value) < entry.value
         return _Cell(entry.words, text, 'as published' if below else 'larger', below)
