@@ -36,9 +36,10 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETE
 
 CONTROLLER_PARAMETERS: Final = COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS
 TABLES: Final = {'actuator': ACTUATOR_PARAMETERS, 'controller': CONTROLLER_PARAMETERS}
-# Started in this order, asked to end in the reverse: the recorder hears everything.
-MODULES: Final = {'recorder': 'asi_analysis.recorder_node',
-                  'controller': 'asi_controller.controller_node',
+# Started in this order, asked to end in the reverse: while the recorder waits for the last
+# messages, the controller is still there to send a lost one again.
+MODULES: Final = {'controller': 'asi_controller.controller_node',
+                  'recorder': 'asi_analysis.recorder_node',
                   'actuator': 'asi_actuator.actuator_node'}
 # A node that is asked to end and does not within this time is killed.
 PATIENCE_S: Final = 15.0

@@ -57,6 +57,10 @@ class ReceiptOrder:
         """Tell whether lost messages are waited for: never."""
         return False
 
+    def waiting(self) -> bool:
+        """Tell whether a message is held back: never."""
+        return False
+
 
 class _Tick(NamedTuple):
     arrived_s: float
@@ -114,6 +118,10 @@ class TickOrder:
     def repairing(self, now_s: float) -> bool:
         """Tell whether lost messages, which DDS sends again, are waited for."""
         return bool(self._order) and now_s - self._ticks[self._order[0]].arrived_s > HOLD_S
+
+    def waiting(self) -> bool:
+        """Tell whether a tick lacks a message that has come in most others."""
+        return bool(self._order)
 
     def _may_go(self, stamp: int, now_s: float) -> bool:
         """Tell whether a tick is complete, or has waited long enough for what may still come."""

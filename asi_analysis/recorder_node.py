@@ -33,6 +33,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.message_order import (
     HOLD_S,
     OTHER_CLOCK_NS,
+    PATIENCE_S,
     Arrival,
     ReceiptOrder,
     TickOrder,
@@ -170,16 +171,24 @@ class Recorder(Node):
     def destroy_node(self) -> None:
         """Write what has come so far, and finish the bag."""
         if not self.failed:
-            # What was published just before the end may still be on its way.
-            time.sleep(FAREWELL_S)
             try:
-                self._drain()
+                self._await_rest()
                 self._write(final=True)
                 self._writer.close()
                 self._report()
             except OSError as error:
                 self._fail(error)
         super().destroy_node()
+
+    def _await_rest(self) -> None:
+        """Take what is still on its way: for a moment, and in lock-step until no tick lacks."""
+        now_s = time.monotonic()
+        moment_s, end_s = now_s + FAREWELL_S, now_s + PATIENCE_S
+        while now_s < moment_s or (self._order and self._order.waiting() and now_s < end_s):
+            time.sleep(DRAIN_PERIOD_S)
+            self._drain()
+            self._write()
+            now_s = time.monotonic()
 
     def _text(self, name: str, default: str, description: str) -> str:
         return self.declare_parameter(name, default, ParameterDescriptor(
