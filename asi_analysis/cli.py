@@ -8,6 +8,7 @@ A new command is one function with @command; what it raises becomes the exit sta
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -110,9 +111,13 @@ def run(
     wanted = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
                                       rate))
     out = out or ex.free_directory(Path('runs'), str(wanted.controller['compensator']))
-    with progress() as report:
-        bag = ex.run_experiment(wanted, out, report)
-        document = ex.run_as_dict(wanted, bag)
+    try:
+        with progress() as report:
+            bag = ex.run_experiment(wanted, out, report)
+            document = ex.run_as_dict(wanted, bag)
+    except KeyboardInterrupt:
+        raise typer.Exit(_fail(f'interrupted; what was recorded is in {out / "bag"}', 130)
+                         ) from None
     answer(document, as_json, _show_run)
 
 
@@ -206,8 +211,9 @@ def main() -> int:
     Run the command; return the exit status.
 
     0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError), said
-    in one line on stderr; 130: Ctrl-C.
+    in one line on stderr; 130: Ctrl-C (typer's).
     """
+    warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
     # Typer brings its own copy of click; this is its ClickException.
     click_exception: Any = typer.BadParameter.__mro__[2]
     try:
@@ -216,8 +222,6 @@ def main() -> int:
         return _fail(str(error), 2)
     except RuntimeError as error:
         return _fail(str(error), 1)
-    except (KeyboardInterrupt, typer.Abort):
-        return _fail('interrupted', 130)
     except click_exception as error:
         where = error.ctx.command_path if getattr(error, 'ctx', None) else 'asi'
         return _fail(f'{error.format_message().rstrip(".")} (see {where} --help)', 2)
