@@ -1,0 +1,194 @@
+"""The command line: help, exit statuses, one line of complaint, the documented JSON."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asi_analysis import json_keys
+from asi_analysis.analysis import analyze
+from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.run import Run
+
+ROOT = Path(__file__).parents[1]
+
+
+def asi(*arguments, **options):
+    """Run the command in a process of its own, as a user does."""
+    return subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', *arguments], capture_output=True, text=True,
+        timeout=100, env={**os.environ, 'PYTHONPATH': str(ROOT)}, **options)
+
+
+@pytest.mark.parametrize('command', ['run', 'analyze', 'reproduce', 'demo'])
+def test_help_of_each_command_shows_an_example(command):
+    result = asi(command, '--help')
+    assert result.returncode == 0
+    assert f'Example: asi {command} ' in ' '.join(result.stdout.split())
+
+
+def test_help_loads_nothing_heavy():
+    code = ('import sys\nfrom asi_analysis import cli\nsys.argv = ["asi", "--help"]\n'
+            'cli.main()\n'
+            'heavy = {"rclpy", "numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)\n'
+            'sys.exit(f"loaded: {heavy}" if heavy else 0)')
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            timeout=60, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize('arguments, said', [
+    ((), 'Usage'),
+    (('bogus',), 'bogus'),
+    (('analyze',), 'bag'),
+    (('analyze', 'nowhere'), 'nowhere'),
+    (('analyze', 'empty.mcap'), 'empty.mcap'),
+    (('run', '--compensator', 'pid'), 'compensator'),
+    (('run', '--gain', 'nan'), 'gain'),
+    (('run', '--gain', 'much'), 'gain'),
+    (('run', '--duration', '-1'), 'duration'),
+    (('run', '--mode', 'warp'), 'lockstep, realtime'),
+    (('run', '--rate', '1e9'), 'rate'),
+    (('run', '--step', '5', '--reference', 'sine'), '--step'),
+    (('run', '--set', 'load.mass=1'), 'actuator.NAME=VALUE'),
+    (('run', '--set', 'actuator.load.mas=1'), 'load.mass'),
+    (('run', '--set', 'actuator.load.mass=heavy'), 'load.mass'),
+    (('run', '--set', 'controller.custom.poles=5', '--compensator', 'custom'), 'custom.poles'),
+    (('run', '--actuator', 'nowhere.yaml'), 'nowhere.yaml'),
+    (('run', '--actuator', 'foreign.yaml'), 'foreign.yaml'),
+    (('run', '--controller', 'broken.yaml'), 'broken.yaml'),
+    (('run', '--controller', 'wrong.yaml'), 'gian'),
+    (('run', '--out', 'used'), 'used'),
+    (('demo', '--out', 'used'), 'used'),
+])
+def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path):
+    (tmp_path / 'empty.mcap').touch()
+    (tmp_path / 'foreign.yaml').write_text('camera:\n  ros__parameters: {exposure: 3}\n')
+    (tmp_path / 'broken.yaml').write_text('asi_controller: [')
+    (tmp_path / 'wrong.yaml').write_text('asi_controller:\n  ros__parameters: {gian: 3.0}\n')
+    (tmp_path / 'used').mkdir()
+    (tmp_path / 'used' / 'thesis.tex').touch()
+    result = asi(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    if arguments:
+        assert result.stdout == ''
+        assert len(result.stderr.strip().splitlines()) == 1, result.stderr
+    assert said in result.stdout + result.stderr
+    assert (tmp_path / 'used' / 'thesis.tex').exists()
+
+
+def test_json_page_is_up_to_date():
+    assert (ROOT / 'doc' / 'json.md').read_text() == json_keys.page()
+
+
+@pytest.mark.parametrize('controller', [
+    {'reference.shape': 'step'}, {'reference.shape': 'step', 'gain': 10.5},
+    {'reference.shape': 'sine'}, {'reference.shape': 'prbs', 'reference.frequency': 300.0}])
+def test_analysis_is_as_documented(controller):
+    answer = analyze(Run(*simulate_loop({}, controller, 0.5), source='in process'))
+    assert json_keys.problems(json.loads(json.dumps(answer, allow_nan=False)),
+                              json_keys.ANALYZE) == []
+
+
+def test_documentation_check_can_fail():
+    answer = analyze(Run(*simulate_loop({}, {'reference.shape': 'step'}, 0.3)))
+    del answer['bandwidth_hz']
+    answer['oscillation']['sustained'] = 'yes'
+    answer['colour'] = 'blue'
+    assert len(json_keys.problems(answer, json_keys.ANALYZE)) == 3
+
+
+def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
+    """The analysis of a bag from three processes is that of the same loop computed here."""
+    out = tmp_path / 'out'
+    result = asi('run', '--compensator', 'lead_lag', '--step', '150', '--load', 'spring',
+                 '--set', 'actuator.load.mass=0.3', '--duration', '0.3', '--rate', '2000',
+                 '--out', str(out), '--json')
+    assert result.returncode == 0, result.stderr
+    answer = json.loads(result.stdout)
+    assert json_keys.problems(answer, json_keys.DOCUMENTS['asi run']) == []
+    assert (answer['mode'], answer['ticks'], answer['compensator']) == (
+        'lockstep', 600, 'lead_lag')
+    expected = analyze(Run(*simulate_loop(
+        {'load.type': 'spring', 'load.mass': 0.3},
+        {'compensator': 'lead_lag', 'reference.shape': 'step', 'reference.amplitude': 150.0},
+        0.3, 2000.0)))
+    for key in ('rise_time_s', 'overshoot_percent', 'settling_time_5_s', 'steady_state_error_n',
+                'bandwidth_hz'):
+        assert answer[key] == pytest.approx(expected[key], rel=1e-6), key
+
+    again = asi('analyze', answer['bag'], '--json')
+    assert again.returncode == 0
+    for key, value in json.loads(again.stdout).items():
+        assert answer[key] == value
+    table = asi('analyze', answer['bag'])
+    assert f'{answer["overshoot_percent"]:.3g} %' in table.stdout
+
+
+def processes_of(directory):
+    """Return the processes whose command line names a directory."""
+    found = []
+    for path in Path('/proc').glob('[0-9]*/cmdline'):
+        try:
+            if str(directory) in path.read_text():
+                found.append(path)
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, ros_environment, tmp_path):
+    out = tmp_path / 'out'
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--duration', '1000', '--out', str(out)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    deadline = time.monotonic() + 60.0
+    while not any(path.stat().st_size > 50_000 for path in out.glob('bag/*.mcap')):
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline, 'the bag does not grow'
+        time.sleep(0.1)
+    process.send_signal(how)
+    process.wait(60)
+    while processes_of(out):
+        assert time.monotonic() < deadline + 60.0, 'a node is left behind'
+        time.sleep(0.1)
+    if how == signal.SIGINT:
+        assert process.returncode == 130
+        assert process.stderr.read().strip() == (
+            f'asi: interrupted; what was recorded is in {out / "bag"}')
+    from asi_analysis.bag import read_bag
+    run = read_bag(out / 'bag')
+    assert len(run) > 100
+    assert np.allclose(np.diff(run.time_s), 1.0 / 5000.0)
+
+
+def test_dead_node_is_named(ros_environment, tmp_path):
+    """Kill -9 of the controller: the run ends, says which node died, and keeps its bag."""
+    out = tmp_path / 'out'
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--duration', '1000', '--out', str(out)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    deadline = time.monotonic() + 60.0
+    while not any(path.stat().st_size > 50_000 for path in out.glob('bag/*.mcap')):
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline, 'the bag does not grow'
+        time.sleep(0.1)
+    controller, = (path for path in processes_of(out)
+                   if 'asi_controller.controller_node' in path.read_text())
+    os.kill(int(controller.parent.name), signal.SIGKILL)
+    assert process.wait(60) == 1
+    complaint = process.stderr.read().strip()
+    assert 'controller' in complaint and 'SIGKILL' in complaint
+    assert len(complaint.splitlines()) == 1
+    assert processes_of(out) == []
+    from asi_analysis.bag import read_bag
+    assert len(read_bag(out / 'bag')) > 100
