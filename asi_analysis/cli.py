@@ -144,21 +144,28 @@ def demo(
     answer(document, as_json, _show_demo)
 
 
-@command('reproduce', 'asi reproduce --json')
+@command('reproduce', 'asi reproduce --report runs/reproduction')
 def reproduce(
     actuator: Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')] = None,
+    report: Annotated[Path | None, typer.Option(
+        help='Directory for an HTML report with our version of Figs. 3 to 12')] = None,
     as_json: Json = False,
 ) -> None:
     """
-    Measure every fact that the paper publishes on the simulator: a table of 57 rows.
+    Measure every fact that the paper publishes on the simulator, each beside its value.
 
     Exit status 0, whether all are met or not: the table says so.
     """
     from asi_analysis import reproduction
     from asi_analysis.experiment import read_parameters
     values = read_parameters(actuator, 'actuator') if actuator else {}
-    with progress() as report:
-        document = reproduction.as_document(reproduction.reproduce(values, report=report))
+    with progress() as told:
+        result = reproduction.reproduce(values, report=told)
+        document = reproduction.as_document(result)
+        if report:
+            from asi_analysis.reproduction_report import write_report
+            told('report', None)
+            document['report'] = str(write_report(result, report))
     answer(document, as_json, reproduction.show)
 
 

@@ -97,7 +97,8 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('met', 'integer', 'rows met'),
         Key('total', 'integer', 'rows'),
         Key('ids_met', '[text]', 'facts all of whose rows are met'),
-        Key('ids_total', 'integer', 'facts')),
+        Key('ids_total', 'integer', 'facts'),
+        Key('report', 'text?', 'path of the report; null: none was asked for')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

@@ -52,7 +52,7 @@ def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
         with figures.style():
             figure.savefig(out / f'{name}.png')
     page = out / 'report.html'
-    page.write_text(_environment().get_template('demo.html').render(
+    page.write_text(environment().get_template('demo.html').render(
         rows=[(each.plan.title, [_compare(each.analysis, entry)
                                  for entry in each.plan.published])
               for each in recorded if each.plan.published],
@@ -114,7 +114,7 @@ def _delay_ms(recorded: Recorded) -> float:
     return 1e3 * (float(values['valve_flexure.delay']) + float(values['force_sensor.delay']))
 
 
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader('asi_analysis'), autoescape=True,
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)

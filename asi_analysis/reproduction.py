@@ -50,7 +50,7 @@ def as_document(result: Reproduction) -> dict[str, Any]:
     ids = dict.fromkeys(fact.id for fact in FACTS)
     whole = [id_ for id_ in ids if all(result.met(fact) for fact in FACTS if fact.id == id_)]
     return {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
-            'ids_met': whole, 'ids_total': len(ids)}
+            'ids_met': whole, 'ids_total': len(ids), 'report': None}
 
 
 def show(document: Mapping[str, Any]) -> None:
@@ -71,3 +71,5 @@ def show(document: Mapping[str, Any]) -> None:
     Console().print(table)
     print(f'{document["met"]} of {document["total"]} rows met; '
           f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole')
+    if document['report']:
+        print(f'report: {document["report"]}')

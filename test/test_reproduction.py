@@ -16,6 +16,7 @@ from asi_analysis.facts.describing import describing_function, linear_critical_g
 from asi_analysis.facts.linear import linear_model
 from asi_analysis.json_keys import DOCUMENTS, problems
 from asi_analysis.oscillation import oscillation
+from asi_analysis.run import Run
 
 LINEAR = {'valve_hysteresis.model': 'linear', 'valve_characteristic.model': 'linear',
           'hydraulic_damping.model': 'off', 'friction.model': 'off', 'load.type': 'locked'}
@@ -33,7 +34,7 @@ def test_cycle_of_a_known_signal():
 
 def test_fast_cycle_agrees_with_asi_analyze():
     run = step_run(as_record({}), proportional(14.0), 100.0, 1.0)
-    slow, fast = oscillation(run), cycle(run.force_n[-2000:])
+    slow, fast = oscillation(Run(*run)), cycle(run.force_n[-2000:])
     assert slow.sustained
     assert fast.frequency_hz == pytest.approx(slow.frequency_hz, rel=2e-3)
     assert fast.amplitude_n == pytest.approx(slow.amplitude_n, rel=1e-2)

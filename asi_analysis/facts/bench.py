@@ -10,7 +10,6 @@ import numpy.typing as npt
 from asi_actuator.model.actuator import Trajectory, rest, simulate
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.closed_loop import LoopRun, _close
-from asi_analysis.run import Run
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import CONSTANT, SINE
@@ -59,8 +58,8 @@ def open_loop(plant: np.void, commands: Array) -> Trajectory:
 
 
 def step_run(plant: np.void, controller: Values, amplitude_n: float, duration_s: float,
-             before_s: float = 0.01) -> Run:
+             before_s: float = 0.01) -> LoopRun:
     """Return a step of the reference from rest, as `asi run --step` makes it."""
     bench = Bench(plant, controller)
     before, after = bench.run(before_s, 0.0), bench.run(duration_s, amplitude_n)
-    return Run(*LoopRun(*(np.concatenate(pair) for pair in zip(before, after, strict=True))))
+    return LoopRun(*(np.concatenate(pair) for pair in zip(before, after, strict=True)))

@@ -22,6 +22,7 @@ from asi_analysis.facts.static import (
     loop_half_width,
     static_characteristic,
 )
+from asi_analysis.run import Run
 from asi_analysis.step_response import headline, step_responses
 
 OPEN_LOOP_HZ: Final = (12.0, 16.0, 20.0, 24.0, 30.0, 40.0, 60.0)
@@ -255,7 +256,7 @@ def step_test(actuator: Values, conditions: Conditions, test: StepTest, name: st
     run = step_run(_plant(actuator, SPRING),
                    {**test.controller, 'feedforward': conditions.feedforward},
                    test.amplitude_n, STEP_S)
-    step = headline(step_responses(run))
+    step = headline(step_responses(Run(*run)))
     nothing = math.inf
     if step is None or step.rise_time_s is None:
         return {f'{name}_rise_s': nothing, f'{name}_overshoot_percent': nothing,
