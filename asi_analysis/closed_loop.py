@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.actuator import advance, measure, prepare, rest
+from asi_actuator.model.actuator import advance, check_period, measure, prepare, rest
 from asi_actuator.model.jit import jit
 from asi_actuator.parameters import Value, as_record
 from asi_controller.compensator import compensate, compensator
@@ -51,6 +51,7 @@ def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value]
     actuator, controller: parameters by name, the rest at their defaults; the controller's are
     those of compensator and reference. Raises ParameterError for one that is not allowed.
     """
+    check_period(1.0 / rate_hz)
     names = {parameter.name for parameter in REFERENCE_PARAMETERS}
     reference = {name: value for name, value in controller.items() if name in names}
     gains = {name: value for name, value in controller.items() if name not in names}

@@ -10,10 +10,12 @@ import argparse
 import ctypes
 import json
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -85,7 +87,7 @@ def main() -> None:
     arguments.add_argument('--json', action='store_true', help='print one JSON document')
     options = arguments.parse_args()
     rivals = {'ours': ours, 'c': compiled(()), 'c_fast_math': compiled(('-ffast-math',))}
-    rows = []
+    rows: list[dict[str, Any]] = []
     for case, values in CASES.items():
         p = as_record(values)
         mine, theirs = ours(p), rivals['c'](p)
@@ -105,6 +107,8 @@ def main() -> None:
             print('  '.join(str(value) for value in rows[-1].values()), flush=True)
     if options.json:
         print(json.dumps(rows))
+    if any(row['largest_relative_difference'] > 1e-9 for row in rows):
+        sys.exit('model.c and the model differ by more than 1e-9')
 
 
 if __name__ == '__main__':

@@ -18,6 +18,8 @@ from asi_actuator.model.jit import jit
 from asi_actuator.model.valve_characteristic import valve_characteristic, valve_position
 from asi_actuator.model.valve_hysteresis import half_width, magnetise, rate_decay
 from asi_actuator.parameters import ParameterError, Value, as_record
+from asi_analysis.closed_loop import simulate_loop
+from asi_controller.compensator import compensate, compensator
 
 PERIOD = 2e-4
 BLOCKS = ('valve_hysteresis', 'valve_flexure', 'valve_characteristic', 'hydraulic_damping',
@@ -145,6 +147,8 @@ def test_delay_longer_than_the_ring_is_refused() -> None:
     as_record({'valve_flexure.delay': 0.01, 'force_sensor.delay': 0.01})
     with pytest.raises(ParameterError, match=r'force_sensor\.delay = 0\.006 .* at most 0\.00511'):
         as_record({'force_sensor.delay': 0.006, 'maximum_substep': 1e-5})
+    with pytest.raises(ParameterError, match='a control period of 5e-06 s is not allowed'):
+        simulate(as_record(), [0.0], 5e-6)
 
 
 # --- static characteristic
@@ -213,17 +217,17 @@ def test_seals_are_a_spring_before_they_slide() -> None:
 @pytest.mark.parametrize('amplitude', [1e-5, 2e-4, 5e-3])
 @pytest.mark.parametrize('frequency', [1.0, 100.0])
 def test_friction_dissipates_over_a_closed_cycle(amplitude: float, frequency: float) -> None:
-    phase = np.linspace(0, 6 * np.pi, 30001)
+    phase = np.linspace(0, 6 * np.pi, 9001)
     path = amplitude * np.sin(phase)
     h = (phase[1] - phase[0]) / (2 * np.pi * frequency)
     out = seal_force(path, h)
     power = 0.5 * (out + np.concatenate([[0], out[:-1]])) * np.diff(path)
-    last = power[20000:].sum()
+    last = power[6000:].sum()
     assert last > -1e-9
     if amplitude == 5e-3 and frequency == 1.0:
         # Sliding all the way at up to 31 mm/s: Coulomb friction and the Stribeck rise at the ends.
         velocity = np.gradient(path, h)
-        steady = sum(sliding_friction(v, as_record()) * abs(v) * h for v in velocity[20000:])
+        steady = sum(sliding_friction(v, as_record()) * abs(v) * h for v in velocity[6000:])
         assert last == pytest.approx(steady, rel=0.05)
 
 
@@ -349,6 +353,19 @@ def test_step_by_step_simulate_and_simulate_many_agree_to_the_bit() -> None:
             step(state, command, p, PERIOD)
         assert np.array_equal(np.array(stepped), np.stack(whole[2:]).T)
         assert np.array_equal(whole.force_n[::3], forces)
+
+
+def test_loop_in_one_process_is_measure_compensate_and_step() -> None:
+    actuator: dict[str, Value] = {'load.type': 'spring', 'force_sensor.noise': 0.5}
+    gains: dict[str, Value] = {'compensator': 'lead_lag', 'gain': 18.0}
+    whole = simulate_loop(
+        actuator, gains | {'reference.shape': 'sine', 'reference.frequency': 15.0}, 0.2)
+    p, state, c = as_record(actuator), rest(), compensator(gains, 5000.0)
+    for k, reference in enumerate(whole.reference_n):
+        force_n, *_ = measure(state, p)
+        command = compensate(c, reference, force_n)
+        assert (force_n, command) == (whole.force_n[k], whole.command_n[k])
+        step(state, command, p, 1.0 / 5000.0)
 
 
 SHORT_RUN = """

@@ -6,7 +6,7 @@ second order in the sub-step, which is fixed, and stable for any.
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numba
 import numpy as np
@@ -26,7 +26,10 @@ from asi_actuator.model.valve_characteristic import (
 )
 from asi_actuator.model.valve_flexure import FlexureStep, flexure_gain, flexure_step, valve_flexure
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
-from asi_actuator.parameters import ACTUATOR_DTYPE, RING
+from asi_actuator.parameters import ACTUATOR_DTYPE, RING, ParameterError
+
+# The longest delay, 0.01 s, is RING - 2 sub-steps of 9.8 us.
+SHORTEST_PERIOD_S: Final = 1e-5
 
 STATE_DTYPE = np.dtype([
     ('time', np.float64),               # s
@@ -185,6 +188,13 @@ def _simulate(state, commands, p, period, every, out):
         advance(state, commands[k], p, steady)
 
 
+def check_period(period_s: float) -> None:
+    """Raise ParameterError if a control period (s) is so short that the delays do not fit it."""
+    if not SHORTEST_PERIOD_S <= period_s < math.inf:
+        raise ParameterError(f'a control period of {period_s:g} s is not allowed: it takes at '
+                             f'least {SHORTEST_PERIOD_S:g} s')
+
+
 def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
              state: np.void | None = None) -> Trajectory:
     """
@@ -192,8 +202,9 @@ def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
 
     p: record of ACTUATOR_DTYPE; commands: n valve commands, N, each held for `period_s` s;
     state: where to begin (advanced in place), at rest if not given. Sample k is measured before
-    command k acts.
+    command k acts. Raises ParameterError for a period that is too short.
     """
+    check_period(period_s)
     commands = np.ascontiguousarray(commands, np.float64)
     out = np.empty((4, commands.size))
     _simulate(rest() if state is None else state, commands, p, period_s, 1, out)
@@ -221,6 +232,7 @@ def simulate_many(parameters: npt.NDArray[np.void], commands: npt.ArrayLike, per
     every: keep only every so-manieth sample. The arrays of forces, positions and velocities are
     m x n / every, each row bit for bit what `simulate` returns.
     """
+    check_period(period_s)
     parameters = np.ascontiguousarray(parameters, ACTUATOR_DTYPE)
     rows = np.atleast_2d(np.ascontiguousarray(commands, np.float64))
     if rows.shape[0] not in (1, parameters.size):
