@@ -14,6 +14,14 @@ def step_as_dict(step: Step) -> dict[str, Any]:
     return step._asdict() | {'monotone_rise': step.monotone_rise, 'notes': list(step.notes)}
 
 
+def _why_no_step(run: Run) -> str:
+    if run.reference_n is None:
+        return 'step: the run holds no reference'
+    if run.controlled() != 'force':
+        return f'step: measured of forces only, the reference asks for a {run.controlled()}'
+    return 'step: the reference makes none'
+
+
 def analyze(run: Run) -> dict[str, Any]:
     """
     Return all that `asi analyze --json` prints of a run; doc/json.md tells the keys.
@@ -24,7 +32,7 @@ def analyze(run: Run) -> dict[str, Any]:
     step = headline(steps)
     swing = oscillation(run)
     width = loop_bandwidth(run)
-    notes = list(step.notes) if step else ['the reference makes no step']
+    notes = list(step.notes) if step else [_why_no_step(run)]
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
     headline_keys = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s',

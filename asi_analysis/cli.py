@@ -131,6 +131,56 @@ def analyze(
     answer(analyze_bag(bag), as_json, _show_analysis)
 
 
+@command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
+def import_(
+    file: Annotated[Path, typer.Argument(help='.csv, .tsv, .txt, .dat (or .gz), .mat, .parquet')],
+    out: Annotated[Path, typer.Option(help='The bag to write')],
+    map_: Annotated[list[str] | None, typer.Option(
+        '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',
+        help='What a column is; once a signal; none for a file of `asi export`')] = None,
+    rate: Annotated[float | None, typer.Option(
+        help='Samples a second, if no column is the time')] = None,
+    skip_lines: Annotated[int, typer.Option(help='Lines before the header')] = 0,
+    delimiter: Annotated[str | None, typer.Option(help='Default: found out')] = None,
+    columns: Annotated[str | None, typer.Option(
+        help='Names, with commas between, for a file without a header')] = None,
+    zero: Annotated[float, typer.Option(
+        help='Take off each signal its mean over so many seconds from the start')] = 0.0,
+    as_json: Json = False,
+) -> None:
+    """
+    Make a bag of someone else's recording, so that every analysis runs on it.
+
+    Signals: time, reference, command, force, valve_position, position, velocity. More in
+    doc/importing.md.
+    """
+    from asi_analysis.importing import import_recording
+    with progress() as report:
+        report(f'reading {file}', None)
+        imported = import_recording(
+            file, map_ or [], rate, skip_lines=skip_lines, delimiter=delimiter,
+            columns=columns.split(',') if columns else None, zero_s=zero, out=out)
+    answer({'bag': str(out), 'samples': len(imported), 'duration_s': imported.duration_s,
+            'rate_hz': imported.rate_hz, 'signals': list(imported.signals())}, as_json,
+           lambda document: print(f'{imported}\nbag: {out}'))
+
+
+@command('export', 'asi export runs/demo/lead_lag/bag --out lead_lag.csv')
+def export(
+    bag: Annotated[Path, typer.Argument(help='A bag: its directory or its .mcap file')],
+    out: Annotated[Path, typer.Option(help='The .csv or .parquet file to write')],
+    as_json: Json = False,
+) -> None:
+    """Write a bag's signals as a table: CSV or Parquet, with the units in the names."""
+    from asi_analysis.bag import read_bag
+    from asi_analysis.exporting import export as write_table
+    recorded = read_bag(bag)
+    write_table(recorded, out)
+    answer({'file': str(out), 'samples': len(recorded), 'signals': list(recorded.signals())},
+           as_json, lambda document: print(f'{out}: {document["samples"]} rows, '
+                                           + ', '.join(document['signals'])))
+
+
 @command('demo', 'asi demo --out runs/demo')
 def demo(
     out: Annotated[Path, typer.Option(
@@ -169,47 +219,56 @@ def reproduce(
     answer(document, as_json, reproduction.show)
 
 
-def _figure(value: float | None, unit: str, scale: float = 1.0, digits: int = 4) -> str:
-    return '-' if value is None else f'{value * scale:.{digits}g} {unit}'
-
-
 def _show_run(document: Mapping[str, Any]) -> None:
-    print(f'{document["bag"]}: {document["compensator"]}, {document["mode"]}, '
-          f'{document["ticks"]} ticks at {document["rate_hz"]:g} Hz')
+    print(f'{document["compensator"]}, {document["mode"]}, {document["ticks"]} ticks')
     _show_analysis(document)
 
 
 def _show_analysis(document: Mapping[str, Any]) -> None:
+    """Print what could be measured as a table; the notes say why the rest could not."""
     from rich.console import Console
     from rich.table import Table
     table = Table(show_header=False, box=None, pad_edge=False)
-    swing = document['oscillation']
-    rise = _figure(document['rise_time_s'], 'ms', 1e3)
-    if document['monotone_rise'] is False:
-        rise += f' (but the waveform is a {document["rise_shape"]})'
-    told = {True: 'yes', False: 'no', None: '-'}[swing['sustained']]
-    if swing['frequency_hz'] is not None:
-        told += (f', {swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} N'
-                 + ('' if swing['sustained'] else ', dying out'))
-    width = _figure(document['bandwidth_hz'], 'Hz', digits=3)
-    if document['bandwidth_method'] == 'step' and document['bandwidth_hz'] is not None:
-        width += ' (from the step)'
-    for name, value in (
-            ('rise time 10-90 %', rise),
-            ('overshoot', _figure(document['overshoot_percent'], '%', digits=3)),
-            ('settling time 2 %', _figure(document['settling_time_2_s'], 'ms', 1e3)),
-            ('settling time 5 %', _figure(document['settling_time_5_s'], 'ms', 1e3)),
-            ('steady-state error', _figure(document['steady_state_error_n'], 'N', digits=3)),
-            ('bandwidth', width),
-            ('delay', _figure(document['delay_s'], 'ms', 1e3)),
-            ('sustained oscillation', told)):
-        table.add_row(name, value)
+    for name, key, unit, scale in (
+            ('rise time 10-90 %', 'rise_time_s', 'ms', 1e3),
+            ('overshoot', 'overshoot_percent', '%', 1.0),
+            ('settling time 2 %', 'settling_time_2_s', 'ms', 1e3),
+            ('settling time 5 %', 'settling_time_5_s', 'ms', 1e3),
+            ('steady-state error', 'steady_state_error_n', 'N', 1.0),
+            ('bandwidth', 'bandwidth_hz', 'Hz', 1.0),
+            ('delay, from the phase', 'delay_s', 'ms', 1e3),
+            ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3)):
+        if document[key] is not None:
+            table.add_row(name, f'{document[key] * scale:.3g} {unit}')
+    table.add_row('oscillation', _oscillation(document['oscillation']))
+    print(f'{document["source"]}: {document["samples"]} samples, {document["duration_s"]:.6g} s '
+          f'at {document["rate_hz"]:g} Hz')
     Console().print(table)
     for note in document['notes']:
-        print('note: ' + note)
+        print(f'note: {note}')
+
+
+def _oscillation(swing: Mapping[str, Any]) -> str:
+    if swing['frequency_hz'] is None:
+        return 'none' if swing['sustained'] is False else 'cannot be told'
+    return (f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} N, '
+            + ('sustained' if swing['sustained'] else 'dying out'))
 
 
 def _show_demo(document: Mapping[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    table = Table('Table 1', 'published', 'simulated', title_justify='left', box=None)
+    for row in document['table_1']:
+        value = row['simulated']
+        table.add_row(f'{row["compensator"]}: {row["quantity"]}',
+                      f'{row["published"]} {row["unit"]}',
+                      '-' if value is None else f'{value:.3g} {row["unit"]}')
+    Console().print(table)
+    for run_ in document['runs']:
+        swing = run_['analysis']['oscillation']
+        if swing['sustained']:
+            print(f'{run_["name"]}: {_oscillation(swing)}')
     print(f'report: {document["report"]}')
 
 

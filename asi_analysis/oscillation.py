@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy import optimize, signal
 
 from asi_analysis.run import Run
+from asi_analysis.step_response import held
 
 # Part of the run after the last change of the reference's course that counts as steady.
 STEADY_SHARE: Final = 0.5
@@ -64,8 +65,8 @@ def _steady_part(run: Run) -> slice:
     n = run.time_s.size
     start = 0
     if run.reference_n is not None:
-        change = np.abs(np.diff(np.nan_to_num(run.reference_n)))
-        large = np.flatnonzero(change > 0.2 * max(np.ptp(np.nan_to_num(run.reference_n)), 1e-12))
+        reference = held(run.reference_n)
+        large = np.flatnonzero(np.abs(np.diff(reference)) > 0.2 * max(np.ptp(reference), 1e-12))
         start = int(large[-1]) + 1 if large.size else 0
     return slice(start + int((1.0 - STEADY_SHARE) * (n - start)), n)
 
@@ -105,7 +106,7 @@ def oscillation(run: Run) -> Oscillation:
         return Oscillation(None, None, None, 'the steady part is shorter than 50 samples')
     force = signal.detrend(force)
     if run.reference_n is not None:
-        reference = np.nan_to_num(run.reference_n[part][valid])
+        reference = held(run.reference_n)[part][valid]
         freed = _without_reference(time, force, reference - reference.mean())
         if freed is None:
             return Oscillation(None, None, None,

@@ -201,22 +201,25 @@ def _measure(time: Array, reference: Array, force: Array, jump_: _Jump) -> Step:
                 tuple(notes))
 
 
+def held(values: Array) -> Array:
+    """Return a signal whose missing samples keep the value before them (the first, the next)."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros_like(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(values.size), 0))
+    return values[np.maximum(last, np.argmax(known))]
+
+
 def step_responses(run: Run) -> list[Step]:
     """
     Return each step that the reference of a run makes, in order of time.
 
-    Empty if there is none (or no reference, or no force). With noise on the force the response
-    is smoothed by a cubic Savitzky-Golay filter a third of the rise long.
+    Empty if there is none (or no force, or a reference that does not ask for one). With noise on
+    the force the response is smoothed by a cubic Savitzky-Golay filter a third of the rise long.
     """
-    if run.reference_n is None or run.force_n is None:
+    if run.reference_n is None or run.force_n is None or run.controlled() != 'force':
         return []
-    reference = run.reference_n
-    known = np.flatnonzero(np.isfinite(reference))
-    if known.size < 2:
-        return []
-    # A lost reference sample keeps the last value.
-    last = np.maximum.accumulate(np.where(np.isfinite(reference), np.arange(reference.size), 0))
-    reference = reference[np.maximum(last, known[0])]
+    reference = held(run.reference_n)
     return [_measure(run.time_s, reference, run.force_n, jump) for jump in _jumps(reference)]
 
 

@@ -26,7 +26,7 @@ def asi(*arguments, **options):
         timeout=100, env={**os.environ, 'PYTHONPATH': str(ROOT)}, **options)
 
 
-@pytest.mark.parametrize('command', ['run', 'analyze', 'reproduce', 'demo'])
+@pytest.mark.parametrize('command', ['run', 'analyze', 'import', 'export', 'reproduce', 'demo'])
 def test_help_of_each_command_shows_an_example(command):
     result = asi(command, '--help')
     assert result.returncode == 0
@@ -66,12 +66,17 @@ def test_help_loads_nothing_heavy():
     (('run', '--controller', 'wrong.yaml'), 'gian'),
     (('run', '--out', 'used'), 'used'),
     (('demo', '--out', 'used'), 'used'),
+    (('import', 'nowhere.csv', '--out', 'new'), 'nowhere.csv'),
+    (('import', 'table.csv', '--map', 'force=load', '--rate', '10', '--out', 'new'), 'load'),
+    (('import', 'table.csv', '--map', 'colour=t', '--rate', '10', '--out', 'new'), 'colour'),
+    (('export', 'nowhere', '--out', 'new.csv'), 'nowhere'),
 ])
 def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path):
     (tmp_path / 'empty.mcap').touch()
     (tmp_path / 'foreign.yaml').write_text('camera:\n  ros__parameters: {exposure: 3}\n')
     (tmp_path / 'broken.yaml').write_text('asi_controller: [')
     (tmp_path / 'wrong.yaml').write_text('asi_controller:\n  ros__parameters: {gian: 3.0}\n')
+    (tmp_path / 'table.csv').write_text('t,f\n0,1\n1,2\n')
     (tmp_path / 'used').mkdir()
     (tmp_path / 'used' / 'thesis.tex').touch()
     result = asi(*arguments, cwd=tmp_path)
@@ -104,6 +109,28 @@ def test_documentation_check_can_fail():
     assert len(json_keys.problems(answer, json_keys.ANALYZE)) == 3
 
 
+def test_table_becomes_a_bag_and_a_table_again(tmp_path):
+    """A step in a CSV of milliseconds and kilonewtons: imported, analysed, exported."""
+    t = np.arange(2000)
+    force = np.where(t > 100, 0.1 * (1.0 - np.exp(-(t - 100) / 20.0)), 0.0)
+    np.savetxt(tmp_path / 'log.csv', np.column_stack([t, np.where(t >= 100, 0.1, 0.0), force]),
+               delimiter=',', header='t,wanted,load', comments='')
+    imported = asi('import', 'log.csv', '--map', 'time=t[ms]', '--map', 'reference=wanted[kN]',
+                   '--map', 'force=load[kN]', '--out', 'bag', '--json', cwd=tmp_path)
+    assert imported.returncode == 0, imported.stderr
+    document = json.loads(imported.stdout)
+    assert json_keys.problems(document, json_keys.DOCUMENTS['asi import']) == []
+    assert (document['rate_hz'], document['signals']) == (1000.0, ['reference', 'force'])
+    answer = json.loads(asi('analyze', 'bag', '--json', cwd=tmp_path).stdout)
+    assert answer['rise_time_s'] == pytest.approx(0.020 * np.log(9.0), rel=1e-3)
+    assert answer['bandwidth_hz'] == pytest.approx(1.0 / (2.0 * np.pi * 0.020), rel=0.02)
+    exported = asi('export', 'bag', '--out', 'again.csv', '--json', cwd=tmp_path)
+    assert json_keys.problems(json.loads(exported.stdout),
+                              json_keys.DOCUMENTS['asi export']) == []
+    table = np.genfromtxt(tmp_path / 'again.csv', delimiter=',', names=True)
+    assert np.allclose(table['force_n'], 1e3 * force)
+
+
 def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
     """The analysis of a bag from three processes is that of the same loop computed here."""
     out = tmp_path / 'out'
@@ -129,6 +156,7 @@ def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
         assert answer[key] == value
     table = asi('analyze', answer['bag'])
     assert f'{answer["overshoot_percent"]:.3g} %' in table.stdout
+    assert 'oscillation            none' in table.stdout
 
 
 def processes_of(directory):

@@ -23,6 +23,13 @@ def test_sine_is_found_exactly():
     assert found.amplitude_n == pytest.approx(40.0, rel=0.01)
 
 
+def test_lost_samples_at_the_end_are_no_change_of_the_reference():
+    """The last answer of a run may be missing from its bag."""
+    reference, force = STEP.copy(), STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T)
+    reference[-1] = force[-3] = np.nan
+    assert swing(force, reference).sustained is True
+
+
 def test_decaying_sine_is_not_sustained():
     found = swing(STEP + 100.0 * np.exp(-T / 0.5) * np.sin(2 * np.pi * 91.37 * T))
     assert found.sustained is False
