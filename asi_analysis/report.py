@@ -24,7 +24,7 @@ from asi_controller.compensator import OWN_GAIN
 ALIKE: Final = 0.25
 
 
-class _Cell(NamedTuple):
+class Cell(NamedTuple):
     published: str
     simulated: str
     verdict: str
@@ -53,7 +53,7 @@ def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
             figure.savefig(out / f'{name}.png')
     page = out / 'report.html'
     page.write_text(environment().get_template('demo.html').render(
-        rows=[(each.plan.title, [_compare(each.analysis, entry)
+        rows=[(each.plan.title, [compare(each.analysis, entry)
                                  for entry in each.plan.published])
               for each in recorded if each.plan.published],
         quantities=[f'{entry.quantity} ({entry.unit})' for entry in recorded[0].plan.published],
@@ -82,23 +82,23 @@ def _hysteresis(loop: Loop) -> Figure:
                                    (loop.slope_m_n, loop.offset_m), loop.width_n)
 
 
-def _compare(analysis: dict[str, Any], entry: Published) -> _Cell:
+def compare(analysis: dict[str, Any], entry: Published) -> Cell:
     """Put our figure beside the published one and say plainly how they differ."""
     value = scaled(analysis, entry)
     if value is None:
-        return _Cell(entry.words, '-', 'not reached', False)
+        return Cell(entry.words, '-', 'not reached', False)
     text = (f'{value:.3g}' if abs(value) >= 0.01 else '0').replace('-', '−')
     if entry.words.startswith(('<', '≪')):
         below = abs(value) < entry.value
-        return _Cell(entry.words, text, 'as published' if below else 'larger', below)
+        return Cell(entry.words, text, 'as published' if below else 'larger', below)
     if entry.value == 0.0:
-        return _Cell(entry.words, text, 'alike' if abs(value) < 2.0 else f'{value:.1f} more',
+        return Cell(entry.words, text, 'alike' if abs(value) < 2.0 else f'{value:.1f} more',
                      abs(value) < 2.0)
     ratio = abs(value) / entry.value
     if abs(ratio - 1.0) < ALIKE:
-        return _Cell(entry.words, text, 'alike', True)
+        return Cell(entry.words, text, 'alike', True)
     smaller, larger = ('shorter', 'longer') if entry.unit == 'ms' else ('smaller', 'larger')
-    return _Cell(entry.words, text, f'{ratio:.1f} times {larger}' if ratio > 1.0
+    return Cell(entry.words, text, f'{ratio:.1f} times {larger}' if ratio > 1.0
                  else f'{1.0 / max(ratio, 1e-3):.1f} times {smaller}', False)
 
 
