@@ -219,6 +219,40 @@ def reproduce(
     answer(document, as_json, reproduction.show)
 
 
+@command('limit-cycle', 'asi limit-cycle runs/from_inside/bag runs/from_outside/bag')
+def limit_cycle(
+    bags: Annotated[list[Path] | None, typer.Argument(
+        help='Bags of the same loop, judged together')] = None,
+    signal: Annotated[str | None, typer.Option(
+        help='Signal to judge; by default the force, or the first other that is there')] = None,
+    figure: Annotated[Path | None, typer.Option(
+        help='PNG file for a picture of the first bag')] = None,
+    check: Annotated[int | None, typer.Option(
+        help='No bag: so many signals of known truth in each class instead')] = None,
+    as_json: Json = False,
+) -> None:
+    """Say of each stretch of a recording whether it is a limit cycle, and how surely."""
+    from asi_analysis.limit_cycle import answer as limit_cycle_answer
+    if check is not None:
+        from asi_analysis.limit_cycle import check as limit_cycle_check
+        with progress() as told:
+            document = limit_cycle_check.check(check, 1, told)
+        answer(document, as_json, lambda d: print(limit_cycle_check.as_text(d)))
+        return
+    from asi_analysis.bag import read_bag
+    if not bags:
+        raise InputError('limit-cycle takes at least one bag, or --check')
+    with progress() as told:
+        told('reading', None)
+        runs = [read_bag(bag) for bag in bags]
+        told('judging', None)
+        document = limit_cycle_answer.limit_cycle(runs, signal)
+        if figure:
+            from asi_analysis.limit_cycle.figure import draw
+            draw(runs[0], document, figure)
+    answer(document, as_json, lambda d: print(limit_cycle_answer.as_text(d)))
+
+
 def _show_run(document: Mapping[str, Any]) -> None:
     print(f'{document["compensator"]}, {document["mode"]}, {document["ticks"]} ticks')
     _show_analysis(document)

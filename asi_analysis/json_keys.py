@@ -99,6 +99,55 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('ids_met', '[text]', 'facts all of whose rows are met'),
         Key('ids_total', 'integer', 'facts'),
         Key('report', 'text?', 'path of the report; null: none was asked for')),
+    'asi limit-cycle': (
+        Key('segments', '[object]', 'the stretches of each bag, in the order of time', (
+            Key('source', 'text', 'bag'),
+            Key('signal', 'text', 'signal that was judged'),
+            Key('unit', 'text', 'its unit: that of the amplitudes, whatever their name says'),
+            Key('start_s', 'number', 'begin'),
+            Key('end_s', 'number', 'end'),
+            Key('verdict', 'text', 'limit_cycle, decaying, growing, forced, saturating, noise or '
+                'unsteady'),
+            Key('confidence', 'number', 'probability of the verdict, 0 to 1'),
+            Key('why', 'text', 'what speaks for it; for a closed orbit not shown to be isolated, '
+                'the run that would show it'),
+            Key('cycles', 'number', 'cycles in the segment'),
+            Key('frequency_hz', 'number?', 'of the fundamental; null: no oscillation'),
+            Key('frequency_low_hz', 'number?', 'its interval at 95 %: low end'),
+            Key('frequency_high_hz', 'number?', 'high end'),
+            Key('amplitude_n', 'number?', 'amplitude of the fundamental'),
+            Key('amplitude_low_n', 'number?', 'its interval at 95 %: low end'),
+            Key('amplitude_high_n', 'number?', 'high end'),
+            Key('thd', 'number?', 'rms of the harmonics over that of the fundamental'),
+            Key('harmonics', '[number]', 'amplitudes over that of the first'),
+            Key('envelope_rate_1_s', 'number?', 'growth of the logarithm of the amplitude'),
+            Key('envelope_rate_low_1_s', 'number?', 'its interval at 95 %: low end'),
+            Key('envelope_rate_high_1_s', 'number?', 'high end'),
+            Key('return_map_slope', 'number?', 'slope of each peak against the one before: the '
+                'Poincaré map; below 1 it attracts'),
+            Key('orbit_closure', 'number?', 'rms distance to the orbit one cycle earlier, over '
+                'the rms of the signal; 0: closed'),
+            Key('came_from', 'text', 'inside, outside: how the orbit was reached; disturbed: it '
+                'had been left; empty: the record does not show it'),
+            Key('isolated', 'boolean', 'whether these bags show that the orbit is isolated'))),
+    ),
+    'asi limit-cycle --check': (
+        Key('accuracy', '[object]', 'sines of known truth', (
+            Key('cycles', 'number', 'cycles in the record'),
+            Key('samples_a_cycle', 'number', 'samples a cycle'),
+            Key('snr_db', 'number', 'power of the sine over that of the noise'),
+            Key('frequency_error_over_bound', 'number', 'rms error over the Cramér-Rao bound'),
+            Key('amplitude_error_over_bound', 'number', 'the same for the amplitude'),
+            Key('frequency_coverage', 'number', 'share of the 95 % intervals that hold the truth'),
+            Key('amplitude_coverage', 'number', 'the same for the amplitude'))),
+        Key('verdicts', '[object]', 'families of signals of known kind', (
+            Key('family', 'text', 'kind of signal'),
+            Key('truth', 'text', 'verdict that is right'),
+            Key('count', 'integer', 'signals'),
+            Key('right', 'integer', 'right verdicts'),
+            Key('false_limit_cycles', 'integer', 'signals wrongly called a limit cycle'),
+            Key('verdicts', 'object', 'how often each verdict was given'))),
+    ),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),
