@@ -44,6 +44,8 @@ MODULES: Final = {'controller': 'asi_controller.controller_node',
 # A node that is asked to end and does not within this time is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
+# Loaded here, not between fork and exec, where a lock of another thread may be held.
+LIBC: Final = ctypes.CDLL(None)
 
 # progress(what is going on, share done or None)
 Progress = Callable[[str, float | None], None]
@@ -281,7 +283,7 @@ def _environment() -> dict[str, str]:
 def _end_with_parent() -> None:
     """Have Linux send SIGINT to this node when the process that started it dies."""
     if sys.platform == 'linux':
-        ctypes.CDLL(None).prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
+        LIBC.prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
 
 
 @contextmanager

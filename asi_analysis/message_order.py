@@ -99,9 +99,9 @@ class TickOrder:
         """
         waiting, self._unplaced = self._unplaced, []
         for arrival in arrivals:
-            self._add(arrival, now_s)
+            self._add(arrival, now_s, now_s)
         for arrived_s, arrival in waiting:
-            self._add_unstamped(arrival, arrived_s, now_s)
+            self._add(arrival, arrived_s, now_s)
         items, self._late = self._late, []
         while self._order and self._may_go(self._order[0], now_s):
             items += self._release(heapq.heappop(self._order))
@@ -144,15 +144,18 @@ class TickOrder:
         self._spoken.update({item.topic for item in items})
         return items
 
-    def _add(self, arrival: Arrival, now_s: float) -> None:
+    def _add(self, arrival: Arrival, arrived_s: float, now_s: float) -> None:
         stamp = arrival.stamp_ns
         if stamp is None:
-            self._add_unstamped(arrival, now_s, now_s)
+            self._add_unstamped(arrival, arrived_s, now_s)
             return
         if arrival.topic == self._guide:
             self._stamps[arrival.number] = stamp
             self._newest = max(self._newest, stamp)
-        elif self._newest and (not stamp or abs(stamp - self._newest) > OTHER_CLOCK_NS):
+        elif not stamp or abs(stamp - self._newest) > OTHER_CLOCK_NS:
+            if not self._newest and now_s - arrived_s <= PATIENCE_S:
+                self._unplaced.append((arrived_s, arrival))
+                return
             stamp = self._newest
         self._place(arrival, stamp, now_s)
 

@@ -232,15 +232,21 @@ class Recorder(Node):
             self._pending = True
 
     def _choose_order(self, final: bool) -> ReceiptOrder | TickOrder | None:
-        """Tell real time from lock-step by the first stamp; None while there is none."""
-        for arrival in self._arrived:
+        """
+        Tell real time from lock-step by the first stamp; None while there is none.
+
+        That of /diagnostics does not count: before the first tick it is wall time in any mode.
+        """
+        arrived = [arrival for arrival in self._arrived
+                   if self._topics[arrival.topic].type != TYPES['/diagnostics']]
+        for arrival in arrived:
             if arrival.stamp_ns:
                 if abs(arrival.stamp_ns - arrival.received_ns) < OTHER_CLOCK_NS:
                     return ReceiptOrder()
                 stamped = [i for i, topic in enumerate(self._topics) if topic.stamped]
                 guides = [i for i in stamped if self._topics[i].type == TYPES['force']] or stamped
                 return TickOrder(len(self._topics), guides[0])
-        waited_ns = time.time_ns() - self._arrived[0].received_ns
+        waited_ns = time.time_ns() - arrived[0].received_ns if arrived else 0
         return ReceiptOrder() if final or waited_ns > HOLD_S * 1e9 else None
 
     def _hand_over(self) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader
 
 from asi_analysis import json_keys
 from asi_analysis.analysis import analyze
@@ -157,6 +158,26 @@ def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
     table = asi('analyze', answer['bag'])
     assert f'{answer["overshoot_percent"]:.3g} %' in table.stdout
     assert 'oscillation none' in ' '.join(table.stdout.split())
+
+
+def messages_of(bag):
+    """Return the messages of a bag but /diagnostics, in its order: topic, time, bytes."""
+    with Reader(bag) as reader:
+        return [(connection.topic, time_ns, bytes(data))
+                for connection, time_ns, data in reader.messages()
+                if connection.topic != '/diagnostics']
+
+
+def test_same_command_twice_gives_the_same_bag(ros_environment, tmp_path):
+    bags = []
+    for name in ('first', 'second'):
+        result = asi('run', '--compensator', 'lead4', '--step', '100', '--duration', '0.1',
+                     '--set', 'actuator.force_sensor.noise=0.5', '--out', str(tmp_path / name),
+                     '--json')
+        assert result.returncode == 0, result.stderr
+        bags.append(messages_of(json.loads(result.stdout)['bag']))
+    assert len(bags[0]) == 7 * 500
+    assert bags[0] == bags[1]
 
 
 def processes_of(directory):
