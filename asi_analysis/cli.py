@@ -199,6 +199,9 @@ def reproduce(
     actuator: Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')] = None,
     report: Annotated[Path | None, typer.Option(
         help='Directory for an HTML report with our version of Figs. 3 to 12')] = None,
+    over_ros: Annotated[Path | None, typer.Option(
+        help='Make the closed-loop rows with the real nodes as well; their bags go into this '
+        'directory. A value that differs: exit status 1')] = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -216,7 +219,12 @@ def reproduce(
             from asi_analysis.reproduction_report import write_report
             told('report', None)
             document['report'] = str(write_report(result, report))
+        if over_ros:
+            document['over_ros'] = [reproduction.as_dict(each) for each
+                                    in reproduction.over_ros(result, over_ros, told)]
     answer(document, as_json, reproduction.show)
+    if not all(each['equal'] for each in document['over_ros']):
+        raise typer.Exit(1)
 
 
 @command('limit-cycle', 'asi limit-cycle runs/from_inside/bag runs/from_outside/bag')

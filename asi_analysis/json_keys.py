@@ -98,6 +98,12 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('total', 'integer', 'rows'),
         Key('ids_met', '[text]', 'facts all of whose rows are met'),
         Key('ids_total', 'integer', 'facts'),
+        Key('over_ros', '[object]', 'closed-loop values measured with the real nodes as well; '
+            'empty: not asked for', (
+                Key('value', 'text', 'name of the value'),
+                Key('in_process', 'number?', 'from the simulation in one process'),
+                Key('over_ros', 'number?', 'from the bag'),
+                Key('equal', 'boolean', 'whether they are the same to the last bit'))),
         Key('report', 'text?', 'path of the report; null: none was asked for')),
     'asi limit-cycle': (
         Key('segments', '[object]', 'the stretches of each bag, in the order of time', (

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from asi_actuator.parameters import as_record
-from asi_analysis.facts.bench import Values, step_run
+from asi_analysis.facts.bench import Values, in_process, step_experiment
 from asi_analysis.facts.conditions import LOCKED, SPRING, Conditions
 from asi_analysis.facts.cycle import proportional
 from asi_analysis.facts.describing import describing_function, log_response, predict
@@ -66,8 +66,9 @@ def high_gain_step(actuator: Values, conditions: Conditions, onset_gain: float) 
     """Draw Fig. 6: the step response that ends in the limit cycle."""
     gain = conditions.cycle_gain * onset_gain
     figure, axes = _figure(f'Fig. 6: step response with high gain, Kp = {gain:.3g}')
-    run = step_run(as_record({**actuator, **LOCKED}), proportional(gain),
-                   conditions.cycle_step_n, 0.4)
+    run = in_process(step_experiment(
+        {**actuator, **LOCKED}, {**proportional(gain), 'feedforward': conditions.feedforward},
+        conditions.cycle_step_n, 0.4))
     axes.plot(run.time_s, run.force_n, color=BLUE, linewidth=1.0)
     axes.set(xlabel='time (s)', ylabel='force (N)', xlim=(0.0, 0.4))
     return figure
@@ -76,7 +77,7 @@ def high_gain_step(actuator: Values, conditions: Conditions, onset_gain: float) 
 def onset_against_input(conditions: Conditions, measured: Measured) -> Figure:
     """Draw Fig. 7: gain and frequency at which the cycle begins, against the step."""
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout='constrained')
-    steps = np.array([0.0 if step <= 10.0 else step for step in conditions.onset_steps_n])
+    steps = np.array(conditions.onset_steps_n)
     above, below = figure.subplots(2, 1, sharex=True)
     for axes, quantity, label in ((above, 'gain', 'onset gain (N/N)'),
                                   (below, 'frequency_hz', 'frequency (Hz)')):
@@ -135,12 +136,12 @@ def table_1_step(actuator: Values, conditions: Conditions, name: str, title: str
     """Draw one of Figs. 10 to 12: a step response of Table 1."""
     test = getattr(conditions, name)
     figure, axes = _figure(f'{title}, step of {test.amplitude_n:g} N')
-    run = step_run(as_record({**actuator, **SPRING}),
-                   {'feedforward': conditions.feedforward, **test.controller},
-                   test.amplitude_n, 0.3)
+    run = in_process(step_experiment(
+        {**actuator, **SPRING}, {'feedforward': conditions.feedforward, **test.controller},
+        test.amplitude_n, 0.4))
     axes.plot(run.time_s, run.reference_n, '--', color='black', linewidth=0.8)
     axes.plot(run.time_s, run.force_n, color=BLUE)
-    axes.set(xlabel='time (s)', ylabel='force (N)', xlim=(0.0, 0.3))
+    axes.set(xlabel='time (s)', ylabel='force (N)', xlim=(0.0, 0.4))
     return figure
 
 

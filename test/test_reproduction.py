@@ -10,7 +10,7 @@ import pytest
 
 from asi_actuator.parameters import as_record
 from asi_analysis.facts.bandwidth import bandwidth_hz, open_loop_gain
-from asi_analysis.facts.bench import RATE_HZ, Bench, step_run
+from asi_analysis.facts.bench import RATE_HZ, Bench, in_process, step_experiment
 from asi_analysis.facts.cycle import cycle, onset, proportional
 from asi_analysis.facts.describing import describing_function, linear_critical_gain
 from asi_analysis.facts.linear import linear_model
@@ -33,7 +33,7 @@ def test_cycle_of_a_known_signal():
 
 
 def test_fast_cycle_agrees_with_asi_analyze():
-    run = step_run(as_record({}), proportional(14.0), 100.0, 1.0)
+    run = in_process(step_experiment({}, proportional(14.0), 100.0, 1.0))
     slow, fast = oscillation(Run(*run)), cycle(run.force_n[-2000:])
     assert slow.sustained
     assert fast.frequency_hz == pytest.approx(slow.frequency_hz, rel=2e-3)

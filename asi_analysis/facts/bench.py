@@ -1,7 +1,7 @@
 """The test bench: the actuator under one controller, run piece by piece in one process."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -9,15 +9,19 @@ import numpy.typing as npt
 
 from asi_actuator.model.actuator import Trajectory, rest, simulate
 from asi_actuator.parameters import Value, as_record
-from asi_analysis.closed_loop import LoopRun, _close
+from asi_analysis.closed_loop import LoopRun, _close, simulate_loop
+from asi_analysis.experiment import Experiment
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import CONSTANT, SINE
 
 RATE_HZ: Final = 5000.0
+# Rest before a step.
+BEFORE_S: Final = 0.1
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, Value]
+Runner = Callable[[Experiment], LoopRun]
 
 
 class Bench:
@@ -57,9 +61,16 @@ def open_loop(plant: np.void, commands: Array) -> Trajectory:
     return simulate(plant, commands, 1.0 / RATE_HZ)
 
 
-def step_run(plant: np.void, controller: Values, amplitude_n: float, duration_s: float,
-             before_s: float = 0.01) -> LoopRun:
-    """Return a step of the reference from rest, as `asi run --step` makes it."""
-    bench = Bench(plant, controller)
-    before, after = bench.run(before_s, 0.0), bench.run(duration_s, amplitude_n)
-    return LoopRun(*(np.concatenate(pair) for pair in zip(before, after, strict=True)))
+def step_experiment(actuator: Values, controller: Values, amplitude_n: float, duration_s: float,
+                    from_n: float = 0.0) -> Experiment:
+    """Return a step of the reference, after BEFORE_S at `from_n`: what `asi run --step` does."""
+    reference: Values = {'reference.shape': 'step', 'reference.offset': from_n,
+                         'reference.amplitude': amplitude_n - from_n,
+                         'reference.start': BEFORE_S}
+    return Experiment(actuator, {**controller, **reference}, duration_s, rate_hz=RATE_HZ)
+
+
+def in_process(experiment: Experiment) -> LoopRun:
+    """Return what the nodes would do, computed in this process."""
+    return simulate_loop(experiment.actuator, experiment.controller, experiment.duration_s,
+                         experiment.rate_hz)

@@ -29,8 +29,9 @@ class Conditions(NamedTuple):
     lead_lag: StepTest = StepTest({'compensator': 'lead_lag'}, 150.0)
     lead4: StepTest = StepTest({'compensator': 'lead4'}, 150.0)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
-    # Section 3.1 gives 0 to 600 N. Nothing starts a cycle at 0 N: 10 N stand for it.
-    onset_steps_n: tuple[float, ...] = (10.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
+    # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
+    start_n: float = 100.0
+    onset_steps_n: tuple[float, ...] = (0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
     onset_accuracy: float = 0.003
     # Fig. 6: a step of this size, at this multiple of the onset gain.
     cycle_step_n: float = 100.0

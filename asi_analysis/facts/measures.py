@@ -9,7 +9,7 @@ import numpy as np
 
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.facts.bandwidth import bandwidth_hz, closed_loop_gain, open_loop_gain
-from asi_analysis.facts.bench import Bench, Values, step_run
+from asi_analysis.facts.bench import Bench, Runner, Values, in_process, step_experiment
 from asi_analysis.facts.conditions import LOCKED, SPRING, Conditions, StepTest
 from asi_analysis.facts.cycle import Cycle, cycle, onset, sustained
 from asi_analysis.facts.describing import linear_critical_gain, predict
@@ -38,6 +38,9 @@ HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
 NO_HYSTERESIS: Final = {'valve_hysteresis.model': 'off'}
 NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
 STEP_S: Final = 0.8
+CYCLE_S: Final = 1.2
+# Samples at the end of a run over which a cycle is measured.
+LAST: Final = 1500
 
 Measured = dict[str, float]
 
@@ -123,15 +126,20 @@ def onset_name(step_n: float, quantity: str) -> str:
 
 
 def onsets(actuator: Values, conditions: Conditions) -> Measured:
-    """Return the gains and frequencies of Fig. 7."""
+    """Return the gains of Fig. 7."""
     plant = _plant(actuator, LOCKED)
-    found = [onset(lambda gain: _loop(plant, conditions, gain), step,
-                   accuracy=conditions.onset_accuracy) for step in conditions.onset_steps_n]
-    gains = np.array([gain for gain, _ in found])
-    measured: Measured = {}
-    for step, (gain, found_cycle) in zip(conditions.onset_steps_n, found, strict=True):
-        measured[onset_name(step, 'gain')] = gain
-        measured[onset_name(step, 'frequency_hz')] = found_cycle.frequency_hz
+
+    def loop(gain: float, step: float) -> Bench:
+        bench = _loop(plant, conditions, gain)
+        if step == 0.0:
+            bench.run(0.1, conditions.start_n)
+        return bench
+
+    found = [onset(partial(loop, step=step), step, accuracy=conditions.onset_accuracy)[0]
+             for step in conditions.onset_steps_n]
+    gains = np.array(found)
+    measured = {onset_name(step, 'gain'): gain
+                for step, gain in zip(conditions.onset_steps_n, found, strict=True)}
     finite = bool(np.isfinite(gains).all())
     measured['onset_least_rise_percent'] = (
         100.0 * float(np.min(gains[1:] / gains[:-1]) - 1.0) if finite else -math.inf)
@@ -140,20 +148,36 @@ def onsets(actuator: Values, conditions: Conditions) -> Measured:
     return measured
 
 
-def high_gain_cycle(actuator: Values, conditions: Conditions, onset_gain: float) -> Measured:
+def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,
+                      runner: Runner = in_process) -> Measured:
+    """Return the frequencies of Fig. 7: of the cycles at the onset gains."""
+    measured: Measured = {}
+    for step in conditions.onset_steps_n:
+        gain, frequency = gains[onset_name(step, 'gain')], 0.0
+        if math.isfinite(gain):
+            run = runner(step_experiment(
+                {**actuator, **LOCKED}, _gain(conditions, gain), step, CYCLE_S,
+                conditions.start_n if step == 0.0 else 0.0))
+            frequency = cycle(run.force_n[-LAST:]).frequency_hz
+        measured[onset_name(step, 'frequency_hz')] = frequency
+    return measured
+
+
+def high_gain_cycle(actuator: Values, conditions: Conditions, onset_gain: float,
+                    runner: Runner = in_process) -> Measured:
     """Return the cycle of Fig. 6."""
-    nothing = Cycle(0.0, 0.0, 1.0)
     if not math.isfinite(onset_gain):
         return {'cycle_frequency_hz': 0.0, 'cycle_thd_percent': 100.0, 'cycle_amplitude_n': 0.0,
                 'cycle_peak_valve_percent': 100.0}
-    plant = _plant(actuator, LOCKED)
-    bench = _loop(plant, conditions, conditions.cycle_gain * onset_gain)
-    found = sustained(bench, conditions.cycle_step_n) or nothing
-    last = bench.run(0.1, conditions.cycle_step_n)
-    opening = np.abs(last.valve_position_m).max() / plant['valve_characteristic_full_opening']
+    run = runner(step_experiment(
+        {**actuator, **LOCKED}, _gain(conditions, conditions.cycle_gain * onset_gain),
+        conditions.cycle_step_n, CYCLE_S))
+    found = cycle(run.force_n[-LAST:])
+    full = float(as_record(actuator)['valve_characteristic_full_opening'])
     return {'cycle_frequency_hz': found.frequency_hz, 'cycle_amplitude_n': found.amplitude_n,
             'cycle_thd_percent': 100.0 * found.thd,
-            'cycle_peak_valve_percent': 100.0 * float(opening)}
+            'cycle_peak_valve_percent':
+                100.0 * float(np.abs(run.valve_position_m[-LAST:]).max()) / full}
 
 
 def _settled(bench: Bench, step_n: float) -> Cycle:
@@ -251,11 +275,12 @@ def describing(actuator: Values) -> Measured:
     }
 
 
-def step_test(actuator: Values, conditions: Conditions, test: StepTest, name: str) -> Measured:
+def step_test(actuator: Values, conditions: Conditions, test: StepTest, name: str,
+              runner: Runner = in_process) -> Measured:
     """Return one column of Table 1, with what its waveform says about artefacts."""
-    run = step_run(_plant(actuator, SPRING),
-                   {**test.controller, 'feedforward': conditions.feedforward},
-                   test.amplitude_n, STEP_S)
+    run = runner(step_experiment(
+        {**actuator, **SPRING}, {'feedforward': conditions.feedforward, **test.controller},
+        test.amplitude_n, STEP_S))
     step = headline(step_responses(Run(*run)))
     nothing = math.inf
     if step is None or step.rise_time_s is None:

@@ -44,7 +44,7 @@ def stated(actuator: Values, conditions: Conditions) -> dict[str, tuple[str, str
         'F6': (cycle, 'fundamental and harmonics 2 to 9 over whole periods'),
         'F7': (f'{cycle}; pushes of +-400 and 800 N for 30 ms, starts from +-600 N',
                'fundamental over whole periods'),
-        'F8': (f'{loop}; steps from rest, 10 N standing for 0 N',
+        'F8': (f'{loop}; steps from rest; to 0 N, a step back from {conditions.start_n:g} N',
                f'least gain with a sustained cycle, by bisection to '
                f'{100.0 * conditions.onset_accuracy:g} %'),
         'F9': ('as section 4.1', prediction),

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
 from asi_analysis.facts import measures
-from asi_analysis.facts.bench import Values
+from asi_analysis.facts.bench import Runner, Values, in_process
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured, onset_name
 
@@ -50,11 +50,11 @@ def _around(id_: str, value: str, quantity: str, section: str, published: float,
 
 def _onset(step: float) -> Fact:
     # Fig. 7, a straight line between the two frequencies that section 3.1 gives.
-    published = 95.0 - 20.0 * (0.0 if step <= 10.0 else step) / 600.0
+    published = 95.0 - 20.0 * step / 600.0
     return Fact('F8', onset_name(step, 'frequency_hz'),
-                f'cycle frequency at onset, {0.0 if step <= 10.0 else step:.0f} N', '3.1, Fig. 7',
+                f'cycle frequency at onset, {step:.0f} N', '3.1, Fig. 7',
                 published, 'Hz', published - 3.0, published + 3.0,
-                fitted=step in (10.0, 100.0, 300.0, 600.0))
+                fitted=step in (0.0, 100.0, 300.0, 600.0))
 
 
 def _column(id_: str, name: str, words: str, rise: float, overshoot: tuple[float, float, float],
@@ -146,6 +146,27 @@ FACTS: Final[tuple[Fact, ...]] = (
 Report = Callable[[str, float | None], None]
 
 
+def closed_loop_groups(actuator: Values, conditions: Conditions, gains: Measured,
+                       runner: Runner) -> dict[str, Callable[[], Measured]]:
+    """
+    Return the measurements that are single runs of the loop: the nodes can make them too.
+
+    gains: holds the onset gains, by the time that a group is called.
+    """
+    def table_1() -> Measured:
+        return {key: value for name in ('proportional', 'lead_lag', 'lead4')
+                for key, value in measures.step_test(
+                    actuator, conditions, getattr(conditions, name), name, runner).items()}
+
+    return {
+        'Table 1': table_1,
+        'frequency at the onset': lambda: measures.onset_frequencies(
+            actuator, conditions, gains, runner),
+        'the cycle': lambda: measures.high_gain_cycle(
+            actuator, conditions, gains[onset_name(conditions.cycle_step_n, 'gain')], runner),
+    }
+
+
 def measure(actuator: Values, conditions: Conditions | None = None,
             report: Report = lambda text, share: None) -> Measured:
     """
@@ -155,10 +176,9 @@ def measure(actuator: Values, conditions: Conditions | None = None,
     """
     conditions = conditions or Conditions()
     measured: Measured = {}
-    onset_at_step = onset_name(conditions.cycle_step_n, 'gain')
 
     def gain() -> float:
-        return measured[onset_at_step]
+        return measured[onset_name(conditions.cycle_step_n, 'gain')]
 
     groups: Mapping[str, Callable[[], Measured]] = {
         'slow tests': lambda: measures.static(actuator, conditions),
@@ -166,12 +186,8 @@ def measure(actuator: Values, conditions: Conditions | None = None,
         'damping': lambda: measures.damping(actuator),
         'describing function': lambda: measures.describing(actuator),
         'bandwidths': lambda: measures.bandwidths(actuator, conditions),
-        'Table 1': lambda: {
-            key: value for name in ('proportional', 'lead_lag', 'lead4')
-            for key, value in measures.step_test(
-                actuator, conditions, getattr(conditions, name), name).items()},
         'onset of the cycle': lambda: measures.onsets(actuator, conditions),
-        'the cycle': lambda: measures.high_gain_cycle(actuator, conditions, gain()),
+        **closed_loop_groups(actuator, conditions, measured, in_process),
         'pushes and starts': lambda: measures.same_cycle(actuator, conditions, gain()),
         'without hysteresis': lambda: {
             'linear_onset_ratio': measures.free_onset(
