@@ -7,9 +7,9 @@ ros2 launch asi_actuator asi_actuator.launch.py mode:=realtime record:=run1
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import LaunchConfigurationNotEquals
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -30,20 +30,21 @@ ARGUMENTS = (
 def generate_launch_description() -> LaunchDescription:
     """Return what to start."""
     record = LaunchConfiguration('record')
+    recorded = NotEqualsSubstitution(record, '')
     loop = {
         'mode': LaunchConfiguration('mode'),
         'rate_hz': ParameterValue(LaunchConfiguration('rate_hz'), value_type=float),
-        'await_recorder': ParameterValue(
-            PythonExpression(['"', record, '" != ""']), value_type=bool),
+        'await_recorder': ParameterValue(recorded, value_type=bool),
     }
     duration = {'duration': ParameterValue(LaunchConfiguration('duration'), value_type=float)}
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=text)
           for name, default, text in ARGUMENTS),
         Node(package='asi_actuator', executable='actuator',
-             parameters=[LaunchConfiguration('actuator_config'), loop | duration]),
+             parameters=[LaunchConfiguration('actuator_config'), loop | duration],
+             on_exit=Shutdown(reason='the run has ended')),
         Node(package='asi_actuator', executable='controller',
              parameters=[LaunchConfiguration('controller_config'), loop]),
         Node(package='asi_actuator', executable='recorder', parameters=[{'output': record}],
-             condition=LaunchConfigurationNotEquals('record', '')),
+             condition=IfCondition(recorded)),
     ])
