@@ -45,8 +45,10 @@ def progress() -> Iterator[Callable[[str, float | None], None]]:
     """Give report(what is going on, share done or None): a bar on stderr, gone at the end."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    console = Console(stderr=True)
     with Progress(SpinnerColumn(), TextColumn('{task.description}'), BarColumn(),
-                  TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bars:
+                  TimeElapsedColumn(), console=console, transient=True,
+                  disable=not console.is_terminal) as bars:
         task = bars.add_task('', total=None)
 
         def report(text: str, share: float | None = None) -> None:

@@ -232,9 +232,9 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambd
     run, RunFailedError if a node fails. Its ROS domain is ROS_DOMAIN_ID, or one of its own.
     """
     experiment = checked(experiment)
+    environment = _environment()
     bag = out / 'bag'
     _prepare(experiment, out)
-    environment = _environment()
     with _nodes(experiment, out, environment) as nodes, _watched(environment) as ticks:
         progress('starting the nodes', None)
         while nodes['actuator'].poll() is None:
@@ -276,8 +276,13 @@ def _write_parameters(out: Path, which: str, values: Mapping[str, Value]) -> Non
 def _environment() -> dict[str, str]:
     """Return the environment of the nodes: by default alone on this machine, in a free domain."""
     # Up to 101 the ports of a domain are clear of those that Linux hands out.
-    return {'ROS_DOMAIN_ID': str(42 + os.getpid() % 60),
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+    environment = {'ROS_DOMAIN_ID': str(42 + os.getpid() % 60),
+                   'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+    domain = environment['ROS_DOMAIN_ID']
+    if not (domain.isascii() and domain.isdigit() and int(domain) <= 232):
+        raise InputError(f'ROS_DOMAIN_ID = {domain!r} is not allowed: it takes a whole number '
+                         'from 0 to 232')
+    return environment
 
 
 def _end_with_parent() -> None:

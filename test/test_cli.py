@@ -89,6 +89,13 @@ def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path):
     assert (tmp_path / 'used' / 'thesis.tex').exists()
 
 
+def test_bad_domain_is_told_in_one_line(monkeypatch, tmp_path):
+    monkeypatch.setenv('ROS_DOMAIN_ID', 'mine')
+    result = asi('run', '--out', 'new', cwd=tmp_path)
+    assert result.returncode == 2
+    assert 'ROS_DOMAIN_ID' in result.stderr and len(result.stderr.splitlines()) == 1
+
+
 def test_json_page_is_up_to_date():
     assert (ROOT / 'doc' / 'json.md').read_text() == json_keys.page()
 
