@@ -28,6 +28,9 @@ setup(
         'scipy',
         'pyyaml',
         'mcap',
+        'python-can',
+        'pyserial',
+        'cantools',
         'zstandard',
         'rosbags',
         'pyarrow',
@@ -49,6 +52,7 @@ setup(
     entry_points={
         'console_scripts': [
             'actuator = asi_actuator.actuator_node:main',
+            'can_actuator = asi_actuator.can_actuator:main',
             'controller = asi_controller.controller_node:main',
             'recorder = asi_analysis.recorder_node:main',
             'replay = asi_analysis.replay_node:main',

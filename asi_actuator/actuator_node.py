@@ -5,7 +5,6 @@ import sys
 import time
 from typing import Final, Protocol
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock
@@ -16,12 +15,17 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from asi_actuator import calibration
+from asi_actuator.calibration import Rest
 from asi_actuator.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
 from asi_actuator.discovery import not_recorded
+from asi_actuator.driver import Health, make_driver
+from asi_actuator.driver.simulated import physical
+from asi_actuator.model.actuator import Measurement
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, control_rate
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.ros_parameters import RosParameters
-from asi_actuator.simulated import SimulatedActuator, physical
+from asi_actuator.safety import Safety, State
 from asi_actuator.spin import RunError, RunFinished, run_node
 from asi_actuator.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS, nanoseconds, set_time
 
@@ -29,9 +33,6 @@ from asi_actuator.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS, nanoseco
 WATCH_PERIOD_S: Final = 0.005
 # Real time: at most so many periods are caught up at once; the rest is lost time.
 MOST_CATCH_UP: Final = 10
-# Calibration looks back so far (s), and calls a change of more than this (N) motion.
-CALIBRATION_WINDOW_S: Final = 0.2
-CALIBRATION_CHANGE_N: Final = 1.0
 
 
 class ActuatorNode(Node):
@@ -44,14 +45,23 @@ class ActuatorNode(Node):
         values = self.parameters.values
         self.rate_hz = control_rate(values)
         self.period_s = 1.0 / self.rate_hz
-        self.actuator = SimulatedActuator(values, self.period_s)
-        self.parameters.when_changed(lambda _: self.actuator.configure(self.parameters.values))
-        duration = float(values['duration'])
-        self.last_tick = math.ceil(duration * self.rate_hz - 1e-9) if duration else None
+        self.calibration = calibration.load(str(values['calibration_file']))
+        self.rest = Rest(self.rate_hz)
+        self.driver = make_driver(values, self.period_s)
+        self.driver.open()
+        self.applied_n = 0.0
+        self.safety = Safety(values, self.period_s,
+                             State.DISABLED if self.driver.hardware else State.ENABLED,
+                             self._safety_changed)
+        self.parameters.when_changed(self._configure)
+        self.last_tick = self._last_tick()
         self.statistics = LoopStatistics()
         self.ignored = 0
         self.paused = False
-        self.history_n = np.zeros((2, max(2, round(CALIBRATION_WINDOW_S * self.rate_hz))))
+        # The newest state, the link it came by, and the periods since then.
+        self.measured: Measurement | None = None
+        self.health = Health()
+        self.unseen = 0
 
         self._create_messages()
         self.states = self.create_publisher(JointState, 'joint_states', STREAM_QOS)
@@ -62,11 +72,13 @@ class ActuatorNode(Node):
         self.loop: Loop = (LockStep if values['mode'] == 'lockstep' else RealTime)(self)
         self.commands = self.create_subscription(
             WrenchStamped, 'valve_command', self._on_command, CONTROL_QOS)
+        self.create_service(SetBool, '~/enable', self._enable)
         self.create_service(Trigger, '~/calibrate', self._calibrate)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(SetBool, '~/pause', self._pause)
-        Diagnostics(self, self._describe)
-        self.get_logger().info(f'{values["mode"]} at {self.rate_hz:g} Hz')
+        self.diagnostics = Diagnostics(self, self._describe)
+        self.get_logger().info(f'{values["driver"]}, {values["mode"]} at {self.rate_hz:g} Hz, '
+                               f'{self.safety.state}')
 
     def _create_messages(self) -> None:
         """Make each message once; a tick only changes the numbers."""
@@ -85,22 +97,40 @@ class ActuatorNode(Node):
             return []
         return [f'a recorder of {name}' for name in not_recorded(self, self.topics)]
 
+    def exchange(self, command_n: float, periods: int) -> bool:
+        """
+        Give a command (N) to the actuator and take its state `periods` control periods later.
+
+        Return whether there is a new state. What is not safe shuts the valve with the next call.
+        """
+        self.applied_n = self.safety.command(command_n)
+        reading = self.driver.exchange(
+            self.applied_n, self.safety.state is State.ENABLED, periods)
+        self.health = self.driver.health()
+        self.unseen += periods
+        if reading is not None:
+            self.rest.add(reading.force_n, self.applied_n, reading.valve_position_m)
+            self.measured = self.calibration.applied(reading)
+            self.safety.watch_state(self.measured, self.unseen)
+            self.unseen = 0
+        if self.measured is not None:
+            self.safety.watch_link(self.health)
+        return reading is not None
+
     def sense(self, stamp_ns: int) -> None:
-        """Measure, and put what is measured into the messages."""
-        force, valve, position, velocity = self.actuator.measure()
+        """Put what was measured last into the messages."""
+        assert self.measured is not None
+        force, valve, position, velocity = self.measured
         set_time(self.stamp, stamp_ns)
         state = self.state
         state.velocity[1] = (valve - state.position[1]) * self.rate_hz
         state.position[0], state.position[1] = position, valve
         state.velocity[0] = velocity
-        state.effort[0], state.effort[1] = force, self.actuator.applied_n
+        state.effort[0], state.effort[1] = force, self.applied_n
         self.force.wrench.force.x = force
         self.valve_position.data = valve
         self.velocity.data = velocity
-        place = self.statistics.ticks % self.history_n.shape[1]
-        self.history_n[0, place] = force
-        self.history_n[1, place] = self.actuator.applied_n
-        self.statistics.tick(self.actuator.saturated)
+        self.statistics.tick(self.health.saturated)
 
     def publish_rest(self) -> None:
         """Publish what is not `joint_states`."""
@@ -108,40 +138,80 @@ class ActuatorNode(Node):
         self.valve_positions.publish(self.valve_position)
         self.velocities.publish(self.velocity)
 
-    def _on_command(self, message: WrenchStamped) -> None:
-        command = message.wrench.force.x
-        if math.isfinite(command):
-            self.loop.on_command(nanoseconds(message.header.stamp), command)
+    def destroy_node(self) -> None:
+        """Close the valve, then end."""
+        self.driver.close()
+        super().destroy_node()
+
+    def _last_tick(self) -> int | None:
+        """Return the number of ticks after which the run has ended, None for no end."""
+        duration = float(self.parameters.values['duration'])
+        ends = [self.driver.last_tick,
+                math.ceil(duration * self.rate_hz - 1e-9) if duration else None]
+        return min((end for end in ends if end is not None), default=None)
+
+    def _configure(self, _: set[str]) -> None:
+        self.driver.configure(self.parameters.values)
+        self.safety.configure(self.parameters.values)
+
+    def _safety_changed(self) -> None:
+        """Tell a change of state at once, in the log and, by /diagnostics, in the bag."""
+        if self.safety.state is State.FAULT:
+            self.get_logger().error(f'fault, the valve command is 0: {self.safety.reason}')
         else:
-            self.ignored += 1
-            self.get_logger().error(f'valve_command: {command} N is not a force: ignored',
-                                    throttle_duration_sec=1.0)
+            self.get_logger().info(self.safety.state)
+        self.diagnostics.publish()
+
+    def _on_command(self, message: WrenchStamped) -> None:
+        self.loop.on_command(nanoseconds(message.header.stamp), message.wrench.force.x)
+
+    def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        if not request.data:
+            self.safety.disable()
+        elif self.measured is None and self.driver.hardware:
+            answer.message = f'refused: no state of the actuator yet; {self.health.problem}'
+            return answer
+        elif problem := self.safety.enable():
+            answer.message = f'refused: {problem}'
+            return answer
+        answer.success, answer.message = True, str(self.safety.state)
+        return answer
 
     def _calibrate(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Zero the force sensor: the mean of the last readings becomes 0."""
-        if self.statistics.ticks < self.history_n.shape[1]:
-            answer.message = f'refused: fewer than {self.history_n.shape[1]} readings so far'
+        values = self.parameters.values
+        problem = self.rest.problem(float(values['calibration_noise']))
+        if self.driver.hardware and self.safety.state is State.ENABLED:
+            problem = 'the actuator is enabled, disable it first'
+        if problem:
+            answer.message = f'refused: {problem}'
             return answer
-        motion = _motion(np.roll(self.history_n,
-                                 -(self.statistics.ticks % self.history_n.shape[1]), axis=1))
-        if motion:
-            answer.message = f'refused: {motion} within the last {CALIBRATION_WINDOW_S:g} s'
-            return answer
-        zero = float(self.history_n[0].mean())
-        self.actuator.zero_n += zero
-        self.history_n[0] -= zero
+        before, now_n = self.calibration.offset_n, self.rest.mean_n()
+        self.calibration = self.calibration._replace(offset_n=now_n)
         answer.success = True
-        answer.message = f'force sensor zeroed: {zero:+.3f} N taken off'
+        answer.message = f'force sensor zeroed: {now_n - before:+.3f} N taken off'
+        if path := str(values['calibration_file']):
+            try:
+                calibration.save(path, self.calibration)
+                answer.message += f', kept in {path}'
+            except OSError as error:
+                answer.success = False
+                answer.message += f', but not kept: {error}'
         self.get_logger().info(answer.message)
         return answer
 
     def _reset(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        self.actuator.reset()
-        answer.success, answer.message = True, 'the actuator is at rest'
+        self.driver.reset()
+        self.safety.reset()
+        self.loop.on_reset()
+        answer.success, answer.message = True, f'reset: {self.safety.state}'
         self.get_logger().info(answer.message)
         return answer
 
     def _pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        if self.driver.hardware:
+            answer.message = 'refused: hardware does not wait; ~/enable false closes the valve'
+            return answer
         if request.data != self.paused:
             self.paused = request.data
             self.loop.on_pause()
@@ -150,23 +220,20 @@ class ActuatorNode(Node):
         return answer
 
     def _describe(self) -> tuple[bytes, str, dict[str, object]]:
-        level, text = (WARN, 'paused') if self.paused else self.loop.health()
+        if self.safety.state is State.FAULT:
+            level, text = ERROR, f'fault, the valve command is 0: {self.safety.reason}'
+        elif self.paused:
+            level, text = WARN, 'paused'
+        else:
+            level, text = self.loop.health()
+            if level == OK and self.safety.state is State.DISABLED:
+                level, text = WARN, 'disabled: the valve command is 0'
         return level, text, {
+            'state': self.safety.state, 'driver': self.parameters.values['driver'],
             'mode': self.parameters.values['mode'], 'rate (Hz)': self.rate_hz,
-            **self.statistics.values(), 'commands ignored': self.ignored, **self.loop.counts()}
-
-
-def _motion(history_n: np.ndarray) -> str | None:
-    """Return what moves in a history of (force, command), oldest first; None if all is still."""
-    force, command = history_n
-    if np.ptp(command) > CALIBRATION_CHANGE_N:
-        return f'the valve command moved by {np.ptp(command):.3g} N'
-    middle = force.size // 2
-    change = abs(force[middle:].mean() - force[:middle].mean())
-    # Noise is not motion: the difference of two means of n/2 samples spreads by 2 std / sqrt(n).
-    if change > CALIBRATION_CHANGE_N + 4.0 * 2.0 * force.std() / math.sqrt(force.size):
-        return f'the force moved by {change:.3g} N'
-    return None
+            **self.statistics.values(), 'commands ignored': self.ignored,
+            'states lost': self.health.lost_states, 'bad frames': self.health.bad_frames,
+            **self.loop.counts()}
 
 
 class Loop(Protocol):
@@ -175,10 +242,13 @@ class Loop(Protocol):
     def __init__(self, node: ActuatorNode): ...
 
     def on_command(self, stamp_ns: int, command_n: float) -> None:
-        """Take a finite valve command that answers the state of `stamp_ns`."""
+        """Take a valve command that answers the state of `stamp_ns`."""
 
     def on_pause(self) -> None:
         """Follow node.paused, which has changed."""
+
+    def on_reset(self) -> None:
+        """Forget what was asked for before the reset."""
 
     def health(self) -> tuple[bytes, str]:
         """Return diagnostic level and message."""
@@ -219,6 +289,9 @@ class LockStep:
         if not self.node.paused and self.command_n is not None:
             self._advance(self.command_n)
 
+    def on_reset(self) -> None:
+        pass
+
     def health(self) -> tuple[bytes, str]:
         if self.tick == 0:
             return WARN, 'waiting for ' + ', '.join(self._missing())
@@ -233,7 +306,7 @@ class LockStep:
     def _advance(self, command_n: float) -> None:
         if self.tick == self.node.last_tick:
             raise RunFinished
-        self.node.actuator.advance(command_n)
+        self.node.exchange(command_n, 1)
         self._publish_next()
 
     def _missing(self) -> list[str]:
@@ -265,6 +338,7 @@ class LockStep:
                 self.node.get_logger().info('waiting for ' + ', '.join(missing),
                                             throttle_duration_sec=5.0)
             else:
+                self.node.exchange(0.0, 0)
                 self._publish_next()
             return
         values, now = self.node.parameters.values, time.monotonic()
@@ -280,7 +354,7 @@ class LockStep:
 
 
 class RealTime:
-    """The wall clock owns time: the physics follows it, and a watchdog looks at the command."""
+    """The wall clock owns time: the actuator follows it."""
 
     def __init__(self, node: ActuatorNode):
         self.node = node
@@ -290,39 +364,37 @@ class RealTime:
         self.done = 0
         self.overruns = 0
         self.lost = 0
-        self.tripped = False
         self.timer = node.create_timer(node.period_s, self._tick,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_command(self, stamp_ns: int, command_n: float) -> None:
         latency_ns = self.node.get_clock().now().nanoseconds - stamp_ns
-        if latency_ns * 1e-9 > float(self.node.parameters.values['command_timeout']):
+        if abs(latency_ns) * 1e-9 > float(self.node.parameters.values['command_timeout']):
             self.node.ignored += 1
             return
         self.node.statistics.latency(latency_ns)
         self.command_n = command_n
         self.commanded_at = time.monotonic()
-        if self.tripped:
-            self.tripped = False
-            self.node.get_logger().info('valve_command is back')
 
     def on_pause(self) -> None:
         self.start = None
         if self.commanded_at is not None:
             self.commanded_at = time.monotonic()
 
+    def on_reset(self) -> None:
+        self.command_n = 0.0
+        self.commanded_at = None
+
     def health(self) -> tuple[bytes, str]:
-        if self.tripped:
-            return ERROR, 'watchdog: no valve_command, the valve command is 0'
-        if self.node.statistics.ticks == 0:
-            return WARN, 'waiting for ' + ', '.join(self.node.missing())
+        if self.node.measured is None:
+            return WARN, 'waiting for ' + ', '.join(
+                self.node.missing() or [f'a state of the actuator; {self.node.health.problem}'])
         if self.commanded_at is None:
             return WARN, 'no valve_command yet, the valve command is 0'
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
-        return {'watchdog': 'tripped' if self.tripped else 'ok', 'overruns': self.overruns,
-                'lost samples': self.lost}
+        return {'overruns': self.overruns, 'lost samples': self.lost}
 
     def _tick(self) -> None:
         node = self.node
@@ -331,28 +403,19 @@ class RealTime:
         now = time.monotonic()
         if self.start is None:
             self.start, self.done = now, 0
-        self._watch(now)
+        if self.commanded_at is not None:
+            node.safety.watch_command(now - self.commanded_at)
         due = round((now - self.start) * node.rate_hz) - self.done
         self.done += due
-        # A timer that fires late has missed samples; the physics catches up within bounds.
+        # A timer that fires late has missed samples; the actuator catches up within bounds.
         self.overruns += due > 1
         self.lost += max(0, due - 1)
-        for _ in range(min(due, MOST_CATCH_UP)):
-            node.actuator.advance(self.command_n)
-        node.sense(node.get_clock().now().nanoseconds)
-        node.states.publish(node.state)
-        node.publish_rest()
-        if node.statistics.ticks == node.last_tick:
-            raise RunFinished
-
-    def _watch(self, now: float) -> None:
-        timeout = float(self.node.parameters.values['command_timeout'])
-        if self.commanded_at is not None and now - self.commanded_at > timeout:
-            self.command_n = 0.0
-            if not self.tripped:
-                self.tripped = True
-                self.node.get_logger().error(
-                    f'no valve_command for {timeout:g} s: the valve command is 0')
+        if node.exchange(self.command_n, min(due, MOST_CATCH_UP)):
+            node.sense(node.get_clock().now().nanoseconds)
+            node.states.publish(node.state)
+            node.publish_rest()
+            if node.statistics.ticks == node.last_tick:
+                raise RunFinished
 
 
 def main() -> int:

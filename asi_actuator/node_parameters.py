@@ -21,6 +21,29 @@ LOOP_PARAMETERS: tuple[Parameter, ...] = (
               read_only=True),
 )
 
+# The defaults are beyond what the model does with its own defaults, so that no simulated run
+# meets them; config/can.yaml has those for hardware.
+SAFETY_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter('limit.command_rate', 1e9, 'N/s',
+              'Fastest change of the valve command that reaches the actuator', 1.0, 1e9),
+    Parameter('limit.force', 2500.0, 'N', 'A larger measured force is a fault', 0.0, 1e6,
+              source='thrust and damping force together reach 2200 N'),
+    Parameter('limit.force_rate', 1e7, 'N/s', 'A faster change of the measured force is a fault',
+              0.0, 1e9, source='2200 N through the fluid and sensor lags'),
+    Parameter('limit.valve_position', 1e-4, 'm', 'A larger valve position is a fault', 0.0, 1.0),
+    Parameter('limit.velocity', 20.0, 'm/s', 'A larger piston velocity is a fault', 0.0, 1e3),
+    Parameter('limit.valve_disagreement', 1e-5, 'm',
+              'A larger mean distance of the valve from where the command should have brought it '
+              'is a fault', 0.0, 1.0, source='half of the full opening'),
+    Parameter('limit.valve_disagreement_time', 0.1, 's', 'Time constant of that mean', 1e-3, 10.0),
+    Parameter('limit.state_age', 0.1, 's', 'Hardware: an older state is a fault', 1e-3, 60.0),
+    Parameter('limit.lost_states', 100, '',
+              'Hardware: more gaps in the counter of the states within 1 s are a fault', 0, 10**6),
+    Parameter('limit.bad_frames', 10, '',
+              'Hardware: more frames with a wrong checksum or length within 1 s are a fault',
+              0, 10**6),
+)
+
 ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
     Parameter('duration', 0.0, 's', 'Length of the run, after which the node ends; 0: no end',
               0.0, 1e6, read_only=True),
@@ -31,8 +54,26 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
               'Lock-step: end the run with an error if a controller that has answered before '
               'is silent for so long', 1e-2, 3600.0),
     Parameter('command_timeout', 0.1, 's',
-              'Real time: without a command for so long the valve command is 0', 1e-3, 60.0),
-)
+              'Real time: a command older than this is a fault, and the valve command 0',
+              1e-3, 60.0),
+    Parameter('calibration_file', '', '',
+              'YAML file with offset and scale of the force sensor: read at the start, written by '
+              '~/calibrate; none if empty', read_only=True),
+    Parameter('calibration_noise', 5.0, 'N',
+              'Noise (standard deviation) up to which ~/calibrate trusts the mean', 0.0, 1e4),
+    Parameter('driver', 'simulated', '',
+              'simulated: the model; can: hardware on a CAN bus (doc/bridge.md); replay: the '
+              'states of a bag', choices=('simulated', 'can', 'replay'), read_only=True),
+    Parameter('can.interface', 'socketcan', '', 'Interface of python-can: socketcan, slcan …',
+              read_only=True),
+    Parameter('can.channel', 'can0', '', 'Channel of that interface: can0, /dev/ttyACM0 …',
+              read_only=True),
+    Parameter('can.bitrate', 1_000_000, 'bit/s', 'Bit rate of the bus', 10_000, 1_000_000,
+              read_only=True),
+    Parameter('can.dbc', '', '',
+              'Layout of the frames; if empty, asi_actuator.dbc of the package', read_only=True),
+    Parameter('replay.bag', '', '', 'Bag whose states are played', read_only=True),
+) + SAFETY_PARAMETERS
 
 
 def control_rate(values: Mapping[str, Value]) -> float:

@@ -73,9 +73,10 @@ def test_step_settles_near_the_reference(start_node: Callable, states: Listener)
     assert stamps == sorted(set(stamps))
 
 
-def test_watchdog_takes_the_command_away_and_the_next_controller_gives_it_back(
-        start_node: Callable, states: Listener, diagnostics: Callable) -> None:
+def test_watchdog_takes_the_command_away_until_the_reset(
+        start_node: Callable, states: Listener, diagnostics: Callable, call: Callable) -> None:
     from diagnostic_msgs.msg import DiagnosticStatus
+    from std_srvs.srv import SetBool, Trigger
 
     actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=0.5)
     constant = {'reference.shape': 'constant', 'reference.amplitude': 200.0}
@@ -84,11 +85,17 @@ def test_watchdog_takes_the_command_away_and_the_next_controller_gives_it_back(
     assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
     controller.kill()
     states.wait_until(lambda state: state.effort[1] == 0.0, 'the watchdog')
-    status = diagnostics('asi_actuator', 'watchdog')
+    status = diagnostics('asi_actuator', 'fault')
     assert status.level == DiagnosticStatus.ERROR
-    assert {v.key: v.value for v in status.values}['watchdog'] == 'tripped'
-    actuator.wait_for('no valve_command for 0.5 s')
-    start_node(CONTROLLER, **PATIENT, **constant)
+    assert {v.key: v.value for v in status.values}['state'] == 'fault'
+    assert 'age of valve_command' in status.message and 'command_timeout = 0.5 s' in status.message
+    actuator.wait_for(status.message)
+    start_node(CONTROLLER, **PATIENT, **constant).wait_for('realtime at')
+    states.wait(100)
+    assert not any(state.effort[1] for state in states.messages[-100:])
+    refused = call(SetBool, '/asi_actuator/enable', SetBool.Request(data=True))
+    assert not refused.success and 'age of valve_command' in refused.message
+    assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
     states.wait_until(lambda state: state.effort[1] > 100.0, 'the next controller')
     assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
 

@@ -1,0 +1,116 @@
+"""Offset and scale of the force sensor: taken at rest, kept in a file."""
+
+import math
+import os
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from asi_actuator.model.actuator import Measurement
+from asi_actuator.parameters import ParameterError
+
+# How long the actuator must have been at rest, s, and what is still rest: changes of the valve
+# command and of the mean force, N, and of the mean valve position, m (1 % of the full opening).
+WINDOW_S: Final = 0.2
+CHANGE_N: Final = 1.0
+CHANGE_M: Final = 2e-7
+
+
+class Calibration(NamedTuple):
+    """The calibrated force is scale * (reading - offset)."""
+
+    offset_n: float = 0.0
+    scale: float = 1.0
+
+    def applied(self, reading: Measurement) -> Measurement:
+        """Return a reading, its force calibrated."""
+        force, valve, position, velocity = reading
+        return Measurement(self.scale * (force - self.offset_n), valve, position, velocity)
+
+
+def load(path: str) -> Calibration:
+    """
+    Return what a file says; no offset and scale 1 if the path is empty or there is no file yet.
+
+    Raises ParameterError if the file is not a calibration.
+    """
+    if not path or not Path(path).expanduser().exists():
+        return Calibration()
+    where = f'calibration_file = {path!r}'
+    try:
+        content = yaml.safe_load(Path(path).expanduser().read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ParameterError(f'{where} cannot be read: {" ".join(str(error).split())}') from error
+    if not isinstance(content, dict) or set(content) != set(Calibration._fields):
+        raise ParameterError(f'{where} must hold the numbers {" and ".join(Calibration._fields)}, '
+                             'nothing else')
+    for name, value in content.items():
+        if (not isinstance(value, int | float) or isinstance(value, bool)
+                or not math.isfinite(value) or (name == 'scale' and value == 0)):
+            raise ParameterError(f'{where}: {name} = {value!r} is not allowed: it takes a finite '
+                                 'number' + (' other than 0' if name == 'scale' else ''))
+    return Calibration(**content)
+
+
+def save(path: str, calibration: Calibration) -> None:
+    """Write a file that `load` reads; a file that is there is replaced at once or not at all."""
+    place = Path(path).expanduser()
+    place.parent.mkdir(parents=True, exist_ok=True)
+    new = place.with_name(place.name + '.new')
+    with new.open('w') as file:
+        yaml.safe_dump({name: float(value) for name, value in calibration._asdict().items()}, file)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(place)
+
+
+class Rest:
+    """The readings of the last WINDOW_S, and whether they were taken at rest."""
+
+    def __init__(self, rate_hz: float):
+        """Begin without readings."""
+        self._history = np.zeros((3, max(4, round(WINDOW_S * rate_hz))))
+        self._count = 0
+
+    def add(self, reading_n: float, command_n: float, valve_m: float) -> None:
+        """Take a reading of the force sensor (N), with the command (N) and the valve position."""
+        place = self._count % self._history.shape[1]
+        history = self._history
+        history[0, place], history[1, place], history[2, place] = reading_n, command_n, valve_m
+        self._count += 1
+
+    def mean_n(self) -> float:
+        """Return the mean of the readings, N."""
+        return float(self._history[0].mean())
+
+    def problem(self, most_noise_n: float) -> str:
+        """Return why the mean is not that of a sensor at rest; '' if it is."""
+        length = self._history.shape[1]
+        if self._count < length:
+            return f'there are {self._count} readings so far, it takes {length}'
+        force, command, valve = np.roll(self._history, -(self._count % length), axis=1)
+        if np.ptp(command) > CHANGE_N:
+            return (f'the valve command moved by {np.ptp(command):.3g} N within the last '
+                    f'{WINDOW_S:g} s, at most {CHANGE_N:g} N is rest')
+        for signal, values, unit, most in (('force', force, 'N', CHANGE_N),
+                                           ('valve', valve, 'm', CHANGE_M)):
+            change, noise = _change(values)
+            if change > most + noise:
+                return (f'the {signal} moved by {change:.3g} {unit} within the last '
+                        f'{WINDOW_S:g} s, at most {most:g} {unit} is rest')
+        if force.std() > most_noise_n:
+            return (f'the noise of the force is {force.std():.3g} N (standard deviation), '
+                    f'calibration_noise allows {most_noise_n:g} N')
+        return ''
+
+
+def _change(values: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Return how the mean changed between the halves, and how much of it may be noise."""
+    middle = values.size // 2
+    change = abs(float(values[middle:].mean() - values[:middle].mean()))
+    # The difference of two means of n/2 samples spreads by 2 std / sqrt(n); four times that.
+    noise = max(float(half.std()) for half in (values[:middle], values[middle:]))
+    return change, 4.0 * 2.0 * noise / math.sqrt(values.size)

@@ -1,0 +1,77 @@
+"""
+What stands behind the actuator node: the model, hardware on a CAN bus, or a recording.
+
+A driver is named by its module, so that one may live where it belongs: `replay` reads bags, which
+is the work of asi_analysis, and the node needs to know none of them.
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Final, NamedTuple, Protocol
+
+from asi_actuator.model.actuator import Measurement
+from asi_actuator.parameters import Value
+
+# Module and class of each driver, by the value of the parameter `driver`.
+DRIVERS: Final = {
+    'simulated': ('asi_actuator.driver.simulated', 'SimulatedActuator'),
+    'can': ('asi_actuator.driver.can_bus', 'CanActuator'),
+    'replay': ('asi_analysis.replay_driver', 'ReplayedActuator'),
+}
+
+
+class Health(NamedTuple):
+    """How the link to the actuator is; counts are those since it was opened."""
+
+    state_age_s: float = 0.0  # since the newest state came
+    lost_states: int = 0      # gaps in the counter of the states
+    bad_frames: int = 0       # wrong checksum or length, or not readable
+    problem: str = ''         # what the link or the hardware itself complains of
+    saturated: bool = False   # the valve is fully open, or the drive at its limit
+
+
+class Driver(Protocol):
+    """
+    An actuator, one control period at a time.
+
+    It is made as Class(values, period_s): the parameters of the node by name, and the control
+    period, s. Raises ParameterError for values that it cannot work with.
+    """
+
+    hardware: bool
+    """Whether something moves: then the node powers up disabled."""
+    last_tick: int | None
+    """After so many periods there is nothing more to come; None: no end."""
+
+    def open(self) -> None:
+        """Connect. A link that is not there yet is no error: health() tells, and it is retried."""
+
+    def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement | None:
+        """
+        Give a valve command (N) and return the newest state; None if none came since the last.
+
+        enabled: whether the valve may be driven; periods: control periods since the last call.
+        """
+
+    def health(self) -> Health:
+        """Return how the link is now."""
+
+    def configure(self, values: Mapping[str, Value]) -> None:
+        """Take new parameters; what is read-only has not changed."""
+
+    def reset(self) -> None:
+        """Begin anew: the model at rest, a recording from its start, an error forgotten."""
+
+    def close(self) -> None:
+        """Leave the valve closed and the link free."""
+
+
+def make_driver(values: Mapping[str, Value], period_s: float) -> Driver:
+    """
+    Return the driver that the parameter `driver` names, not yet open.
+
+    Raises ParameterError for values that it cannot work with.
+    """
+    module, name = DRIVERS[str(values['driver'])]
+    driver: Driver = getattr(import_module(module), name)(values, period_s)
+    return driver

@@ -1,0 +1,232 @@
+"""The driver for hardware on a CAN bus; doc/bridge.md says what the other end must do."""
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import can
+from can.interfaces.slcan import slcanBus
+
+from asi_actuator.driver import Health
+from asi_actuator.driver.frames import COUNTER, Frames
+from asi_actuator.model.actuator import Measurement
+from asi_actuator.parameters import ParameterError, Value
+
+# How long an slcan adapter takes to start, s.
+ADAPTER_START_S: Final = 2.0
+# How often a bus that is gone is looked for, s.
+RETRY_S: Final = 0.5
+# A bus that brings more than this many frames in a period must not hold up the loop for ever.
+MOST_FRAMES: Final = 64
+# States in a row that may say "not enabled" after the valve was enabled: the way there and back.
+ENABLE_STATES: Final = 20
+# Without a state for so many periods the counter says nothing any more: it has gone round.
+FORGET_PERIODS: Final = COUNTER // 4
+
+
+class SlcanBus(slcanBus):
+    """
+    python-can's slcan, which reads a byte at a time, reading all that is there instead.
+
+    A state frame takes 12 us of computing time instead of 130 (bench/can_cost.py); a period has
+    two, and 1000 us.
+    """
+
+    def _read(self, timeout: float | None) -> str | None:
+        end = self._buffer.find(self.LINE_TERMINATOR)
+        if end < 0:
+            with can.exceptions.error_check('cannot be read'):
+                if waiting := self.serialPortOrig.in_waiting:
+                    self._buffer += self.serialPortOrig.read(waiting)
+            end = self._buffer.find(self.LINE_TERMINATOR)
+        if end < 0:
+            return None
+        line = self._buffer[:end + 1]
+        del self._buffer[:end + 1]
+        return line.decode()
+
+
+def open_bus(interface: str, channel: str, bitrate: int, **options: Any) -> can.BusABC:
+    """
+    Return an open bus; raises can.CanError, OSError or ValueError if that is not possible.
+
+    options: those of python-can's interface.
+    """
+    if interface == 'slcan':
+        # An adapter may start anew when it is opened; a terminal does not.
+        terminal = Path(channel).resolve().parent == Path('/dev/pts')
+        return SlcanBus(channel=channel, bitrate=bitrate, timeout=0.0,
+                        sleep_after_open=0.0 if terminal else ADAPTER_START_S, **options)
+    return can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
+
+
+def received(bus: can.BusABC) -> Iterator[can.Message]:
+    """
+    Yield what a bus has brought, at most MOST_FRAMES frames, without waiting.
+
+    What cannot be read at all comes as an error frame.
+    """
+    for _ in range(MOST_FRAMES):
+        try:
+            message = bus.recv(0.0)
+        except (ValueError, IndexError):
+            message = can.Message(is_error_frame=True)  # a line that slcan cannot read
+        if message is None:
+            return
+        yield message
+
+
+class CanActuator:
+    """Sends a command a period and collects the states that answer; never waits for anything."""
+
+    hardware = True
+    last_tick = None
+
+    def __init__(self, values: Mapping[str, Value], period_s: float):
+        """Read the layout of the frames. Raises ParameterError for what cannot work."""
+        if values['mode'] != 'realtime':
+            raise ParameterError("mode = 'lockstep' is not allowed with driver = 'can': hardware "
+                                 'does not wait; it takes realtime')
+        self._interface = str(values['can.interface'])
+        if self._interface not in can.VALID_INTERFACES:
+            raise ParameterError(f'can.interface = {self._interface!r} is not allowed: it takes '
+                                 'one of ' + ', '.join(sorted(can.VALID_INTERFACES)))
+        self._channel, self._bitrate = str(values['can.channel']), int(values['can.bitrate'])
+        self._frames = Frames(str(values['can.dbc']))
+        self._period_s = period_s
+        self._bus: can.BusABC | None = None
+        self._retry_at = 0.0
+        self._problem = ''
+        self._sent = 0
+        self._received: int | None = None
+        self._received_at = -math.inf
+        self._force: dict[str, float] = {}
+        self._lost_states = self._bad_frames = self._not_following = 0
+        self._enabled = self._saturated = False
+
+    def open(self) -> None:
+        self._retry_at = time.monotonic() + RETRY_S
+        try:
+            self._bus = open_bus(
+                self._interface, self._channel, self._bitrate, can_filters=[
+                    {'can_id': identifier, 'can_mask': 0x7FF, 'extended': False}
+                    for identifier in self._frames.identifiers.values()])
+            for _ in range(MOST_FRAMES):
+                if not any(received(self._bus)):  # from before anybody listened
+                    break
+        except (can.CanError, OSError, ValueError) as error:
+            self._problem = self._words(error)
+        else:
+            self._problem = ''
+            self._received = None
+
+    def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement | None:
+        if self._bus is None:
+            if time.monotonic() > self._retry_at:
+                self.open()
+            return None
+        measurement = None
+        try:
+            measurement = self._receive(self._bus)
+            self._send(self._bus, command_n, enabled)
+        except (can.CanError, OSError) as error:
+            self._drop(error)
+        return measurement
+
+    def health(self) -> Health:
+        problem = self._problem
+        if self._not_following > ENABLE_STATES:
+            problem = ('the actuator keeps its valve closed although it is enabled: '
+                       + ('it has missed commands' if self._force.get('command_lost')
+                          else 'it does not say why'))
+        return Health(time.monotonic() - self._received_at, self._lost_states, self._bad_frames,
+                      problem, self._saturated)
+
+    def configure(self, values: Mapping[str, Value]) -> None:
+        pass
+
+    def reset(self) -> None:
+        self._not_following = 0
+
+    def close(self) -> None:
+        if self._bus is None:
+            return
+        try:
+            self._send(self._bus, 0.0, False)
+        except (can.CanError, OSError):
+            pass
+        self._drop(None)
+
+    def _drop(self, error: Exception | None) -> None:
+        bus, self._bus = self._bus, None
+        self._retry_at = time.monotonic() + RETRY_S
+        if error is not None:
+            self._problem = self._words(error)
+        try:
+            if bus is not None:
+                bus.shutdown()
+        except (can.CanError, OSError):
+            pass  # it is gone already
+
+    def _words(self, error: Exception) -> str:
+        return f'{self._interface} {self._channel}: ' + ' '.join(str(error).split())
+
+    def _send(self, bus: can.BusABC, command_n: float, enabled: bool) -> None:
+        self._sent = (self._sent + 1) % COUNTER
+        data = self._frames.encode('COMMAND', {
+            'valve_command': command_n, 'enable': enabled, 'counter': self._sent})
+        bus.send(can.Message(arbitration_id=self._frames.identifiers['COMMAND'], data=data,
+                             is_extended_id=False), timeout=0.0)
+        self._enabled = enabled
+
+    def _receive(self, bus: can.BusABC) -> Measurement | None:
+        """Take all that has come; return the newest state."""
+        newest = None
+        for message in received(bus):
+            newest = self._take(message) or newest
+        return newest
+
+    def _take(self, message: can.Message) -> Measurement | None:
+        """Take a frame; return the state if this completes one that is new."""
+        try:
+            if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+                raise ValueError('not a data frame')
+            decoded = self._frames.decode(message.arbitration_id, bytes(message.data))
+        except ValueError:
+            self._bad_frames += 1
+            return None
+        if decoded is None:
+            return None
+        name, values = decoded
+        if name == 'STATE_FORCE':
+            self._force = values
+            return None
+        if (name != 'STATE_MOTION' or values['counter'] != self._force.get('counter')
+                or not self._is_new(int(values['counter']))):
+            return None
+        self._received_at = time.monotonic()
+        self._saturated = bool(self._force['saturated'])
+        follows = self._force['enabled'] or not self._enabled
+        self._not_following = 0 if follows else self._not_following + 1
+        return Measurement(self._force['force'], self._force['valve_position'],
+                           values['position'], values['velocity'])
+
+    def _is_new(self, counter: int) -> bool:
+        """Return whether a state is newer than the last; count what is missing in between."""
+        if time.monotonic() - self._received_at > FORGET_PERIODS * self._period_s:
+            self._received = None
+        if (self._sent - counter) % COUNTER > FORGET_PERIODS:
+            self._bad_frames += 1  # answers no command of late: a frame from the past
+            return False
+        if self._received is not None:
+            ahead = (counter - self._received) % COUNTER
+            if ahead == 0:
+                return False  # the actuator speaks by itself, as no command has come
+            if ahead > COUNTER // 2:
+                self._bad_frames += 1
+                return False
+            self._lost_states += ahead - 1
+        self._received = counter
+        return True

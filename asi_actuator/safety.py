@@ -1,0 +1,174 @@
+"""
+What keeps the valve safe: the states of the node, the watchdogs, the limiter of the command.
+
+Pure logic without ROS. Whatever the controller asks for, a command goes to the actuator only
+through `command`, which is 0 unless the state is enabled.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+
+from asi_actuator.driver import Health
+from asi_actuator.model.actuator import Measurement
+from asi_actuator.parameters import Value
+
+
+class State(StrEnum):
+    """Of the actuator's node; FAULT stays until it is reset."""
+
+    DISABLED = 'disabled'
+    ENABLED = 'enabled'
+    FAULT = 'fault'
+
+
+class Safety:
+    """Decides which command the valve gets; the first watchdog that trips shuts it."""
+
+    def __init__(self, values: Mapping[str, Value], period_s: float, power_up: State,
+                 changed: Callable[[], None]):
+        """
+        Begin in the state `power_up`.
+
+        values: the parameters of the node by name; changed() is called after each change of state.
+        """
+        self.state = self._power_up = power_up
+        self.reason = ''
+        self._period_s = period_s
+        self._changed = changed
+        self._command_n = 0.0
+        self._last_force_n: float | None = None
+        self._disagreement = 0.0
+        # Of the last second.
+        self._links: deque[Health] = deque(maxlen=max(2, round(1.0 / period_s)))
+        self.configure(values)
+
+    def configure(self, values: Mapping[str, Value]) -> None:
+        """Take new limits."""
+        def number(name: str) -> float:
+            return float(values[name])
+
+        self._command_limit_n = number('command_limit')
+        self._command_step_n = number('limit.command_rate') * self._period_s
+        self._command_age_s = number('command_timeout')
+        self._force_n = number('limit.force')
+        self._force_rate = number('limit.force_rate')
+        self._valve_m = number('limit.valve_position')
+        self._velocity = number('limit.velocity')
+        self._disagreement_m = number('limit.valve_disagreement')
+        self._disagreement_weight = -math.expm1(
+            -self._period_s / number('limit.valve_disagreement_time'))
+        self._state_age_s = number('limit.state_age')
+        self._lost_states = number('limit.lost_states')
+        self._bad_frames = number('limit.bad_frames')
+        self._full_opening_m = number('valve_characteristic.full_opening')
+        self._valve_gain = (number('valve_characteristic.gain') * self._full_opening_m
+                            / number('valve_characteristic.maximum_force'))
+
+    def enable(self) -> str:
+        """Let commands through; return why not, or ''."""
+        if self.state is State.FAULT:
+            return f'in fault, reset first: {self.reason}'
+        self._go(State.ENABLED)
+        return ''
+
+    def disable(self) -> None:
+        """Close the valve; a fault stays a fault."""
+        if self.state is State.ENABLED:
+            self._go(State.DISABLED)
+
+    def reset(self) -> None:
+        """Forget a fault; the state is that after power-up."""
+        self._forget()
+        self._go(self._power_up)
+
+    def trip(self, reason: str) -> None:
+        """Close the valve until the reset. The first reason stays: what follows is its effect."""
+        if self.state is not State.FAULT:
+            self._go(State.FAULT, reason)
+
+    def command(self, wanted_n: float) -> float:
+        """Return the valve command (N) that the actuator may have of the one that is wanted."""
+        if self.state is State.ENABLED and not math.isfinite(wanted_n):
+            self.trip(f'valve_command = {wanted_n} N is not a finite number')
+        if self.state is not State.ENABLED:
+            self._command_n = 0.0
+        else:
+            low = max(-self._command_limit_n, self._command_n - self._command_step_n)
+            high = min(self._command_limit_n, self._command_n + self._command_step_n)
+            self._command_n = min(max(wanted_n, low), high)
+        return self._command_n
+
+    def watch_command(self, age_s: float) -> None:
+        """Look at the age (s) of the newest command."""
+        if self.state is State.ENABLED and age_s > self._command_age_s:
+            self._exceeded('age of valve_command', age_s, 's', 'command_timeout',
+                           self._command_age_s)
+
+    def watch_link(self, health: Health) -> None:
+        """Look at the link to the actuator; once a period."""
+        if health.problem:
+            self.trip(health.problem)
+        if health.state_age_s > self._state_age_s:
+            self._exceeded('age of the newest state', health.state_age_s, 's', 'limit.state_age',
+                           self._state_age_s)
+        self._links.append(health)
+        lost = health.lost_states - self._links[0].lost_states
+        bad = health.bad_frames - self._links[0].bad_frames
+        if lost > self._lost_states:
+            self._exceeded('states lost within 1 s', lost, '', 'limit.lost_states',
+                           self._lost_states)
+        if bad > self._bad_frames:
+            self._exceeded('bad frames within 1 s', bad, '', 'limit.bad_frames', self._bad_frames)
+
+    def watch_state(self, measured: Measurement, periods: int) -> None:
+        """Look at a state that came `periods` control periods after the one before."""
+        force, valve, position, velocity = measured
+        # Written so that nan is no way out.
+        if not math.isfinite(position):
+            self.trip(f'position = {position} m is not a finite number')
+        if not abs(force) <= self._force_n:
+            self._exceeded('force', force, 'N', 'limit.force', self._force_n)
+        if not abs(valve) <= self._valve_m:
+            self._exceeded('valve_position', valve, 'm', 'limit.valve_position', self._valve_m)
+        if not abs(velocity) <= self._velocity:
+            self._exceeded('velocity', velocity, 'm/s', 'limit.velocity', self._velocity)
+        if self._last_force_n is not None and periods > 0:
+            rate = (force - self._last_force_n) / (periods * self._period_s)
+            if not abs(rate) <= self._force_rate:
+                self._exceeded('rate of the force', rate, 'N/s', 'limit.force_rate',
+                               self._force_rate)
+        self._last_force_n = force
+        self._watch_valve(valve)
+
+    def _watch_valve(self, valve_m: float) -> None:
+        """
+        Compare the valve with where the command should have brought it, in the mean over time.
+
+        At rest the model says where (valve_characteristic.*); its dynamics and hysteresis, which
+        differ from one valve to the next, fall out of the mean.
+        """
+        full = self._full_opening_m
+        expected = min(max(self._valve_gain * self._command_n, -full), full)
+        apart = min(max(valve_m, -full), full) - expected
+        self._disagreement += self._disagreement_weight * (apart - self._disagreement)
+        if abs(self._disagreement) > self._disagreement_m:
+            self._exceeded('valve_position less that of the command', self._disagreement, 'm',
+                           'limit.valve_disagreement', self._disagreement_m)
+
+    def _exceeded(self, signal: str, value: float, unit: str, limit_name: str,
+                  limit: float) -> None:
+        unit = f' {unit}' if unit else ''
+        self.trip(f'{signal} = {value:.6g}{unit} exceeds {limit_name} = {limit:g}{unit}')
+
+    def _forget(self) -> None:
+        self._command_n = 0.0
+        self._last_force_n = None
+        self._disagreement = 0.0
+        self._links.clear()
+
+    def _go(self, state: State, reason: str = '') -> None:
+        if state is not self.state or reason != self.reason:
+            self.state, self.reason = state, reason
+            self._changed()

@@ -1,0 +1,354 @@
+"""The bridge: frames, what a firmware does, and the node over a real slcan link and real DDS."""
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+import pytest
+from conftest import NodeProcess, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from asi_actuator.can_actuator import Firmware, physical_values
+from asi_actuator.driver import frames as frames_module
+from asi_actuator.driver.frames import SIGNALS, Frames, checksum, longest_bits
+from asi_actuator.parameters import ParameterError
+from asi_analysis.bag import write_bag
+from asi_analysis.run import Run
+
+ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
+PEER = 'asi_actuator.can_actuator'
+FRAMES = Frames()
+COMMAND = FRAMES.identifiers['COMMAND']
+# A busy machine is no fault of the bridge.
+SLOW: dict[str, Any] = {'mode': 'realtime', 'rate_hz': 200.0}
+PATIENT: dict[str, Any] = SLOW | {'driver': 'can', 'can.interface': 'slcan',
+                                  'limit.state_age': 2.0, 'command_timeout': 2.0}
+
+
+def test_checksum_is_crc_8_sae_j1850() -> None:
+    # The catalogue's check value (reveng: CRC-8/SAE-J1850, 0x4B) is that of b'123456789'.
+    assert checksum(0x3231, b'3456789') == 0x4B
+
+
+@given(st.sampled_from(sorted(SIGNALS)), st.data())
+def test_frame_tells_what_was_put_in_within_its_resolution(name: str, data: st.DataObject) -> None:
+    signals = {s.name: s for s in FRAMES.messages[name].signals if s.name != 'checksum'}
+    values = {key: data.draw(st.floats(s.minimum, s.maximum)) if s.scale < 1
+              else data.draw(st.integers(int(s.minimum), int(s.maximum)))
+              for key, s in signals.items()}
+    encoded = FRAMES.encode(name, values)
+    decoded = FRAMES.decode(FRAMES.identifiers[name], encoded)
+    assert decoded is not None and decoded[0] == name
+    for key, s in signals.items():
+        assert abs(decoded[1][key] - values[key]) <= 0.5001 * s.scale
+    # Beyond its range a signal is at its end, not wrapped around.
+    far = FRAMES.decode(FRAMES.identifiers[name], FRAMES.encode(
+        name, values | {key: 1e9 for key, s in signals.items() if s.scale < 1}))
+    assert far is not None
+    assert all(far[1][key] == pytest.approx(s.maximum) for key, s in signals.items()
+               if s.scale < 1)
+
+
+@given(st.sampled_from(sorted(SIGNALS)), st.data())
+def test_changed_bits_are_noticed(name: str, data: st.DataObject) -> None:
+    identifier = FRAMES.identifiers[name]
+    good = FRAMES.encode(name, dict.fromkeys(SIGNALS[name] - {'checksum'}, 1))
+    # Any one bit, and any burst of up to 8.
+    burst = data.draw(st.integers(1, 255)) << data.draw(st.integers(0, 8 * len(good) - 8))
+    bad = (int.from_bytes(good, 'big') ^ burst).to_bytes(len(good), 'big')
+    with pytest.raises(ValueError, match=f'{name} has a wrong checksum'):
+        FRAMES.decode(identifier, bad)
+    with pytest.raises(ValueError, match=rf'{name} has {len(good) - 1} bytes'):
+        FRAMES.decode(identifier, good[:-1])
+    assert FRAMES.decode(0x7FF, good) is None
+
+
+def test_longest_frame_is_that_of_the_literature() -> None:
+    # Davis et al. 2007: 135 bits for 8 bytes, 55 + 10 s in general.
+    assert [longest_bits(n) for n in range(9)] == [55 + 10 * n for n in range(9)]
+
+
+def test_layout_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
+    broken = tmp_path / 'broken.dbc'
+    broken.write_text('BO_ not a database')
+    poor = tmp_path / 'poor.dbc'
+    poor.write_text(frames_module.default_path().read_text().replace('SG_ velocity', 'SG_ speed'))
+    for path, words in ((broken, 'cannot be read'), (tmp_path / 'no.dbc', 'cannot be read'),
+                        (poor, 'STATE_MOTION lacks the signals velocity')):
+        with pytest.raises(ParameterError, match=words) as caught:
+            Frames(str(path))
+        assert str(path) in str(caught.value) and '\n' not in str(caught.value)
+
+
+class Wire:
+    """A firmware, and a bridge's side of it that sends commands."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.counter = 0
+        self.firmware = Firmware(FRAMES, physical_values([]), 0.02, self.now)
+
+    def frame(self, command_n: float, enable: bool, skip: int = 0) -> bytes:
+        self.counter = (self.counter + 1 + skip) % 256
+        return FRAMES.encode('COMMAND', {'valve_command': command_n, 'enable': enable,
+                                         'counter': self.counter})
+
+    def send(self, data: bytes, after_s: float = 0.001) -> bool:
+        self.now += after_s
+        return self.firmware.receive(self.now, COMMAND, data)
+
+    def state(self) -> dict[str, float]:
+        merged: dict[str, float] = {}
+        for identifier, data in self.firmware.state(self.now):
+            decoded = FRAMES.decode(identifier, data)
+            assert decoded is not None
+            merged |= decoded[1]
+        return merged
+
+
+@pytest.fixture
+def wire() -> Wire:
+    return Wire()
+
+
+def test_firmware_drives_the_valve_only_after_a_command_that_does_not(wire: Wire) -> None:
+    for _ in range(300):
+        assert wire.send(wire.frame(500.0, enable=True))
+    assert wire.state()['enabled'] == 0 and wire.state()['valve_position'] == 0.0
+    wire.send(wire.frame(0.0, enable=False))
+    for _ in range(300):
+        assert wire.send(wire.frame(500.0, enable=True))
+    assert wire.state()['enabled'] == 1
+    # Gain * (command - half width of the hysteresis), of the maximum force at full opening.
+    opening = 0.535 * (500.0 - 14.0) / 1000.0
+    assert wire.state()['valve_position'] == pytest.approx(opening * 2e-5, rel=0.02)
+    assert wire.state()['counter'] == wire.counter
+
+
+def test_firmware_closes_the_valve_when_commands_stop_and_keeps_it_closed(wire: Wire) -> None:
+    wire.send(wire.frame(0.0, enable=False))
+    wire.send(wire.frame(500.0, enable=True))
+    wire.now += 0.0199
+    assert not wire.firmware.watch(wire.now) and wire.firmware.driving
+    wire.now += 0.0002
+    assert wire.firmware.watch(wire.now) and not wire.firmware.driving
+    assert wire.state()['command_lost'] == 1
+    assert wire.send(wire.frame(500.0, enable=True)) and not wire.firmware.driving
+    wire.send(wire.frame(0.0, enable=False))
+    wire.send(wire.frame(500.0, enable=True))
+    assert wire.firmware.driving and wire.state()['command_lost'] == 0
+
+
+def test_firmware_takes_no_frame_twice_nor_from_the_past_nor_damaged(wire: Wire) -> None:
+    old = wire.frame(0.0, enable=False)
+    assert wire.send(old)
+    new = wire.frame(500.0, enable=True)
+    assert wire.send(new)
+    for bad in (new, old, new[:-1], bytes(6), new[:-1] + bytes((new[-1] ^ 1,))):
+        assert not wire.send(bad)
+    assert wire.firmware.driving
+    assert wire.send(wire.frame(500.0, enable=True, skip=3))
+    # Frames that it does not take are no commands: the valve closes.
+    for _ in range(25):
+        wire.send(old)
+        wire.firmware.watch(wire.now)
+    assert not wire.firmware.driving
+
+
+@pytest.fixture
+def peer(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Return start(*options), which starts the simulated actuator on pseudo-terminals."""
+    import sys
+    started: list[NodeProcess] = []
+
+    def start(*options: str) -> NodeProcess:
+        started.append(NodeProcess(
+            [sys.executable, '-m', PEER, '--pty', '--command-timeout', '0.5', *options],
+            ros_environment, tmp_path / f'peer-{len(started)}.log'))
+        started[-1].wait_for('slcan /dev/pts/')
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+
+
+def channel(peer: NodeProcess) -> str:
+    return peer.text.split()[1]
+
+
+class States:
+    """The messages of joint_states."""
+
+    def __init__(self, node: Any):
+        from sensor_msgs.msg import JointState
+        self.messages: list[Any] = []
+        node.create_subscription(JointState, 'joint_states', self.messages.append, 1000)
+
+    def wait_until(self, condition: Callable[[Any], bool], what: str) -> None:
+        wait_until(lambda: self.messages and condition(self.messages[-1]), what)
+
+    def wait(self, count: int) -> list[Any]:
+        """Return the next `count` messages."""
+        begin = len(self.messages)
+        wait_until(lambda: len(self.messages) >= begin + count, f'{count} states')
+        return self.messages[begin:begin + count]
+
+
+@pytest.fixture
+def states(ros_node: Any) -> States:
+    return States(ros_node)
+
+
+@pytest.fixture
+def ask(call: Callable) -> Callable[[str], tuple[bool, str]]:
+    """Return a function that calls a service of the actuator: success and message."""
+    from std_srvs.srv import SetBool, Trigger
+
+    def ask(name: str) -> tuple[bool, str]:
+        if name in ('enable', 'disable', 'pause'):
+            service = 'enable' if name == 'disable' else name
+            answer = call(SetBool, f'/asi_actuator/{service}',
+                          SetBool.Request(data=name != 'disable'))
+        else:
+            answer = call(Trigger, f'/asi_actuator/{name}', Trigger.Request())
+        return answer.success, answer.message
+
+    return ask
+
+
+def test_force_loop_over_can(start_node: Callable, peer: Callable, states: States,
+                             ask: Callable) -> None:
+    actuator_peer = peer()
+    actuator = start_node(ACTUATOR, **PATIENT, **{'can.channel': channel(actuator_peer)})
+    start_node(CONTROLLER, **SLOW, gain=1.0, state_timeout=10.0,
+               **{'reference.shape': 'constant', 'reference.amplitude': 200.0})
+    # Hardware powers up disabled.
+    assert not any(state.effort[1] for state in states.wait(50))
+    assert 'disabled' in actuator.text
+    assert ask('enable')[0]
+    states.wait_until(lambda state: abs(state.effort[0] - 200.0) < 30.0, 'the force')
+    assert states.messages[-1].position[0] > 0.0 and states.messages[-1].position[1] > 0.0
+    refused = ask('calibrate'), ask('pause')
+    assert [success for success, _ in refused] == [False, False]
+    assert 'disable it first' in refused[0][1]
+    assert ask('disable')[0]
+    states.wait_until(lambda state: state.effort[1] == 0.0, 'the command to be 0')
+    actuator_peer.wait_for('the valve is closed')
+    assert actuator.stop() == 0
+
+
+def test_calibration_is_kept_for_the_next_start(
+        start_node: Callable, peer: Callable, states: States, ask: Callable,
+        tmp_path: Path) -> None:
+    file = tmp_path / 'kept' / 'calibration.yaml'
+    parameters = PATIENT | {'can.channel': channel(peer('--set', 'force_sensor.offset=40')),
+                            'calibration_file': str(file)}
+    first = start_node(ACTUATOR, **parameters)
+    assert {round(state.effort[0], 3) for state in states.wait(50)} == {40.0}
+    success, message = ask('calibrate')
+    assert success and '+40.000 N' in message and str(file) in message
+    assert {round(state.effort[0], 3) for state in states.wait(50)[2:]} == {0.0}
+    assert first.stop() == 0
+    text = file.read_text()
+    states.messages.clear()
+    file.write_text(text.replace('scale: 1.0', 'scale: 2.0').replace('40.0', '30.0'))
+    second = start_node(ACTUATOR, **parameters)
+    assert {round(state.effort[0], 3) for state in states.wait(50)} == {20.0}
+    assert second.stop() == 0
+    file.write_text('offset_n: 1.0\nscale: 0\n')
+    third = start_node(ACTUATOR, **parameters)
+    assert third.exit_status() == 2
+    assert str(file) in third.text and 'scale = 0 is not allowed' in third.text
+
+
+def test_killed_actuator_is_a_fault_and_the_bus_is_found_again(
+        start_node: Callable, peer: Callable, states: States, ask: Callable,
+        tmp_path: Path) -> None:
+    link = tmp_path / 'adapter'
+    first = peer()
+    link.symlink_to(channel(first))
+    actuator = start_node(ACTUATOR, **PATIENT, **{'can.channel': str(link)})
+    states.wait(10)
+    assert ask('enable')[0]
+    first.kill()
+    actuator.wait_for('fault, the valve command is 0')
+    assert f'slcan {link}: ' in actuator.text
+    success, message = ask('enable')
+    assert not success and 'in fault, reset first' in message
+    second = peer()
+    link.unlink()
+    link.symlink_to(channel(second))
+    states.wait(10)
+    # What is over stays a fault until somebody has seen it; then it begins disabled.
+    assert not ask('enable')[0]
+    assert ask('reset') == (True, 'reset: disabled')
+    assert ask('enable')[0]
+    second.wait_for('the valve is driven')
+
+
+def test_silent_actuator_is_a_fault_that_names_signal_value_and_limit(
+        start_node: Callable, peer: Callable, states: States, ask: Callable) -> None:
+    stopped = peer()
+    actuator = start_node(ACTUATOR, **PATIENT, **{'can.channel': channel(stopped)})
+    states.wait(10)
+    assert ask('enable')[0]
+    stopped.send(signal.SIGSTOP)
+    actuator.wait_for('fault, the valve command is 0: age of the newest state = 2.0')
+    assert 'exceeds limit.state_age = 2 s' in actuator.text
+    stopped.send(signal.SIGCONT)
+
+
+@pytest.mark.parametrize(('parameters', 'words'), [
+    ({'driver': 'can'}, "mode = 'lockstep' is not allowed with driver = 'can'"),
+    ({'driver': 'can', 'mode': 'realtime', 'can.interface': 'pigeon'}, 'can.interface = '),
+    ({'driver': 'can', 'mode': 'realtime', 'can.dbc': '/nowhere.dbc'}, '/nowhere.dbc'),
+    ({'driver': 'replay', 'replay.bag': '/nowhere'}, "replay.bag = '/nowhere'"),
+    ({'driver': 'pigeon'}, 'one of simulated, can, replay'),
+])
+def test_driver_that_cannot_work_is_one_line_and_exit_status_2(
+        parameters: dict, words: str, start_node: Callable) -> None:
+    node = start_node(ACTUATOR, **parameters)
+    assert node.exit_status() == 2
+    assert words in node.text and 'Traceback' not in node.text
+    assert len(node.text.splitlines()) == 1
+
+
+def test_replayed_bag_is_played_to_the_controller(
+        start_node: Callable, ros_node: Any, states: States, tmp_path: Path) -> None:
+    from geometry_msgs.msg import WrenchStamped
+    from rosgraph_msgs.msg import Clock
+    from std_msgs.msg import Float64
+    # The actuator waits for a recorder of them all.
+    for kind, name in ((WrenchStamped, 'force'), (Float64, 'valve_position'),
+                       (Float64, 'velocity'), (Clock, '/clock')):
+        ros_node.create_subscription(kind, name, lambda message: None, 1000)
+    t = np.arange(300) / 5000.0
+    force = 100.0 * np.sin(2 * np.pi * 20.0 * t)
+    force[7] = np.nan
+    write_bag(Run(t, None, None, force, 1e-6 * t, 2e-3 * t, 3.0 * t, 'test', {}),
+              tmp_path / 'bag')
+    controller = start_node(CONTROLLER, gain=0.0, feedforward=0.0)
+    actuator = start_node(ACTUATOR, driver='replay', await_recorder=True,
+                          **{'replay.bag': str(tmp_path / 'bag')})
+    assert actuator.exit_status() == 0, actuator.text
+    # Every state was answered, or there would be an error.
+    wait_until(lambda: len(states.messages) >= t.size, 'every state')
+    expected = force.copy()
+    expected[7] = force[6]
+    # Those that were sent again, for want of an answer in time, count once.
+    played = {(m.header.stamp.sec, m.header.stamp.nanosec): (m.effort[0], m.position[0])
+              for m in states.messages}
+    np.testing.assert_array_equal(list(played.values()), np.column_stack([expected, 2e-3 * t]))
+    assert controller.stop() == 0
+
+
+def test_units_are_those_of_the_topics() -> None:
+    units = {s.name: s.unit for m in cantools.database.load_file(
+        frames_module.default_path()).messages for s in m.signals if s.scale != 1}
+    assert units == {'valve_command': 'N', 'force': 'N', 'valve_position': 'm', 'position': 'm',
+                     'velocity': 'm/s'}
