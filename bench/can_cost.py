@@ -13,15 +13,19 @@ from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 REPEATS = 2000
 
 
-def microseconds(action: Callable[[], object], after: Callable[[], object] = lambda: None) -> float:
-    """Return the shortest time of an action; after() follows each and is not counted."""
+def nothing() -> None:
+    pass
+
+
+def report(name: str, action: Callable[[], object], after: Callable[[], object] = nothing) -> None:
+    """Print the shortest time of an action; after() follows each and is not counted."""
     shortest = float('inf')
     for _ in range(REPEATS):
         begin = time.perf_counter()
         action()
         shortest = min(shortest, time.perf_counter() - begin)
         after()
-    return 1e6 * shortest
+    print(f'{name:26}{1e6 * shortest:6.1f} us')
 
 
 def main() -> None:
@@ -32,8 +36,8 @@ def main() -> None:
     identifier = frames.identifiers['STATE_FORCE']
     message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
     command = {'valve_command': 1.0, 'enable': 1, 'counter': 1}
-    print(f'encode a command     {microseconds(lambda: frames.encode("COMMAND", command)):6.1f} us')
-    print(f'decode a state frame {microseconds(lambda: frames.decode(identifier, data)):6.1f} us')
+    report('encode a command', lambda: frames.encode('COMMAND', command))
+    report('decode a state frame', lambda: frames.decode(identifier, data))
     link = LinkedTerminals()
     first = open_bus('slcan', link.first, 1_000_000)
     own = open_bus('slcan', link.second, 1_000_000)
@@ -44,7 +48,7 @@ def main() -> None:
             time.sleep(1e-3)
 
         send()
-        print(f'read a frame, {name:11}{microseconds(lambda bus=bus: bus.recv(0.0), send):6.1f} us')
+        report(f'read a frame, {name}', lambda bus=bus: bus.recv(0.0), send)
     for bus in (first, own, librarys):
         bus.shutdown()
     link.close()
