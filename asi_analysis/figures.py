@@ -4,7 +4,7 @@ The pictures of reports, in one style. Each function makes one matplotlib figure
 Drawn 5.2 inches wide with 9 point text: as large as a phone is wide, so nothing has to shrink.
 """
 
-import base64
+import html
 import io
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -42,20 +42,13 @@ def _figure(height_in: float) -> Figure:
     return Figure(figsize=(WIDTH_IN, height_in), layout='constrained')
 
 
-def svg(figure: Figure) -> str:
-    """Return a figure as an <svg> element to be put into HTML."""
+def svg(figure: Figure, description: str) -> str:
+    """Return a figure as an <svg> element to be put into HTML; described for who cannot see it."""
     text = io.StringIO()
     with style():
         figure.savefig(text, format='svg', metadata={'Date': None})
-    return text.getvalue()[text.getvalue().index('<svg'):]
-
-
-def png_address(figure: Figure) -> str:
-    """Return a figure as a data: address for <img>."""
-    data = io.BytesIO()
-    with style():
-        figure.savefig(data, format='png')
-    return 'data:image/png;base64,' + base64.b64encode(data.getvalue()).decode()
+    element = text.getvalue()[text.getvalue().index('<svg'):]
+    return element.replace('<svg', f'<svg role="img" aria-label="{html.escape(description)}"', 1)
 
 
 def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], step_n: float,

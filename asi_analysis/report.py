@@ -22,6 +22,12 @@ from asi_controller.compensator import OWN_GAIN
 
 # Published and simulated figures that differ by less are called alike.
 ALIKE: Final = 0.25
+DESCRIPTIONS: Final = {
+    'step_responses': 'Force and valve command after a step, with three compensators',
+    'limit_cycle': 'Force of the limit cycle in time: the whole run and its last cycles',
+    'phase_plane': 'Phase plane of the limit cycle: force rate against force',
+    'spectrum': 'Spectrum of the force in the limit cycle',
+    'hysteresis': 'Loop of valve position against valve command'}
 
 
 class Cell(NamedTuple):
@@ -63,7 +69,8 @@ def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
         cycle_run=cycle_run, loop=loop, loop_run=loop_run, recorded=recorded,
         gains={each.plan.name: _gain(each) for each in recorded},
         delay_ms=_delay_ms(recorded[0]), versions=versions(),
-        figures={name: figures.svg(figure) for name, figure in drawn.items()}))
+        figures={name: figures.svg(figure, DESCRIPTIONS[name])
+                 for name, figure in drawn.items()}))
     return page
 
 

@@ -35,5 +35,5 @@ def write_report(result: Reproduction, out: Path) -> Path:
         document=document, stated=stated(result.actuator, result.conditions),
         held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
         linear=linear_model(result.actuator), versions=versions(),
-        figures=[figures.svg(figure) for figure in drawn.values()]))
+        figures=[figures.svg(figure, name) for name, figure in drawn.items()]))
     return page
