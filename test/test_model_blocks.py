@@ -231,6 +231,21 @@ def test_friction_dissipates_over_a_closed_cycle(amplitude: float, frequency: fl
         assert last == pytest.approx(steady, rel=0.05)
 
 
+def test_friction_converges_with_the_second_order_while_the_seals_begin_to_slide() -> None:
+    p = as_record()
+
+    def seal(substeps: int) -> float:
+        time = np.linspace(0.0, 0.02, substeps + 1)
+        path = 1.25e-4 * np.sin(0.5 * np.pi * time / time[-1])
+        state = 0.0
+        for velocity in np.diff(path) / time[1]:
+            state = friction(state, velocity, velocity, p, time[1]).seal
+        return state
+
+    errors = [seal(n) - seal(3200) for n in (100, 200, 400)]
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.3)
+
+
 def test_vibration_below_breakaway_does_not_creep() -> None:
     values: dict[str, Value] = {'load.type': 'free', 'valve_hysteresis.model': 'off'}
     time = np.arange(5000) * PERIOD
