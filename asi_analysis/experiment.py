@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import yaml
 
-from asi_actuator.node_parameters import DEFAULT_RATE_HZ, MODES
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, DEFAULT_RATE_HZ, MODES
 from asi_actuator.parameters import (
     ACTUATOR_PARAMETERS,
     Parameter,
@@ -32,10 +32,16 @@ from asi_actuator.parameters import (
     completed,
 )
 from asi_analysis.errors import InputError
-from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
+from asi_controller.parameters import (
+    COMPENSATOR_PARAMETERS,
+    CONTROLLER_NODE_PARAMETERS,
+    REFERENCE_PARAMETERS,
+)
 
 CONTROLLER_PARAMETERS: Final = COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS
 TABLES: Final = {'actuator': ACTUATOR_PARAMETERS, 'controller': CONTROLLER_PARAMETERS}
+OF_THE_NODE: Final = frozenset(
+    parameter.name for parameter in ACTUATOR_NODE_PARAMETERS + CONTROLLER_NODE_PARAMETERS)
 # Started in this order, asked to end in the reverse: while the recorder waits for the last
 # messages, the controller is still there to send a lost one again.
 MODULES: Final = {'controller': 'asi_controller.controller_node',
@@ -101,7 +107,8 @@ def read_parameters(path: Path, which: str) -> dict[str, Value]:
     """
     Return the parameters of a ROS parameter file for 'actuator' or 'controller', by dotted name.
 
-    The node may be named asi_actuator, /asi_actuator or /**. Raises InputError.
+    The node may be named asi_actuator, /asi_actuator, /**/asi_actuator or /**. Parameters of the
+    node alone, such as its mode, are left out: `asi run` sets them. Raises InputError.
     """
     try:
         content = yaml.safe_load(path.read_text())
@@ -109,7 +116,7 @@ def read_parameters(path: Path, which: str) -> dict[str, Value]:
         raise InputError(f'{path}: {error.strerror}') from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
-    names = (f'asi_{which}', f'/asi_{which}', '/**')
+    names = ('/**', f'/**/asi_{which}', f'/asi_{which}', f'asi_{which}')
     values: dict[str, Value] = {}
     found = [content[name] for name in names
              if isinstance(content, dict) and name in content]
@@ -122,7 +129,7 @@ def read_parameters(path: Path, which: str) -> dict[str, Value]:
                          f'file with asi_{which}: ros__parameters: ...')
     known = {parameter.name: parameter for parameter in TABLES[which]}
     return {name: _as_meant(known[name], value) if name in known else value
-            for name, value in values.items()}
+            for name, value in values.items() if name not in OF_THE_NODE}
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Value]]:

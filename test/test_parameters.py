@@ -139,3 +139,10 @@ def test_what_is_accepted_is_allowed_and_what_is_not_says_so(
         assert parameter.allowed in problem
         with pytest.raises(ParameterError):
             completed({parameter.name: value}, (parameter,))
+
+
+@pytest.mark.parametrize('which', ['actuator', 'controller'])
+def test_shipped_file_is_what_asi_run_reads(which: str) -> None:
+    from asi_analysis.experiment import TABLES, read_parameters
+
+    assert read_parameters(ROOT / 'config' / f'{which}.yaml', which) == defaults(TABLES[which])
