@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from asi_analysis.frequency_response import loop_bandwidth
+from asi_analysis.frequency_response import actuator_bandwidth, loop_bandwidth
 from asi_analysis.oscillation import oscillation
 from asi_analysis.run import Run
 from asi_analysis.step_response import Step, headline, step_responses
@@ -45,6 +45,9 @@ def analyze(run: Run) -> dict[str, Any]:
         **{key: getattr(step, key) if step else None for key in headline_keys},
         'bandwidth_hz': width.bandwidth_hz,
         'bandwidth_method': width.method,
+        # A step excites too little of the command to tell.
+        'actuator_bandwidth_hz': (actuator_bandwidth(run) if width.method == 'excitation'
+                                  else None),
         'delay_s': width.delay_s,
         'correlation_delay_s': width.correlation_delay_s,
         'oscillation': {'sustained': swing.sustained, 'frequency_hz': swing.frequency_hz,

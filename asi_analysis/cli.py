@@ -280,6 +280,7 @@ def _show_analysis(document: Mapping[str, Any]) -> None:
             ('settling time 5 %', 'settling_time_5_s', 'ms', 1e3),
             ('steady-state error', 'steady_state_error_n', 'N', 1.0),
             ('bandwidth', 'bandwidth_hz', 'Hz', 1.0),
+            ('bandwidth of the actuator', 'actuator_bandwidth_hz', 'Hz', 1.0),
             ('delay, from the phase', 'delay_s', 'ms', 1e3),
             ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3)):
         if document[key] is not None:

@@ -134,6 +134,14 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
     return bandwidth(np.fft.rfftfreq(lines, run.period_s)[1:].astype(np.float64), gain[1:])
 
 
+def actuator_bandwidth(run: Run) -> float | None:
+    """Return the bandwidth (Hz) from the valve command to the force; None if it cannot be told."""
+    if run.command_n is None or run.force_n is None:
+        return None
+    response = frequency_response(run.command_n, run.force_n, run.period_s)
+    return response.bandwidth_hz if response else None
+
+
 class Bandwidth(NamedTuple):
     """What a run tells of the loop's bandwidth, and how: 'excitation', 'step' or None."""
 

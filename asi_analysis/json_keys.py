@@ -42,6 +42,8 @@ ANALYZE: Final = (
     Key('bandwidth_hz', 'number?', 'where the gain from reference to force has fallen by 3 dB'),
     Key('bandwidth_method', 'text?', 'excitation: spectra of chirp, multisine or PRBS; step: '
         'spectrum of the differentiated step response'),
+    Key('actuator_bandwidth_hz', 'number?', 'the same from valve command to force, if the '
+        'reference excites enough frequencies'),
     Key('delay_s', 'number?', 'lag of the force behind the reference, from the slope of the '
         'phase up to the bandwidth'),
     Key('correlation_delay_s', 'number?', 'shift at which force and reference are most alike'),

@@ -6,9 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import optimize, signal
 
-from asi_analysis.frequency_response import correlation_delay, frequency_response, loop_bandwidth
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, completed
+from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.frequency_response import (
+    actuator_bandwidth,
+    correlation_delay,
+    frequency_response,
+    loop_bandwidth,
+)
 from asi_analysis.run import Run
 
 RATE_HZ = 5000.0
@@ -65,6 +72,28 @@ def test_bandwidth_from_a_step():
     assert found.method == 'step'
     assert found.bandwidth_hz == pytest.approx(
         w * np.sqrt(q + np.sqrt(q * q + 1)) / (2 * np.pi), rel=0.01)
+
+
+def test_actuator_in_the_loop_against_its_linear_blocks():
+    """With its nonlinear blocks off the actuator is four known filters and two delays."""
+    linear = {'valve_hysteresis.model': 'off', 'valve_characteristic.model': 'off',
+              'hydraulic_damping.model': 'off', 'friction.model': 'off'}
+    p = completed(linear, ACTUATOR_PARAMETERS)
+    run = Run(*simulate_loop(linear, {
+        'reference.shape': 'chirp', 'reference.frequency': 1.0, 'reference.duration': 8.0,
+        'reference.end_frequency': 300.0}, 8.5))
+
+    def second_order(block, f):
+        natural = p[f'{block}.natural_frequency']
+        return 1 / (1 - (f / natural)**2 + 2j * p[f'{block}.damping_ratio'] * f / natural)
+
+    def gain(f):
+        return abs(second_order('valve_flexure', f) * second_order('force_sensor', f)
+                   / (1 + 1j * f / p['valve_flexure.coil_frequency'])
+                   / (1 + 1j * f / p['fluid_dynamics.frequency']))
+
+    expected = optimize.brentq(lambda f: gain(f) - np.sqrt(0.5), 1.0, 200.0)
+    assert actuator_bandwidth(run) == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize('current', ['0A', '1A'])
