@@ -185,13 +185,14 @@ def hydraulic(p: np.void) -> npt.NDArray[np.float64]:
 def test_newtons_rule_finds_the_velocity_on_a_damper_as_steep_as_a_wall() -> None:
     # From the flat end of such a tanh a bare Newton step jumps to the other end, for ever.
     p = as_record(SMOOTH | {
-        'load.type': 'free', 'load.mass': 1e-3, 'fluid_dynamics.model': 'off',
+        'valve_flexure.model': 'off', 'fluid_dynamics.model': 'off', 'load.type': 'free',
+        'load.mass': 1e-3, 'hydraulic_damping.maximum_force': 2000.0,
         'hydraulic_damping.velocity_width': 1e-3, 'hydraulic_damping.centre_share': 1.0,
         'hydraulic_damping.viscous': 0.0, 'hydraulic_damping.saturation_velocity': 0.0,
         'hydraulic_damping.saturation_shift': 0.0, 'hydraulic_damping.saturation_narrowing': 0.0})
-    run = simulate(p, np.repeat([1000.0, -1000.0, 1000.0], 400), PERIOD)
-    damping = damping_force(run.velocity_m_s[-1], damping_curve(0.535, p), p)[0]
-    assert damping == pytest.approx(535.0, rel=1e-3)
+    run = simulate(p, np.repeat([1000.0, -1000.0, 1000.0], 20), PERIOD)
+    # 535 N, or twice that for a sub-step, against 2000 N within some mm/s: it hardly moves.
+    assert 0.0 < np.abs(run.velocity_m_s).max() < 1e-3
 
 
 # --- where Newton's rule stops
