@@ -11,6 +11,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from asi_actuator.topics import STREAM_QOS
+
 _SECOND = 10**9
 
 
@@ -33,7 +35,7 @@ def as_profile(offered: dict[str, Any]) -> QoSProfile:
     """Return the profile that a bag describes; the history is not told over DDS, so it is ours."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=max(offered['depth'], 1000),
+        depth=max(offered['depth'], STREAM_QOS.depth),
         reliability=ReliabilityPolicy[offered['reliability'].upper()],
         durability=DurabilityPolicy[offered['durability'].upper()],
         deadline=_duration(offered['deadline']),

@@ -19,12 +19,14 @@ from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import CallbackGroup
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.validate_topic_name import validate_topic_name
 
 from asi_actuator.parameters import ParameterError
 from asi_actuator.spin import RunError, run_node
@@ -146,9 +148,6 @@ class Recorder(Node):
         wanted = self.declare_parameter('topics', list(TYPES), ParameterDescriptor(
             description='Topics to record', read_only=True)).value
         information = _configuration(configuration) if configuration else {}
-        self._writer = BagWriter(Path(output))
-        if information:
-            self._writer.add_information(information)
         self.failed = False
         self._group = _Polled()
         self._topics: list[_Recorded] = []
@@ -157,7 +156,11 @@ class Recorder(Node):
             if name in TYPES:
                 self._topics.append(_Recorded(self, self._group, name, TYPES[name]))
             else:
+                validate_topic_name(name)
                 self._unknown.append(self.resolve_topic_name(name))
+        self._writer = BagWriter(Path(output))
+        if information:
+            self._writer.add_information(information)
         self._arrived: list[Arrival] = []
         self._order: ReceiptOrder | TickOrder | None = None
         self._pending = False       # is there something in the open chunk?
@@ -324,20 +327,20 @@ def _configuration(path: str) -> dict[str, Any]:
     return configuration
 
 
-def main() -> None:
-    """Run the node until it is stopped."""
+def main() -> int:
+    """Run the node until it is stopped; return the exit status."""
     nodes: list[Recorder] = []
 
     def make() -> Recorder:
         try:
             nodes.append(Recorder())
-        except InputError as error:
-            raise ParameterError(str(error)) from None
+        except (InputError, ParameterException, NameValidationException) as error:
+            raise ParameterError(' '.join(str(error).split())) from None
         return nodes[0]
 
-    status = run_node(make)
-    sys.exit(status or int(any(node.failed for node in nodes)))
+    # Writing may also fail at the very end, after the node has been run.
+    return run_node(make) or int(any(node.failed for node in nodes))
 
 
 if __name__ == '__main__':
-    main()
+    sys.exit(main())

@@ -47,6 +47,11 @@ class NodeProcess:
         """What it has printed so far."""
         return self._log.read_text()
 
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
     def wait_for(self, text: str) -> None:
         """Wait until it has printed `text`."""
         wait_until(lambda: text in self.text or self._process.poll() is not None,

@@ -1,0 +1,179 @@
+"""The recorder against publishers in other processes: nothing lost, nothing changed."""
+
+import hashlib
+import json
+import resource
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from conftest import NodeProcess, wait_until
+from geometry_msgs.msg import WrenchStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosbags.rosbag2 import Reader
+from std_srvs.srv import SetBool
+
+from asi_analysis.bag import read_bag, write_bag
+from asi_analysis.bag_file import read_contents
+from asi_analysis.errors import InputWarning
+from asi_analysis.run import Run
+
+RECORDER = 'asi_analysis.recorder_node'
+REPLAY = 'asi_analysis.replay_node'
+
+Start = Callable[..., NodeProcess]
+Call = Callable[[type, str, Any], Any]
+
+
+def a_bag(path: Path, count: int, rate_hz: float) -> Run:
+    rng = np.random.default_rng(4)
+    columns: dict[str, Any] = {field: rng.normal(size=count) for field in (
+        'reference_n', 'command_n', 'force_n', 'valve_position_m', 'position_m', 'velocity_m_s')}
+    run = Run(np.arange(count) / rate_hz, **columns)
+    write_bag(run, path)
+    return run
+
+
+def record_replay(start: Start, call: Call, bag: Path, **options: object
+                  ) -> tuple[NodeProcess, NodeProcess]:
+    """Start a recorder, and the replay of a bag that begins when the recorder hears it."""
+    recorder = start(RECORDER, **options)
+    recorder.wait_for('recording to')
+    replay = start(REPLAY, bag=bag, start_paused=True, await_recorder=True, delay=0.0)
+    assert call(SetBool, '/asi_replay/pause', SetBool.Request(data=False)).success
+    return recorder, replay
+
+
+def digest(bag: Path) -> str:
+    return hashlib.sha256(next(bag.glob('*.mcap')).read_bytes()).hexdigest()
+
+
+def test_records_every_byte_and_twice_the_same(start_node: Start, call: Call, tmp_path: Path
+                                               ) -> None:
+    run = a_bag(tmp_path / 'played', 3000, 2000.0)
+    configuration = tmp_path / 'run.json'
+    configuration.write_text(json.dumps({'seed': 5, 'actuator': {'load.type': 'locked'}}))
+    for name in ('one', 'two'):
+        recorder, replay = record_replay(start_node, call, tmp_path / 'played',
+                                         output=tmp_path / name, configuration=configuration)
+        assert replay.exit_status() == 0
+        assert recorder.stop() == 0, recorder.text
+        assert 'lost' not in recorder.text
+    played = read_contents(tmp_path / 'played', lambda _: True)
+    recorded = read_contents(tmp_path / 'one', lambda _: True)
+    assert recorded.information == {'seed': 5, 'actuator': {'load.type': 'locked'}}
+    for name, topic in played.topics.items():
+        assert recorded.topics[name].data == topic.data
+        assert recorded.topics[name].log_ns == topic.log_ns
+    np.testing.assert_array_equal(read_bag(tmp_path / 'one').force_n, run.force_n)
+    assert digest(tmp_path / 'one') == digest(tmp_path / 'two')
+    metadata = yaml.safe_load((tmp_path / 'one/metadata.yaml').read_text())
+    offered = metadata['rosbag2_bagfile_information']['topics_with_message_count'][0][
+        'topic_metadata']['offered_qos_profiles']
+    assert [profile['reliability'] for profile in offered] == ['reliable']
+
+
+def test_a_killed_recorder_loses_less_than_a_second(
+        start_node: Start, call: Call, ros_node: Any, tmp_path: Path) -> None:
+    """At a low rate, where a chunk takes long to fill."""
+    run = a_bag(tmp_path / 'played', 6000, 100.0)
+    heard: list[WrenchStamped] = []
+    ros_node.create_subscription(WrenchStamped, '/force', heard.append, 1000)
+    recorder, replay = record_replay(start_node, call, tmp_path / 'played',
+                                     output=tmp_path / 'bag')
+    wait_until(lambda: len(heard) > 250, 'two and a half seconds')
+    last = heard[-1].header.stamp
+    recorder.kill()
+    replay.stop()
+    with pytest.warns(InputWarning, match='was not ended properly'):
+        part = read_bag(tmp_path / 'bag')
+    # The first stamp is one period, the first time 0.
+    assert part.time_s[-1] > last.sec + last.nanosec * 1e-9 - 0.01 - 1.0
+    np.testing.assert_array_equal(part.force_n, run[:len(part)].force_n)
+
+
+def test_a_full_disk_ends_the_recording_but_keeps_what_is_there(
+        start_node: Start, tmp_path: Path) -> None:
+    a_bag(tmp_path / 'played', 40000, 4000.0)
+    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    recorder.wait_for('recording to')
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
+    replay = start_node(REPLAY, bag=tmp_path / 'played')
+    assert recorder.exit_status() == 1
+    assert 'cannot be written any more: File too large; what is there can be read' in recorder.text
+    assert 'Traceback' not in recorder.text
+    replay.stop()
+    with pytest.warns(InputWarning):
+        assert len(read_bag(tmp_path / 'bag')) > 100
+
+
+def test_real_time_hears_best_effort_publishers_and_logs_the_receipt(
+        start_node: Start, ros_node: Any, tmp_path: Path) -> None:
+    publisher = ros_node.create_publisher(
+        WrenchStamped, 'force', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
+    recorder = start_node(RECORDER, output=tmp_path / 'bag', topics='[force, /extra]')
+    extra = ros_node.create_publisher(WrenchStamped, '/extra', 10)
+
+    def heard() -> bool:
+        return ros_node.count_subscribers('/extra') > 0 and any(
+            info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            for info in ros_node.get_subscriptions_info_by_topic('/force'))
+
+    wait_until(heard, 'a subscription that takes best effort')
+    time.sleep(1.0)
+    message = WrenchStamped()
+    for k in range(20):
+        message.header.stamp = ros_node.get_clock().now().to_msg()
+        message.wrench.force.x = float(k)
+        publisher.publish(message)
+        extra.publish(message)
+        time.sleep(0.01)
+    assert recorder.stop() == 0
+    contents = read_contents(tmp_path / 'bag', lambda _: True)
+    assert set(contents.topics) == {'/force', '/extra'}
+    assert read_bag(tmp_path / 'bag').signals()['force'].tolist() == [float(k) for k in range(20)]
+    now_ns = time.time_ns()
+    assert all(now_ns - 60 * 10**9 < time_ns < now_ns for time_ns in
+               contents.topics['/force'].log_ns)
+
+
+def test_asks_the_nodes_for_their_parameters(start_node: Start, tmp_path: Path) -> None:
+    start_node('asi_controller.controller_node', gain=4.5).wait_for('lockstep at')
+    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    file = tmp_path / 'bag/bag_0.mcap'
+    wait_until(lambda: file.exists() and b'asi.run' in file.read_bytes(),
+               'the parameters of the controller in the bag')
+    assert recorder.stop() == 0
+    controller = read_contents(tmp_path / 'bag', lambda _: True).information['controller']
+    assert controller['gain'] == 4.5
+    assert controller['compensator'] == 'proportional'
+
+
+@pytest.mark.parametrize(('options', 'reason'), [
+    ({'output': '.'}, 'exists already: a bag is never written over'),
+    ({'configuration': '/absent.json', 'output': 'bag'},
+     "configuration = '/absent.json' cannot be used"),
+    ({'topics': "['a b']", 'output': 'bag'}, 'Invalid topic name')])
+def test_refuses_bad_parameters(start_node: Start, tmp_path: Path, options: dict[str, str],
+                                reason: str) -> None:
+    options = {name: str(tmp_path / value) if name == 'output' else value
+               for name, value in options.items()}
+    recorder = start_node(RECORDER, **options)
+    assert recorder.exit_status() == 2
+    assert reason in recorder.text
+    assert len(recorder.text.splitlines()) <= 2
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_ends_cleanly_by_sigterm_with_nothing_recorded(start_node: Start, tmp_path: Path) -> None:
+    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    recorder.wait_for('recording to')
+    recorder.send(signal.SIGTERM)
+    assert recorder.exit_status() == 0
+    with Reader(tmp_path / 'bag') as reader:
+        assert reader.message_count == 0
