@@ -11,8 +11,7 @@ JOINTS: Final = (PISTON, 'valve')
 
 # A loop wants the newest message. A recorder may fall behind a little and must lose none, so
 # what is published is kept until it has it, up to 30000 messages, 6 s at 5 kHz. On a machine
-# with three times more to do than it has cores, 1000 lost one message in a thousand, 30000 none:
-# Fast DDS notices a gap only when it compares notes, after some thousand messages or 3 s.
+# with three times more to do than it has cores, 1000 lost one message in a thousand, 30000 none.
 CONTROL_QOS: Final = QoSProfile(depth=10)
 STREAM_QOS: Final = QoSProfile(depth=30_000)
 

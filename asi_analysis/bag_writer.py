@@ -21,9 +21,10 @@ from rosbags.typesys.store import Typestore
 
 from asi_analysis.errors import InputError
 
-# About a hundred ticks of the loop: well under a second of either mode, and it compresses well.
-# Chunks end by size, not by the clock, so that the same messages make the same file.
+# A kill loses the chunk that is open: about a hundred ticks of the loop, or at low rates this
+# time. Both go by the messages, not by the clock, so that the same messages make the same file.
 CHUNK_BYTES: Final = 64 * 1024
+CHUNK_NS: Final = 250_000_000
 INFORMATION: Final = 'asi.run'
 
 _NEVER = {'sec': 9223372036, 'nsec': 854775807}
@@ -69,6 +70,7 @@ class BagWriter:
         self._topics: dict[int, _Topic] = {}
         self._counts: dict[int, int] = {}
         self._start_ns, self._end_ns = 2**63 - 1, 0
+        self._chunk_ns = 0
 
     def add_information(self, information: Mapping[str, Any]) -> None:
         """Add to what the bag says of its run: plain data by name, each kept as JSON."""
@@ -93,6 +95,9 @@ class BagWriter:
     def write(self, channel: int, log_ns: int, publish_ns: int, sequence: int,
               data: bytes) -> None:
         """Add a message as it came from the wire."""
+        if log_ns - self._chunk_ns > CHUNK_NS:
+            self._writer.flush()
+            self._chunk_ns = log_ns
         self._writer.add_message(channel, log_ns, data, publish_ns, sequence & 0xFFFFFFFF)
         self._counts[channel] += 1
         if log_ns < self._start_ns:
@@ -103,15 +108,6 @@ class BagWriter:
     def flush(self) -> None:
         """Hand the finished chunks to the system, where a kill of this process leaves them."""
         self._file.flush()
-
-    def end_chunk(self) -> None:
-        """Finish the chunk that is open, and flush."""
-        self._writer.flush()
-
-    @property
-    def size(self) -> int:
-        """Bytes in the file so far."""
-        return self._file.tell()
 
     def counts(self) -> dict[str, int]:
         """Return the number of messages written, by topic."""

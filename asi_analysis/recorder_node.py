@@ -56,8 +56,6 @@ NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
 # Often enough that little waits, seldom enough that one wake-up serves many messages.
 DRAIN_PERIOD_S: Final = 0.01
 LOOK_AROUND_PERIOD_S: Final = 0.2
-# A chunk that is open this long is finished though it is small: what a kill may lose.
-OPEN_CHUNK_S: Final = 0.5
 FAREWELL_S: Final = 0.05
 # Messages of one topic that may wait: ten seconds of lock-step.
 DEPTH: Final = 50_000
@@ -163,8 +161,6 @@ class Recorder(Node):
             self._writer.add_information(information)
         self._arrived: list[Arrival] = []
         self._order: ReceiptOrder | TickOrder | None = None
-        self._pending = False       # is there something in the open chunk?
-        self._size, self._opened_s = 0, time.monotonic()
         self._unasked = [] if configuration else [
             (name, AsyncParameterClient(self, node)) for name, node in NODES.items()]
         self.create_timer(DRAIN_PERIOD_S, self._record)
@@ -202,7 +198,7 @@ class Recorder(Node):
         try:
             self._drain()
             self._write()
-            self._hand_over()
+            self._writer.flush()
         except OSError as error:
             self._fail(error)
             raise RunError('the recording has ended') from None
@@ -232,7 +228,6 @@ class Recorder(Node):
                     topic.name, topic.type, self._offered(topic.name))
             self._writer.write(topic.channel, item.log_ns, item.publish_ns, item.number,
                                item.data)
-            self._pending = True
 
     def _choose_order(self, final: bool) -> ReceiptOrder | TickOrder | None:
         """
@@ -251,17 +246,6 @@ class Recorder(Node):
                 return TickOrder(len(self._topics), guides[0])
         waited_ns = time.time_ns() - arrived[0].received_ns if arrived else 0
         return ReceiptOrder() if final or waited_ns > HOLD_S * 1e9 else None
-
-    def _hand_over(self) -> None:
-        """Let the system have finished chunks, and an unfinished one that has become old."""
-        self._writer.flush()
-        now_s = time.monotonic()
-        if self._writer.size != self._size or not self._pending:
-            self._size, self._opened_s = self._writer.size, now_s
-        elif now_s - self._opened_s > OPEN_CHUNK_S and not (
-                self._order and self._order.repairing(now_s)):
-            self._writer.end_chunk()
-            self._pending = False
 
     def _offered(self, name: str) -> list[dict[str, Any]]:
         """Return the different QoS that the publishers of a topic offer."""

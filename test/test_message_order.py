@@ -74,7 +74,7 @@ def test_a_topic_that_spoke_every_tick_is_waited_for() -> None:
     late = tick(100)
     assert order.ready(late[:4], 0.0) == []
     assert order.ready([], 3.0 * HOLD_S) == []
-    assert order.repairing(3.0 * HOLD_S)
+    assert order.waiting()
     assert [item.topic for item in order.ready(late[4:], 3.0 * HOLD_S)] == [0, 1, 2, 3, 4]
 
 
