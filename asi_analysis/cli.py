@@ -67,7 +67,7 @@ def run(
         help='Size of a step in the reference, N; the same as --reference step --amplitude')
     ] = None,
     reference: Annotated[str | None, typer.Option(
-        help='step, constant, ramp, sine, triangle, chirp, multisine, prbs or topic')] = None,
+        help='step, ramp, sine, triangle, chirp, multisine, prbs or topic')] = None,
     amplitude: Annotated[float | None, typer.Option(help='Size of the reference, N')] = None,
     offset: Annotated[float | None, typer.Option(
         help='Force about which it moves, N')] = None,

@@ -4,7 +4,7 @@ from asi_actuator.node_parameters import LOOP_PARAMETERS
 from asi_actuator.parameters import Parameter
 
 COMPENSATORS = ('proportional', 'lead_lag', 'lead2', 'lead4', 'custom')
-SHAPES = ('topic', 'constant', 'step', 'ramp', 'sine', 'triangle', 'chirp', 'multisine', 'prbs')
+SHAPES = ('topic', 'step', 'ramp', 'sine', 'triangle', 'chirp', 'multisine', 'prbs')
 
 # Searched for the fourth-order row of Table 1, so that nothing cycles at 2.5 times the gain at
 # 5 kHz and at 1.5 times the gain at 1 kHz with a period of delay; steps of 100 to 500 N on the

@@ -7,7 +7,7 @@ import numpy as np
 from asi_actuator.model.jit import jit
 from asi_controller.parameters import SHAPES
 
-TOPIC, CONSTANT, STEP, RAMP, SINE, TRIANGLE, CHIRP, MULTISINE, PRBS = range(len(SHAPES))
+TOPIC, STEP, RAMP, SINE, TRIANGLE, CHIRP, MULTISINE, PRBS = range(len(SHAPES))
 
 
 @jit
@@ -69,7 +69,7 @@ def reference_force(time, r):
     t = max(t, 0.0)
     shape = int(r.reference_shape)
     value = 0.0
-    if shape == CONSTANT or shape == STEP:
+    if shape == STEP:
         value = 1.0
     elif shape == RAMP:
         value = min(t / r.reference_duration, 1.0)

@@ -226,7 +226,7 @@ def test_force_loop_over_can(start_node: Callable, peer: Callable, states: State
     actuator_peer = peer()
     actuator = start_node(ACTUATOR, **PATIENT, **{'can.channel': channel(actuator_peer)})
     start_node(CONTROLLER, **SLOW, gain=1.0, state_timeout=10.0,
-               **{'reference.shape': 'constant', 'reference.amplitude': 200.0})
+               **{'reference.shape': 'step', 'reference.amplitude': 200.0})
     # Hardware powers up disabled.
     assert not any(state.effort[1] for state in states.wait(50))
     assert 'disabled' in actuator.text

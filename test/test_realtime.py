@@ -79,7 +79,7 @@ def test_watchdog_takes_the_command_away_until_the_reset(
     from std_srvs.srv import SetBool, Trigger
 
     actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=0.5)
-    constant = {'reference.shape': 'constant', 'reference.amplitude': 200.0}
+    constant = {'reference.shape': 'step', 'reference.amplitude': 200.0}
     controller = start_node(CONTROLLER, **PATIENT, **constant)
     states.wait_until(lambda state: state.effort[1] > 100.0, 'a valve command')
     assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
