@@ -27,6 +27,11 @@ app = typer.Typer(
 Json = Annotated[bool, typer.Option('--json', help='Print one JSON document (doc/json.md).')]
 
 
+Settings = Annotated[list[str] | None, typer.Option(
+    '--set', metavar='NODE.NAME=VALUE',
+    help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
+
+
 def command(name: str, example: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Make a function a command; `example` is the end of its help."""
     return app.command(name, epilog=f'Example: `{example}`')
@@ -261,6 +266,61 @@ def limit_cycle(
             from asi_analysis.limit_cycle.figure import draw
             draw(runs[0], document, figure)
     answer(document, as_json, lambda d: print(limit_cycle_answer.as_text(d)))
+
+
+@command('predict', 'asi predict --steps 20,100,300,600 --figures runs/prediction')
+def predict(
+    compensator: Annotated[str | None, typer.Option(
+        help='proportional, lead_lag, lead2, lead4 or custom')] = None,
+    gain: Annotated[float, typer.Option(
+        help='Where the search for a cycle begins: below the onset')] = 5.0,
+    step: Annotated[float, typer.Option(help='Force that the loop is to hold, N')] = 100.0,
+    steps: Annotated[str, typer.Option(
+        help='Steps (N, with commas) for which the onset is wanted too: Fig. 7')] = '',
+    rate: Annotated[float, typer.Option(help='Control rate, Hz')] = 5000.0,
+    set_: Settings = None,
+    figures: Annotated[Path | None, typer.Option(
+        help='Directory for Nyquist pictures, branch and onset as PNG')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Predict the limit cycles of a loop from its model, and simulate them beside.
+
+    By the describing function of the hysteresis alone, as the paper, and by the harmonic balance
+    of all nonlinearities; the rate and its hold included.
+    """
+    values = _configured(set_, compensator, gain, step, rate)
+    sizes = _numbers('--steps', steps)
+    from asi_analysis.prediction import predict as prediction
+    with progress() as told:
+        document = prediction.predict(values['actuator'], values['controller'], rate, gain,
+                                      sizes, told)
+        if figures:
+            from asi_analysis.prediction.figures import write
+            at = document['onset_gain'] or gain
+            write(prediction.loop_of(values['actuator'],
+                                     prediction.with_gain(values['controller'], 1.2 * at), rate),
+                  document, figures)
+    answer(document, as_json, lambda d: print(prediction.as_text(d)))
+
+
+def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
+                step: float, rate: float) -> dict[str, dict[str, Any]]:
+    """Return the parameters of actuator and controller, checked; the reference is a step."""
+    from asi_analysis import experiment as ex
+    values = ex.gather({'actuator': None, 'controller': None}, settings or [],
+                       {'controller': {'compensator': compensator, 'gain': gain,
+                                       'reference.shape': 'step', 'reference.amplitude': step}},
+                       1.0)
+    ex.checked(ex.Experiment(values['actuator'], values['controller'], 1.0, 'lockstep', rate))
+    return values
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(',') if part.strip()]
+    except ValueError:
+        raise InputError(f'{option} {text}: it takes numbers with commas between') from None
 
 
 def _show_run(document: Mapping[str, Any]) -> None:

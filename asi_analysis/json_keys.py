@@ -156,6 +156,38 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('false_limit_cycles', 'integer', 'signals wrongly called a limit cycle'),
             Key('verdicts', 'object', 'how often each verdict was given'))),
     ),
+    'asi predict': (
+        Key('compensator', 'text', 'name of the compensator'),
+        Key('rate_hz', 'number', 'control rate; the loop answers within the period'),
+        Key('reference_n', 'number', 'force that the loop is to hold'),
+        Key('cycles', '[object]', 'cycles that exist, stable or not', (
+            Key('gain', 'number', 'gain of the compensator'),
+            Key('frequency_hz', 'number', 'frequency'),
+            Key('amplitude_n', 'number', 'amplitude of the fundamental of the measured force'),
+            Key('stable', 'boolean', "whether it attracts: Loeb's criterion (describing "
+                'function), which side of the fold (balance), reached (simulation)'),
+            Key('method', 'text', 'describing_function: the hysteresis alone, one harmonic; '
+                'harmonic_balance: all nonlinearities; simulation'),
+            Key('thd', 'number?', 'rms of the harmonics over the fundamental'),
+            Key('second_multiplier', 'number?', 'size of the largest Floquet multiplier beside '
+                'that along the orbit; null: no simulated cycle there'))),
+        Key('onset_gain', 'number?', 'least gain at which a cycle exists: fold of the harmonic '
+            'balance; null: no cycle found'),
+        Key('onset_frequency_hz', 'number?', 'frequency there'),
+        Key('onset_amplitude_n', 'number?', 'amplitude there'),
+        Key('describing_function_onset_gain', 'number?', 'first intersection, hysteresis alone'),
+        Key('describing_function_onset_frequency_hz', 'number?', 'frequency there'),
+        Key('linear_limit_gain', 'number?', 'gain at which the loop is unstable without '
+            'hysteresis, damping and friction'),
+        Key('largest_frequency_error', 'number?', 'balance against simulation, share'),
+        Key('largest_amplitude_error', 'number?', 'the same for the amplitude'),
+        Key('onset_by_step', '[object]', 'onset by the size of the step, if asked for', (
+            Key('step_n', 'number', 'step of the reference'),
+            Key('predicted_gain', 'number?', 'fold of the harmonic balance'),
+            Key('predicted_frequency_hz', 'number?', 'frequency there'),
+            Key('simulated_gain', 'number?', 'least gain at which the step leaves a cycle'),
+            Key('simulated_frequency_hz', 'number?', 'frequency there'))),
+    ),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

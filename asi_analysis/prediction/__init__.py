@@ -1,0 +1,1 @@
+"""Limit cycles predicted from the model: describing functions, harmonic balance, Floquet."""

@@ -1,0 +1,127 @@
+"""Nyquist pictures as the paper's Figs. 8 and 9, the branch of cycles, and Fig. 7."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from asi_analysis.figures import BLUE, GREEN, GREY, ORANGE, WIDTH_IN, style
+from asi_analysis.prediction import describing_functions as describing
+from asi_analysis.prediction import one_harmonic
+from asi_analysis.prediction.harmonic_balance import Loop
+from asi_analysis.prediction.predict import COMMANDS_N
+
+MARKED_HZ = (50, 80, 100, 130, 200)
+MARKED_N = (100, 2000, 8000)
+
+
+def _mark(axes: Axes, points: np.ndarray, texts: list[str], colour: str, side: int) -> None:
+    axes.plot(points.real, points.imag, '.', color=colour, markersize=5)
+    for point, text in zip(points, texts, strict=True):
+        axes.annotate(text, (point.real, point.imag), xytext=(5 * side, 4),
+                      textcoords='offset points', fontsize=7, color=colour,
+                      ha='left' if side > 0 else 'right')
+
+
+def nyquist(loop: Loop, frequency_hz: float) -> Figure:
+    """
+    Draw K L(jw) and -1/N(A) of the hysteresis (Fig. 9), W and -1/D of damping (Fig. 8).
+
+    frequency_hz: at which N is drawn, for it depends on the frequency too.
+    """
+    gain, p = float(loop.compensator['gain']), loop.plant
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 7.0), layout='constrained')
+        hysteresis, damping = figure.subplots(2, 1)
+        f = np.geomspace(30.0, 400.0, 400)
+        line = gain * one_harmonic.per_gain(f, loop)
+        hysteresis.plot(line.real, line.imag, color=BLUE, label='K L(jw)')
+        _mark(hysteresis, gain * one_harmonic.per_gain(MARKED_HZ, loop),
+              [f'{each} Hz' for each in MARKED_HZ], BLUE, 1)
+        limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
+
+        def inverse(amplitudes: np.ndarray) -> np.ndarray:
+            return np.array([-1.0 / describing.hysteresis(a, frequency_hz, 0.0, p, limit)
+                             for a in amplitudes])
+
+        smallest = 1.1 * p['valve_hysteresis_radius']
+        locus = inverse(np.geomspace(max(3.0 * smallest, 60.0), COMMANDS_N[-1], 80))
+        hysteresis.plot(locus.real, locus.imag, color=ORANGE,
+                        label=f'-1/N(A), hysteresis with the limit of the command, '
+                              f'{frequency_hz:.0f} Hz')
+        _mark(hysteresis, inverse(np.array(MARKED_N)), [f'{each} N' for each in MARKED_N],
+              ORANGE, -1)
+        hysteresis.set(xlim=(-4.0, 1.5), ylim=(-3.0, 2.0), title=f'hysteresis, K = {gain:.3g}')
+        for friction, colour, name in ((False, BLUE, 'W(jw), damping'),
+                                       (True, GREEN, 'W(jw), friction')):
+            f = np.geomspace(30.0, 400.0, 4000)
+            seen = 1e3 * one_harmonic.seen_by_damping(f, loop, friction)
+            damping.plot(seen.real, seen.imag, color=colour, label=name)
+        velocities = np.geomspace(0.01, 2.0, 60)
+        inverse_damping = -1e3 / np.array([describing.damping(v, 0.0, p).real
+                                           for v in velocities])
+        damping.plot(inverse_damping, np.zeros_like(velocities), color=ORANGE, linewidth=3,
+                     label='-1/D(A), damping, 0.01 to 2 m/s')
+        damping.set(title='damping and friction: on the real axis',
+                    xlabel='real part ((m/s)/kN)', ylabel='imaginary part')
+        hysteresis.set(xlabel='real part', ylabel='imaginary part')
+        for axes in (hysteresis, damping):
+            axes.axhline(0.0, color='#777777', linewidth=0.6)
+            axes.axvline(0.0, color='#777777', linewidth=0.6)
+            axes.legend(loc='best')
+        return figure
+
+
+def branches(document: dict[str, Any]) -> Figure:
+    """Draw amplitude and frequency of the predicted and the simulated cycles over the gain."""
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 5.6), layout='constrained')
+        above, below = figure.subplots(2, 1, sharex=True)
+        for method, colour, mark in (('describing_function', GREY, '-'),
+                                     ('harmonic_balance', BLUE, '-'), ('simulation', ORANGE, '.')):
+            for stable in (True, False):
+                rows = [c for c in document['cycles']
+                        if c['method'] == method and c['stable'] == stable]
+                if not rows:
+                    continue
+                style_ = mark if stable or mark == '.' else '--'
+                label = method.replace('_', ' ') + ('' if stable else ', unstable')
+                gain = [c['gain'] for c in rows]
+                above.plot(gain, [c['amplitude_n'] for c in rows], style_, color=colour,
+                           label=label)
+                below.plot(gain, [c['frequency_hz'] for c in rows], style_, color=colour)
+        above.set(ylabel='amplitude of the force (N)')
+        below.set(xlabel='gain', ylabel='frequency (Hz)')
+        figure.legend(*above.get_legend_handles_labels(), loc='outside upper center', ncols=2)
+        return figure
+
+
+def onsets(document: dict[str, Any]) -> Figure:
+    """Draw onset gain and frequency over the size of the step (Fig. 7)."""
+    rows = document['onset_by_step']
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 4.6), layout='constrained')
+        above, below = figure.subplots(2, 1, sharex=True)
+        for kind, colour, mark in (('predicted', BLUE, 'o-'), ('simulated', ORANGE, 's--')):
+            for axes, quantity in ((above, 'gain'), (below, 'frequency_hz')):
+                axes.plot([r['step_n'] for r in rows],
+                          [np.nan if r[f'{kind}_{quantity}'] is None else r[f'{kind}_{quantity}']
+                           for r in rows], mark, color=colour, markersize=4, label=kind)
+        above.set(ylabel='onset gain')
+        below.set(xlabel='step (N)', ylabel='frequency (Hz)')
+        figure.legend(*above.get_legend_handles_labels(), loc='outside upper center', ncols=2)
+        return figure
+
+
+def write(loop: Loop, document: dict[str, Any], folder: Path) -> None:
+    """Write the pictures as PNG files into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    at = document['describing_function_onset_frequency_hz'] or 100.0
+    pictures = {'nyquist': nyquist(loop, at), 'branches': branches(document)}
+    if document['onset_by_step']:
+        pictures['onset_by_step'] = onsets(document)
+    with style():
+        for name, figure in pictures.items():
+            figure.savefig(folder / f'{name}.png')

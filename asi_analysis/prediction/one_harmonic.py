@@ -1,0 +1,121 @@
+"""
+The paper's method: one harmonic, the hysteresis alone, everything else linear (section 4.1).
+
+A cycle of the command of amplitude A at frequency f is predicted where K L(f) N(A, f) = -1: static
+characteristic a gain, damping and friction left out. The limit of the command is kept with the
+hysteresis, since without it nothing bounds the amplitude. It is stable by Loeb's criterion (Gelb
+and Vander Velde 1968, section 3.5).
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from asi_analysis.prediction import describing_functions as describing
+from asi_analysis.prediction import linear_blocks as linear
+from asi_analysis.prediction.harmonic_balance import Loop
+from asi_controller.compensator import frequency_response
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+FREQUENCIES_HZ: Final = np.geomspace(5.0, 600.0, 60)
+
+
+class Locus(NamedTuple):
+    """Predicted cycles: amplitude of the command (N), gain, frequency, amplitude of force (N)."""
+
+    command_n: Array
+    gain: Array
+    frequency_hz: Array
+    amplitude_n: Array
+    stable: npt.NDArray[np.bool_]
+
+
+def plant_without_damping(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:
+    """Return command to measured force, sampled and held; hysteresis, damping, friction out."""
+    p = loop.plant
+    return (linear.hold(frequency_hz, loop.period_s) * linear.flexure(frequency_hz, p)
+            * p['valve_characteristic_gain'] * linear.fluid(frequency_hz, p)
+            * linear.sensor(frequency_hz, p))
+
+
+def per_gain(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:
+    """Return L: the loop without its gain, its sign and its hysteresis."""
+    return (plant_without_damping(frequency_hz, loop)
+            * frequency_response(loop.compensator, frequency_hz, 1.0 / loop.period_s)
+            / loop.compensator['gain'])
+
+
+def _least_gain(loop: Loop, nonlinear: Callable[[float], complex]
+                ) -> tuple[float, float] | None:
+    """Return (gain, frequency) where L N crosses the negative real axis furthest out."""
+    def response(f: float) -> complex:
+        return complex(per_gain([f], loop)[0] * nonlinear(f))
+
+    values = np.array([response(f) for f in FREQUENCIES_HZ])
+    best = None
+    turned = np.flatnonzero((values.imag[:-1] < 0.0) != (values.imag[1:] < 0.0))
+    for k in turned:
+        if values[k].real > 0.0 and values[k + 1].real > 0.0:
+            continue
+        f = brentq(lambda f: response(f).imag, FREQUENCIES_HZ[k], FREQUENCIES_HZ[k + 1],
+                   xtol=1e-4)
+        at = response(f).real
+        if at < 0.0 and (best is None or -1.0 / at < best[0]):
+            best = (-1.0 / at, f)
+    return best
+
+
+def _passed(loop: Loop, amplitude_n: float, frequency_hz: float) -> complex:
+    limit = min(float(loop.plant['command_limit']), float(loop.compensator['saturation']))
+    return describing.hysteresis(amplitude_n, frequency_hz, 0.0, loop.plant, limit)
+
+
+def hysteresis_alone(loop: Loop, amplitudes_n: Array) -> Locus:
+    """Return the predicted cycles; amplitudes of the command without any are left out."""
+    rows, stable = [], []
+    for amplitude in amplitudes_n:
+        found = _least_gain(loop, partial(_passed, loop, amplitude))
+        if found is not None:
+            gain, f = found
+            compensated = abs(frequency_response(loop.compensator, [f], 1.0 / loop.period_s)[0])
+            # The command is the compensated force.
+            rows.append((amplitude, gain, f,
+                         amplitude / compensated * loop.compensator['gain'] / gain))
+            stable.append(_loeb(loop, gain, amplitude, f))
+    command, gains, frequencies, forces = np.array(rows).reshape(-1, 4).T
+    return Locus(command, gains, frequencies, forces, np.array(stable, bool))
+
+
+def _loeb(loop: Loop, gain: float, amplitude_n: float, frequency_hz: float) -> bool:
+    """Return whether a cycle is stable: more amplitude moves the roots into the left half."""
+    def response(amplitude: float, f: float) -> complex:
+        return complex(gain * per_gain([f], loop)[0] * _passed(loop, amplitude, f))
+
+    with_amplitude = (response(1.02 * amplitude_n, frequency_hz)
+                      - response(0.98 * amplitude_n, frequency_hz))
+    with_frequency = (response(amplitude_n, 1.01 * frequency_hz)
+                      - response(amplitude_n, 0.99 * frequency_hz))
+    return (with_amplitude * with_frequency.conjugate()).imag < 0.0
+
+
+def linear_limit(loop: Loop) -> tuple[float, float] | None:
+    """Return (gain, frequency) at which the loop is unstable with no nonlinearity at all."""
+    return _least_gain(loop, lambda _: 1.0)
+
+
+def seen_by_damping(frequency_hz: npt.ArrayLike, loop: Loop, friction: bool) -> Complex:
+    """
+    Return W of Fig. 8: a cycle by damping (or friction) alone needs -1/D(A) = W.
+
+    From the force against the piston to its velocity, the loop closed around, hysteresis a gain.
+    """
+    f = np.asarray(frequency_hz, float)
+    direct = 1.0 if friction else linear.fluid(f, loop.plant)
+    return direct / (linear.impedance(f, loop.plant)
+                     * (1.0 + loop.compensator['gain'] * per_gain(f, loop)))
