@@ -13,7 +13,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
@@ -28,6 +28,13 @@ BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.Zst
                  OverflowError, EOFError, sqlite3.Error)
 _RECORD: Final = struct.Struct('<BQ')
 _MESSAGE: Final = struct.Struct('<HIQQ')
+
+
+class _Records(StreamReader):
+    """The records of a file; the indices of messages, which take as long as all else, skipped."""
+
+    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+        return None if opcode == Opcode.MESSAGE_INDEX else super()._read_record(opcode, length)
 
 
 class Topic:
@@ -117,8 +124,8 @@ def _read_mcap(file: Path, wanted: Callable[[str], bool], contents: Contents) ->
     schemas: dict[int, str] = {}
     count, announced = 0, None
     with file.open('rb') as stream:
-        for record in StreamReader(stream, emit_chunks=True,
-                                   record_size_limit=file.stat().st_size).records:
+        for record in _Records(stream, emit_chunks=True,
+                               record_size_limit=file.stat().st_size).records:
             if isinstance(record, Chunk):
                 count += _read_chunk(record, schemas, channels, wanted, contents.topics)
             elif isinstance(record, Message):
