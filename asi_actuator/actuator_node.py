@@ -313,7 +313,7 @@ class LockStep:
         controller = (self.node.commands.get_publisher_count()
                       and self.node.states.get_subscription_count()
                       and self.clocks.get_subscription_count())
-        return ([] if controller else ['a controller']) + self.node.missing()
+        return ([] if controller else ['a controller in lock-step']) + self.node.missing()
 
     def _publish_next(self) -> None:
         self.tick += 1

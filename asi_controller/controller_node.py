@@ -31,6 +31,8 @@ from asi_controller.parameters import (
 # An old state is a straggler, unless the same one comes so often in a row: then the actuator,
 # which asks again and again, has begun a new run.
 BEGIN_ANEW_AFTER: Final = 3
+# A stamp this far from the wall clock is of another clock.
+OTHER_CLOCK_NS: Final = 3600 * 10**9
 # How often a controller that waits for a recorder looks for it, s.
 WATCH_PERIOD_S: Final = 0.02
 
@@ -221,8 +223,8 @@ class LockStep:
         if abs(apart_s - 1.0 / self.node.rate_hz) > 1.5e-9:
             raise RunError(
                 f'states are {apart_s:.9g} s apart, but rate_hz = {self.node.rate_hz:g} asks for '
-                f'{1.0 / self.node.rate_hz:.9g} s: has the actuator another rate_hz, or does a '
-                'second controller answer?')
+                f'{1.0 / self.node.rate_hz:.9g} s: has the actuator another mode or rate_hz, or '
+                'does a second controller answer?')
 
     def _answer_if_due(self) -> None:
         if (self.pending is None or not self.node.ready()
@@ -246,12 +248,16 @@ class RealTime:
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_state(self, stamp_ns: int, force_n: float) -> None:
+        latency_ns = self.node.get_clock().now().nanoseconds - stamp_ns
+        if abs(latency_ns) > OTHER_CLOCK_NS:
+            raise RunError(f'a state of {stamp_ns * 1e-9:.6f} s is not of the wall clock: the '
+                           'mode of the actuator is lockstep, that of this controller realtime')
         if self.latest is not None:
             periods = (stamp_ns - self.latest[0]) * 1e-9 * self.node.rate_hz
             self.lost += max(0, round(periods) - 1)
         self.latest = stamp_ns, force_n
         self.received_at = time.monotonic()
-        self.node.statistics.latency(self.node.get_clock().now().nanoseconds - stamp_ns)
+        self.node.statistics.latency(latency_ns)
 
     def health(self) -> tuple[bytes, str]:
         if self.latest is None:

@@ -160,3 +160,30 @@ def test_different_rates_are_an_error_that_says_both(start_node: Callable) -> No
     controller = start_node(CONTROLLER, rate_hz=5000.0)
     assert controller.exit_status() == 1
     assert '0.0005 s apart' in controller.text and '0.0002 s' in controller.text
+
+
+@pytest.mark.parametrize(('actuator', 'controller'),
+                         [('lockstep', 'realtime'), ('realtime', 'lockstep')])
+def test_different_modes_are_an_error(
+        actuator: str, controller: str, start_node: Callable, recording: Recording) -> None:
+    start_node(ACTUATOR, mode=actuator)
+    node = start_node(CONTROLLER, mode=controller)
+    assert node.exit_status() == 1
+    assert 'mode' in node.text and 'Traceback' not in node.text
+
+
+def test_parameter_changes_while_running_without_a_glitch(
+        start_node: Callable, recording: Recording, set_parameters: Callable) -> None:
+    start_node(CONTROLLER, gain=3.0, **{'reference.shape': 'constant',
+                                        'reference.amplitude': 300.0})
+    start_node(ACTUATOR)
+    settled = 2500
+    wait_until(lambda: len(recording.messages['valve_command']) > settled, 'the end of the step')
+    changed = len(recording.messages['valve_command'])
+    result, = set_parameters('asi_controller', {'feedforward': 1.4})
+    assert result.successful, result.reason
+    wait_until(lambda: len(recording.messages['valve_command']) > changed + 1500, 'the change')
+    command = recording.run().command_n[settled:]
+    # 0.469 * 300 N less of feed-forward, most of which the gain makes up for.
+    assert abs(command[-1] - command[0]) > 30.0
+    assert abs(np.diff(command)).max() < 5.0
