@@ -125,7 +125,9 @@ class TickOrder:
             for topic in regular:
                 self._spoken[topic] = 0
             return True
-        return not behind or (age_s > HOLD_S and not regular)
+        # As long as there is no second tick the loop stands still: the answer is on its way.
+        begun = self._written or stamp < self._newest
+        return not behind or bool(begun and age_s > HOLD_S and not regular)
 
     def _release(self, stamp: int) -> list[Item]:
         tick = self._ticks[stamp]

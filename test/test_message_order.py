@@ -67,6 +67,16 @@ def test_a_silent_topic_does_not_hold_up_the_rest() -> None:
     assert len(order.ready([], 10.0 + 1.1 * HOLD_S)) == len(spoken)
 
 
+def test_the_first_tick_waits_for_its_answer() -> None:
+    """A controller that is slow to start does not change the order in the bag."""
+    order = TickOrder(5, FORCE)
+    first = tick(1)
+    assert order.ready([a for a in first if a.topic != REFERENCE], 10.0) == []
+    assert order.ready([], 10.0 + 10 * HOLD_S) == []
+    late = order.ready([a for a in first if a.topic == REFERENCE], 10.0 + 11 * HOLD_S)
+    assert [item.topic for item in late] == [0, 1, 2, 3, 4]
+
+
 def test_a_topic_that_spoke_every_tick_is_waited_for() -> None:
     order = TickOrder(5, FORCE)
     for k in range(1, 100):
