@@ -152,9 +152,10 @@ def _assemble(series: Mapping[str, _Series], source: str, information: dict[str,
         values = None
         # joint_states holds all that is measured, on the time base itself.
         if state is not None and joint in state.values:
-            values = _onto(base, state, state.values[joint], hold=False)
+            values = _onto(base, state, state.values[joint], lasting=False)
         if found is not None and (values is None or np.isnan(values).all()):
-            values = _onto(base, found, found.values['value'], hold=name == 'reference')
+            values = _onto(base, found, found.values['value'],
+                           lasting=name in ('reference', 'command'))
         if values is not None and not np.isnan(values).all():
             signals[field] = values
     time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
@@ -168,25 +169,27 @@ def _time_base(series: _Series) -> _Series:
     return _Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
 
 
-def _onto(base: _Series, series: _Series, values: Array, hold: bool) -> Array:
+def _onto(base: _Series, series: _Series, values: Array, lasting: bool) -> Array:
     """
     Return values on the time base, NaN where there is none.
 
-    A message goes to the tick with its stamp. Where most ticks have none, or most messages no
-    tick, a message lasts until the next. Without stamps a message goes to the tick published
-    next to it, or with `hold` lasts until the next.
+    A message goes to the tick with its stamp; without a stamp, to the tick published next to it.
+    It lasts until the next message where most ticks have none, or most messages no tick; and so
+    does, if it is `lasting`, one without a stamp, and one of real time: there a state that has no
+    answer leaves the valve as it was. In lock-step every state has one, so a gap is a loss.
     """
     ticks, times = base.stamp_ns, series.stamp_ns
     if not times.any():
         ticks, times = base.publish_ns, series.publish_ns
-        place = _nearest(ticks, times)
+        place, hold = _nearest(ticks, times), lasting
     else:
         place = np.minimum(np.searchsorted(ticks, times), len(ticks) - 1)
         own = ticks[place] == times
         if not own.any() and (times.max() < ticks[0] or times.min() > ticks[-1]):
             # Stamps of another clock.
             ticks, times = base.publish_ns, series.publish_ns
-        hold = own.sum() < 0.5 * max(len(ticks), len(times))
+        lockstep = np.array_equal(series.publish_ns, series.stamp_ns)
+        hold = (own.sum() < 0.5 * max(len(ticks), len(times))) or (lasting and not lockstep)
         place = np.where(own, place, -1)
     if hold:
         order = np.argsort(times, kind='stable')
