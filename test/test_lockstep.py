@@ -174,7 +174,7 @@ def test_different_modes_are_an_error(
 
 def test_parameter_changes_while_running_without_a_glitch(
         start_node: Callable, recording: Recording, set_parameters: Callable) -> None:
-    start_node(CONTROLLER, gain=3.0, **{'reference.shape': 'constant',
+    start_node(CONTROLLER, gain=3.0, **{'reference.shape': 'step',
                                         'reference.amplitude': 300.0})
     start_node(ACTUATOR)
     settled = 2500

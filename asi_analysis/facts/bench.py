@@ -13,7 +13,7 @@ from asi_analysis.closed_loop import LoopRun, _close, simulate_loop
 from asi_analysis.experiment import Experiment
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
-from asi_controller.reference import CONSTANT, SINE
+from asi_controller.reference import SINE, STEP
 
 RATE_HZ: Final = 5000.0
 # Rest before a step.
@@ -45,7 +45,7 @@ class Bench:
     def run(self, duration_s: float, amplitude_n: float, frequency_hz: float = 0.0,
             push_n: float = 0.0) -> LoopRun:
         """Hold a force, or follow a sine about zero, while something pushes on the piston."""
-        self.reference['reference_shape'] = SINE if frequency_hz else CONSTANT
+        self.reference['reference_shape'] = SINE if frequency_hz else STEP
         self.reference['reference_amplitude'] = amplitude_n
         self.reference['reference_frequency'] = frequency_hz
         self.plant['load_external_force'] = push_n

@@ -36,7 +36,7 @@ class _Clocked:
         self.compensator = compensator({name: value for name, value in controller.items()
                                         if name not in names}, 1.0 / period_s)
         reference = {name: value for name, value in controller.items() if name in names}
-        self.reference = as_record({**reference, 'reference.shape': 'constant',
+        self.reference = as_record({**reference, 'reference.shape': 'step',
                                     'reference.start': 0.0}, REFERENCE_PARAMETERS)
         self.period_s = period_s
         self.state = rest()
