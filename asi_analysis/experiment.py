@@ -47,6 +47,9 @@ OF_THE_NODE: Final = frozenset(
 MODULES: Final = {'controller': 'asi_controller.controller_node',
                   'recorder': 'asi_analysis.recorder_node',
                   'actuator': 'asi_actuator.actuator_node'}
+# Not /diagnostics, which goes by the wall clock: the same experiment gives the same file.
+LOCKSTEP_TOPICS: Final = ('joint_states', 'force', 'valve_position', 'velocity',
+                          'force_reference', 'valve_command', '/clock')
 # A node that is asked to end and does not within this time is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
@@ -308,6 +311,8 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
         'controller': ['--params-file', str(out / 'controller.yaml')],
         'actuator': ['--params-file', str(out / 'actuator.yaml')],
     }
+    if experiment.mode == 'lockstep':
+        arguments['recorder'] += ['-p', f'topics:=[{", ".join(LOCKSTEP_TOPICS)}]']
     nodes: dict[str, subprocess.Popen] = {}
     try:
         for name, module in MODULES.items():

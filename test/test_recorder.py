@@ -4,6 +4,8 @@ import hashlib
 import json
 import resource
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -76,6 +78,16 @@ def test_records_every_byte_and_twice_the_same(start_node: Start, call: Call, tm
     offered = metadata['rosbag2_bagfile_information']['topics_with_message_count'][0][
         'topic_metadata']['offered_qos_profiles']
     assert [profile['reliability'] for profile in offered] == ['reliable']
+
+
+def test_the_same_experiment_gives_the_same_file(ros_environment: dict[str, str], tmp_path: Path
+                                                 ) -> None:
+    for name in ('one', 'two'):
+        subprocess.run([sys.executable, '-m', 'asi_analysis.cli', 'run', '--step', '200',
+                        '--duration', '0.3', '--out', str(tmp_path / name)],
+                       env=ros_environment, check=True, capture_output=True)
+    assert digest(tmp_path / 'one/bag') == digest(tmp_path / 'two/bag')
+    assert len(read_bag(tmp_path / 'one/bag')) == 1500
 
 
 def test_a_killed_recorder_loses_less_than_a_second(
