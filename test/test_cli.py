@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from asi_analysis import json_keys
+from asi_analysis import cli, json_keys
 from asi_analysis.analysis import analyze
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.run import Run
@@ -72,7 +72,7 @@ def test_help_loads_nothing_heavy():
     (('import', 'table.csv', '--map', 'colour=t', '--rate', '10', '--out', 'new'), 'colour'),
     (('export', 'nowhere', '--out', 'new.csv'), 'nowhere'),
 ])
-def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path):
+def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path, monkeypatch, capsys):
     (tmp_path / 'empty.mcap').touch()
     (tmp_path / 'foreign.yaml').write_text('camera:\n  ros__parameters: {exposure: 3}\n')
     (tmp_path / 'broken.yaml').write_text('asi_controller: [')
@@ -80,12 +80,14 @@ def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path):
     (tmp_path / 'table.csv').write_text('t,f\n0,1\n1,2\n')
     (tmp_path / 'used').mkdir()
     (tmp_path / 'used' / 'thesis.tex').touch()
-    result = asi(*arguments, cwd=tmp_path)
-    assert result.returncode == 2
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, 'argv', ['asi', *arguments])
+    assert cli.main() == 2
+    output, complaint = capsys.readouterr()
     if arguments:
-        assert result.stdout == ''
-        assert len(result.stderr.strip().splitlines()) == 1, result.stderr
-    assert said in result.stdout + result.stderr
+        assert output == ''
+        assert len(complaint.splitlines()) == 1, complaint
+    assert said in output + complaint
     assert (tmp_path / 'used' / 'thesis.tex').exists()
 
 
