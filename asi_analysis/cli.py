@@ -304,6 +304,40 @@ def predict(
     answer(document, as_json, lambda d: print(prediction.as_text(d)))
 
 
+@command('attribute', 'asi attribute --step 100')
+def attribute(
+    bag: Annotated[Path | None, typer.Argument(
+        help='A bag with an oscillation; without one, the model is asked')] = None,
+    compensator: Annotated[str | None, typer.Option(
+        help='proportional, lead_lag, lead2, lead4 or custom')] = None,
+    gain: Annotated[float | None, typer.Option(
+        help='Gain at which cycles are compared; by default a little above the onset')] = None,
+    step: Annotated[float, typer.Option(help='Force that the loop is to hold, N')] = 100.0,
+    rate: Annotated[float, typer.Option(help='Control rate, Hz')] = 5000.0,
+    set_: Settings = None,
+    signal: Annotated[str | None, typer.Option(help='Output to judge in the bag')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Say which nonlinearity causes a limit cycle.
+
+    Of the model: each alone, and all but it. Of a bag: by the shape of command and output, for
+    any loop; a bag of this actuator is compared with what its model makes of each.
+    """
+    if bag is not None:
+        from asi_analysis.attribution import recording
+        from asi_analysis.bag import read_bag
+        with progress() as told:
+            document = recording.attribute_run(read_bag(bag), signal, told)
+        answer(document, as_json, lambda d: print(recording.as_text(d)))
+        return
+    values = _configured(set_, compensator, gain, step, rate)
+    from asi_analysis.attribution import ablation
+    with progress() as told:
+        document = ablation.attribute(values['actuator'], values['controller'], rate, gain, told)
+    answer(document, as_json, lambda d: print(ablation.as_text(d)))
+
+
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
                 step: float, rate: float) -> dict[str, dict[str, Any]]:
     """Return the parameters of actuator and controller, checked; the reference is a step."""

@@ -188,6 +188,46 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('simulated_gain', 'number?', 'least gain at which the step leaves a cycle'),
             Key('simulated_frequency_hz', 'number?', 'frequency there'))),
     ),
+    'asi attribute': (
+        Key('gain', 'number?', 'gain at which the cycles are compared; null: no cycle'),
+        Key('rate_hz', 'number', 'control rate'),
+        Key('onset_gain', 'number?', 'least gain at which a step leaves a cycle'),
+        Key('frequency_hz', 'number?', 'cycle with all nonlinearities'),
+        Key('amplitude_n', 'number?', 'its amplitude'),
+        Key('causes', '[object]', 'the nonlinearities', (
+            Key('nonlinearity', 'text', 'a nonlinearity of the model; or, by shape: stiction, '
+                'backlash, hysteresis, saturation, tight_tuning, disturbance'),
+            Key('necessary', 'boolean?', 'no cycle without it; null: judged by shape'),
+            Key('sufficient', 'boolean?', 'a cycle with it alone'),
+            Key('share', 'number?', 'Shapley value of the amplitude, over the amplitude'),
+            Key('probability', 'number', 'that it is the cause'),
+            *(Key(f'{prefix}_{name}', 'number?', meaning)
+              for prefix in ('alone', 'all_but') for name, meaning in (
+                  ('frequency_hz', 'simulated cycle with it alone, or all but it'),
+                  ('amplitude_n', 'its amplitude'),
+                  ('predicted_frequency_hz', 'the same by harmonic balance'),
+                  ('predicted_amplitude_n', 'its amplitude'),
+                  ('onset_gain', 'least gain at which a step leaves a cycle'))))),
+        Key('verdict', 'text', 'what causes the cycle, with the numbers')),
+    'asi attribute BAG': (
+        Key('source', 'text', 'bag'),
+        Key('start_s', 'number', 'begin of the stretch'),
+        Key('end_s', 'number', 'end'),
+        Key('oscillation', 'text', 'verdict of `asi limit-cycle` on it'),
+        Key('frequency_hz', 'number?', 'measured'),
+        Key('amplitude_n', 'number?', 'measured'),
+        Key('causes', '[object]', 'the most probable first; for a bag that holds the '
+            'configuration of this actuator with the keys of `asi attribute` and the errors of '
+            'each predicted cycle', (
+            Key('nonlinearity', 'text', 'a nonlinearity of the model; or, by shape: stiction, '
+                'backlash, hysteresis, saturation, tight_tuning, disturbance'),
+            Key('necessary', 'boolean?', 'no cycle without it; null: judged by shape'),
+            Key('sufficient', 'boolean?', 'a cycle with it alone'),
+            Key('share', 'number?', 'Shapley value of the amplitude, over the amplitude'),
+            Key('probability', 'number', 'that it is the cause'),
+            Key('unexplained', 'number?', 'share of the output that this kind of valve, followed '
+                'by a linear process, leaves unexplained'))),
+        Key('verdict', 'text', 'the cause in words; cannot tell, and what would')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

@@ -53,7 +53,7 @@ def impedance(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return velocity (m/s) of the load to the force (N) that it takes; no frequency may be 0."""
     s = 2j * np.pi * np.asarray(frequency_hz, float)
     stiffness, damper = load_spring(p)
-    return np.asarray(p['load_mass'] * s + damper + stiffness / s, complex)
+    return np.asarray(p['load_mass'] * s + damper + stiffness / s, np.complex128)
 
 
 def hold(frequency_hz: npt.ArrayLike, period_s: float) -> Complex:
