@@ -1,0 +1,112 @@
+"""
+The weights of the attribution by shape, from simulated loops, and how well they do on others.
+
+`python -m asi_analysis.attribution.calibration COUNT` makes shape_weights.json anew: COUNT loops
+of each cause to learn from, a quarter as many to judge by.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize
+
+from asi_analysis.attribution.loops import CAUSES, loop
+from asi_analysis.attribution.shape import FEATURES, shape
+from asi_analysis.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
+# Strength of the prior that keeps weights small, in loops.
+RIDGE: Final = 2.0
+
+
+def examples(count: int, seed: int) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Return features (n x features) and causes (indices) of `count` loops of each cause."""
+    random = np.random.default_rng(seed)
+    rows, causes = [], []
+    for number, cause in enumerate(CAUSES):
+        made = 0
+        while made < count:
+            run = loop(cause, random)
+            if run is None:
+                continue
+            assert run.command_n is not None and run.force_n is not None
+            try:
+                rows.append(shape(run.time_s, run.command_n, run.force_n).features)
+            except InputError:
+                continue
+            causes.append(number)
+            made += 1
+    return np.array(rows), np.array(causes)
+
+
+def expanded(features: Array, centre: Array, scale: Array) -> Array:
+    """Return standardised features, their squares and a constant; outliers are drawn in."""
+    x = np.clip((np.atleast_2d(features) - centre) / scale, -3.0, 3.0)
+    return np.hstack([np.ones((len(x), 1)), x, x * x])
+
+
+def softmax(scores: Array) -> Array:
+    """Return probabilities (rows add up to 1)."""
+    relative = np.exp(scores - scores.max(1, keepdims=True))
+    return relative / relative.sum(1, keepdims=True)
+
+
+def learn(features: Array, causes: npt.NDArray[np.int64]) -> dict[str, Any]:
+    """Return centre, scale and weights of the logistic regression."""
+    centre, scale = features.mean(0), features.std(0) + 1e-9
+    x = expanded(features, centre, scale)
+    truth = np.eye(len(CAUSES))[causes]
+
+    def loss(flat: Array) -> tuple[float, Array]:
+        weights = flat.reshape(x.shape[1], len(CAUSES))
+        p = softmax(x @ weights)
+        value = -np.log(np.maximum((p * truth).sum(1), 1e-12)).sum()
+        value += 0.5 * RIDGE * (weights[1:] ** 2).sum()
+        slope = x.T @ (p - truth)
+        slope[1:] += RIDGE * weights[1:]
+        return float(value), slope.ravel()
+
+    found = optimize.minimize(loss, np.zeros(x.shape[1] * len(CAUSES)), jac=True,
+                              method='L-BFGS-B', options={'maxiter': 2000})
+    return {'features': list(FEATURES), 'causes': list(CAUSES), 'centre': centre.tolist(),
+            'scale': scale.tolist(),
+            'weights': found.x.reshape(x.shape[1], len(CAUSES)).tolist()}
+
+
+def probabilities(features: Array, learnt: dict[str, Any]) -> Array:
+    """Return the probability of each of CAUSES, row by row."""
+    x = expanded(features, np.array(learnt['centre']), np.array(learnt['scale']))
+    return softmax(x @ np.array(learnt['weights']))
+
+
+def judged(features: Array, causes: npt.NDArray[np.int64], learnt: dict[str, Any]
+           ) -> dict[str, Any]:
+    """Return how often the most probable cause is right, and what stated probabilities mean."""
+    p = probabilities(features, learnt)
+    best = p.argmax(1)
+    sure = p.max(1) > 0.9
+    confusion = np.zeros((len(CAUSES), len(CAUSES)), int)
+    np.add.at(confusion, (causes, best), 1)
+    return {'right': float((best == causes).mean()), 'sure': float(sure.mean()),
+            'right_when_sure': float((best == causes)[sure].mean()) if sure.any() else None,
+            'mean_probability': float(p.max(1).mean()),
+            'confusion': confusion.tolist()}
+
+
+def main() -> None:
+    """Learn, judge, write."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    learnt = learn(*examples(count, 1))
+    learnt['judged_on_others'] = judged(*examples(max(count // 4, 10), 2), learnt)
+    WEIGHTS.write_text(json.dumps(learnt, indent=1) + '\n')
+    print(json.dumps(learnt['judged_on_others'], indent=1))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,157 @@
+"""`asi attribute BAG`: the cause of a recorded oscillation, by its shape and by its model."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from asi_analysis.attribution.ablation import attribute
+from asi_analysis.attribution.shape import Shape, shape
+from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle.verdict import Segment, judge_run, response_of
+from asi_analysis.run import Run
+
+Report = Callable[[str, float | None], None]
+
+WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
+# Below this probability the most likely cause is not named as the cause.
+NAMED: Final = 0.7
+# How far a predicted cycle may be off by its method: in the logarithm of frequency, amplitude.
+SPREAD: Final = (0.03, 0.15)
+SEPARATE: Final = {
+    frozenset({'tight_tuning', 'disturbance'}): 'open the loop (controller in manual): an '
+        'outside disturbance stays, tight tuning stops',
+    frozenset({'stiction', 'disturbance'}): 'open the loop (controller in manual): an outside '
+        'disturbance stays, stiction stops',
+    frozenset({'stiction', 'backlash'}): 'move the command up and down by small steps in manual: '
+        'backlash answers every step after a reversal but the first, stiction jumps',
+    frozenset({'stiction', 'tight_tuning'}): 'halve the gain: tight tuning stops, stiction '
+        'goes on, more slowly',
+    frozenset({'backlash', 'tight_tuning'}): 'halve the gain: tight tuning stops, backlash goes '
+        'on or stops without ringing',
+    frozenset({'backlash', 'hysteresis'}): 'a slow triangle of the command in manual, in two '
+        'sizes: the width of a play stays the same, that of hysteresis grows',
+}
+
+
+def _cut(run: Run, signal: str | None) -> tuple[Segment, Run]:
+    """Return the longest stretch that is not still, and its samples."""
+    segments = judge_run(run, signal)
+    moving = [s for s in segments if s.why != 'the signal does not move'] or segments
+    swings = [s for s in moving if s.verdict != 'noise'] or moving
+    chosen = max(swings, key=lambda s: s.end_s - s.start_s)
+    return chosen, run.between(chosen.start_s, chosen.end_s + 0.5 * run.period_s)
+
+
+def shape_probabilities(found: Shape, verdict: str) -> dict[str, float]:
+    """Return the probability of each cause, by shape and by the verdict on the segment."""
+    from asi_analysis.attribution.calibration import probabilities
+    learnt = json.loads(WEIGHTS.read_text())
+    chances = dict(zip(learnt['causes'], map(float, probabilities(found.features, learnt)[0]),
+                       strict=True))
+    if verdict == 'forced':
+        # What follows the reference comes through the reference.
+        chances = {name: 0.05 * value for name, value in chances.items()}
+        chances['disturbance'] += 0.95
+    return dict(sorted(chances.items(), key=lambda item: -item[1]))
+
+
+def attribute_run(run: Run, signal: str | None = None, report: Report = lambda *_: None
+                  ) -> dict[str, Any]:
+    """
+    Return all that `asi attribute BAG --json` prints.
+
+    A bag of this package's actuator is also compared with the cycles that its model makes with
+    each nonlinearity alone. Raises InputError without command and output.
+    """
+    report('judging', 0.0)
+    segment, part = _cut(run, signal)
+    name, output = response_of(part, signal)
+    if part.command_n is None or name == 'command':
+        raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
+                         'and output of the loop')
+    document: dict[str, Any] = {
+        'source': run.source, 'start_s': segment.start_s, 'end_s': segment.end_s,
+        'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None}
+    if np.isfinite(segment.frequency_hz):
+        document |= {'frequency_hz': segment.frequency_hz, 'amplitude_n': segment.amplitude}
+    configuration = run.information
+    if 'actuator' in configuration and 'controller' in configuration and (
+            segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
+        return document | _by_model(run, segment, report)
+    report('shape', 0.3)
+    found = shape(part.time_s, part.command_n, output)
+    document['frequency_hz'] = found.frequency_hz
+    chances = shape_probabilities(found, segment.verdict)
+    causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
+               'probability': chance, 'unexplained': _unexplained(found, cause)}
+              for cause, chance in chances.items()]
+    return document | {'causes': causes, 'verdict': _shape_verdict(chances, found, segment)}
+
+
+def _unexplained(found: Shape, cause: str) -> float | None:
+    kind = 'linear' if cause in ('tight_tuning', 'disturbance') else cause
+    return found.explanations[kind].unexplained if kind in found.explanations else None
+
+
+def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) -> str:
+    (first, most), (second, next_) = list(chances.items())[:2]
+    what = (f'{found.frequency_hz:.4g} Hz, {found.cycles:.3g} cycles ({segment.verdict}), '
+            'by shape')
+    if most >= NAMED:
+        return f'{what}: {_words(first)} ({100 * most:.0f} %)'
+    test = SEPARATE.get(frozenset({first, second}),
+                        'a step of the command in manual, and a run at half the gain')
+    return (f'{what}: cannot tell {_words(first)} ({100 * most:.0f} %) from {_words(second)} '
+            f'({100 * next_:.0f} %); what would tell: {test}')
+
+
+def _words(cause: str) -> str:
+    return {'tight_tuning': 'tight linear tuning', 'disturbance': 'an outside disturbance'}.get(
+        cause, cause)
+
+
+def _by_model(run: Run, segment: Segment, report: Report) -> dict[str, Any]:
+    """Return the causes of a cycle of this package's actuator, each with its predicted cycle."""
+    information = run.information
+    controller = information['controller']
+    rate = float(information.get('experiment', {}).get('rate_hz') or run.rate_hz)
+    gain = float(controller.get('gain') or 0.0)
+    from asi_controller.compensator import OWN_GAIN
+    gain = gain or OWN_GAIN[str(controller.get('compensator', 'proportional'))]
+    table = attribute(information['actuator'], controller, rate, gain, report)
+    weights = []
+    for cause in table['causes']:
+        frequency, amplitude = cause['alone_frequency_hz'], cause['alone_amplitude_n']
+        if frequency is None:
+            cause |= {'frequency_error': None, 'amplitude_error': None}
+            weights.append(1e-3)
+            continue
+        errors = (np.log(frequency / segment.frequency_hz), np.log(amplitude / segment.amplitude))
+        cause |= {'frequency_error': float(np.expm1(errors[0])),
+                  'amplitude_error': float(np.expm1(errors[1]))}
+        # The others are missing from this cycle: their share of the amplitude is an error too.
+        spread = (SPREAD[0] + 0.05, SPREAD[1] + 0.5)
+        weights.append(float(np.exp(-0.5 * sum((e / s) ** 2 for e, s in zip(errors, spread,
+                                                                           strict=True)))))
+    for cause, weight in zip(table['causes'], weights, strict=True):
+        cause['probability'] = weight / max(sum(weights), 1e-12)
+    expected = table['frequency_hz']
+    fits = expected is not None and abs(np.log(expected / segment.frequency_hz)) < SPREAD[0]
+    verdict = table['verdict'] if fits else (
+        f'the model of the bag does not make the measured cycle ({segment.frequency_hz:.4g} Hz, '
+        f'{segment.amplitude:.4g} {segment.unit}) but '
+        + (f'{expected:.4g} Hz, {table["amplitude_n"]:.4g} N' if expected else 'none')
+        + ': find the gap first (asi gap)')
+    return {'causes': table['causes'], 'verdict': verdict}
+
+
+def as_text(document: dict[str, Any]) -> str:
+    """Return the answer for people."""
+    lines = [f'{c["nonlinearity"].replace("_", " "):<22}{100 * c["probability"]:5.1f} %'
+             for c in document['causes']]
+    return '\n'.join([*lines, '', document['verdict']])
+
+

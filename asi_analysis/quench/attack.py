@@ -1,0 +1,146 @@
+"""
+A search for conditions under which a compensator's loop cycles: random, then guided.
+
+References, initial states, loads, pushes, parameter errors of ±20 % and control rates. Every
+condition excites the loop and then leaves it alone; what swings on after that is sustained.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from asi_actuator.model.actuator import rest
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record
+from asi_analysis.closed_loop import _close
+from asi_analysis.prediction.simulation import Values
+from asi_controller.compensator import compensator
+from asi_controller.parameters import REFERENCE_PARAMETERS
+
+Report = Callable[[str, float | None], None]
+
+EXCITED_S: Final = 0.25
+LEFT_ALONE_S: Final = 0.45
+WATCHED_S: Final = 0.12
+# A swing that keeps this share of its size over the watched time, and is larger than this (N).
+KEEPS: Final = 0.95
+LEAST_N: Final = 1.0
+VARIED: Final = (
+    'valve_hysteresis.radius', 'valve_hysteresis.lag_time', 'valve_flexure.coil_frequency',
+    'valve_flexure.natural_frequency', 'valve_flexure.damping_ratio', 'valve_flexure.delay',
+    'valve_characteristic.gain', 'hydraulic_damping.viscous', 'fluid_dynamics.frequency',
+    'friction.coulomb', 'friction.stiction_push', 'load.locked_stiffness',
+    'force_sensor.natural_frequency', 'force_sensor.delay')
+SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
+LOADS: Final = ('locked', 'spring', 'free')
+# Share of the trials that are random; the others vary the worst found so far.
+RANDOM_SHARE: Final = 0.6
+
+
+class Condition(NamedTuple):
+    """
+    One condition, as numbers from 0 to 1 by name: easy to vary.
+
+    `scales` of VARIED parameters, then what `settings` reads.
+    """
+
+    numbers: Mapping[str, float]
+
+    def settings(self, rates_hz: tuple[float, ...]) -> dict[str, Any]:
+        """Return what the numbers mean: actuator, reference, kick, push and rate."""
+        n = self.numbers
+        table = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
+        actuator: dict[str, Value] = {}
+        for name in VARIED:
+            parameter = table[name]
+            value = float(parameter.default) * (0.8 + 0.4 * n[name])
+            actuator[name] = min(max(value, parameter.low), parameter.high)
+        actuator['load.type'] = _choice(LOADS, n['load'])
+        if actuator['load.type'] != 'locked':
+            actuator['load.mass'] = 0.3 * 30.0 ** n['mass']
+            actuator['load.stiffness'] = 1e4 * 50.0 ** n['stiffness']
+        return {'actuator': actuator, 'rate_hz': _choice(rates_hz, n['rate']),
+                'shape': _choice(SHAPES, n['shape']), 'amplitude_n': 900.0 * n['amplitude'] ** 2,
+                'offset_n': 800.0 * (n['offset'] - 0.5), 'frequency_hz': 3.0 * 60.0 ** n['speed'],
+                'kick_m': 1e-4 * (n['kick'] - 0.5), 'push_n': 600.0 * (n['push'] - 0.5)}
+
+
+NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitude', 'offset',
+                'speed', 'kick', 'push')
+
+
+class Trial(NamedTuple):
+    """What a condition did: size of the swing left (N), whether it is sustained, frequency."""
+
+    condition: Condition
+    swing_n: float
+    sustained: bool
+    frequency_hz: float
+
+
+def _choice(options: tuple, number: float) -> Any:
+    return options[min(int(number * len(options)), len(options) - 1)]
+
+
+def attempt(condition: Condition, actuator: Values, controller: Values,
+            rates_hz: tuple[float, ...]) -> Trial:
+    """Return what the loop does under a condition."""
+    s = condition.settings(rates_hz)
+    rate = s['rate_hz']
+    plant = as_record({**actuator, **s['actuator']})
+    names = {parameter.name for parameter in REFERENCE_PARAMETERS}
+    c = compensator({k: v for k, v in controller.items() if k not in names}, rate)
+    state = rest()
+    state['position'] = s['kick_m']
+    force = []
+    for duration, shape, push in ((EXCITED_S, s['shape'], s['push_n']),
+                                  (LEFT_ALONE_S, 'step', 0.0)):
+        reference = as_record(
+            {'reference.shape': shape, 'reference.start': 0.0,
+             'reference.amplitude': s['amplitude_n'] if duration == EXCITED_S else 0.0,
+             'reference.offset': s['offset_n'], 'reference.frequency': s['frequency_hz'],
+             'reference.end_frequency': 2.0 * s['frequency_hz'],
+             'reference.duration': EXCITED_S}, REFERENCE_PARAMETERS)
+        plant['load_external_force'] = push
+        out = np.empty((6, math.ceil(duration * rate)))
+        _close(state, plant, c, reference, 1.0 / rate, out)
+        force.append(out[2])
+    last = force[1][-2 * int(WATCHED_S * rate):]
+    half = len(last) // 2
+    if not np.isfinite(last).all():
+        return Trial(condition, math.inf, True, math.nan)
+    # What creeps to rest is no oscillation: only what crosses its mean counts.
+    late = last[half:] - last[half:].mean()
+    late = late - np.polyval(np.polyfit(np.arange(len(late)), late, 1), np.arange(len(late)))
+    early = last[:half] - np.polyval(np.polyfit(np.arange(half), last[:half], 1),
+                                     np.arange(half))
+    crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
+    swing, before = 0.5 * float(np.ptp(late)), 0.5 * float(np.ptp(early))
+    lasts = swing > LEAST_N and crossings >= 2 and swing > KEEPS * before
+    return Trial(condition, swing if crossings >= 2 else 0.0, lasts,
+                 crossings / (len(late) / rate))
+
+
+def _threat(trial: Trial) -> float:
+    return trial.swing_n + (1e6 if trial.sustained else 0.0)
+
+
+def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], count: int,
+           seed: int, report: Report = lambda *_: None) -> list[Trial]:
+    """Return `count` trials, the most threatening first."""
+    random = np.random.default_rng(seed)
+    trials: list[Trial] = []
+    for number in range(count):
+        if number % 16 == 0:
+            report(f'{sum(t.sustained for t in trials)} sustained in {number} conditions',
+                   number / count)
+        if number < RANDOM_SHARE * count:
+            point = dict(zip(NAMES, map(float, random.random(len(NAMES))), strict=True))
+        else:
+            parent = sorted(trials, key=_threat)[-1 - int(random.integers(min(8, len(trials))))]
+            step = 0.3 * random.random() * random.standard_normal(len(NAMES))
+            point = {name: float(np.clip(value + d, 0.0, 1.0)) for (name, value), d in zip(
+                parent.condition.numbers.items(), step, strict=True)}
+        trials.append(attempt(Condition(point), actuator, controller, rates_hz))
+    return sorted(trials, key=_threat, reverse=True)
