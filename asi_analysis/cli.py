@@ -338,6 +338,44 @@ def attribute(
     answer(document, as_json, lambda d: print(ablation.as_text(d)))
 
 
+@command('quench', 'asi quench --compensator lead4 --conditions 300 --designs 200')
+def quench(
+    compensator: Annotated[str | None, typer.Option(
+        help='proportional, lead_lag, lead2, lead4 or custom')] = None,
+    gain: Annotated[float | None, typer.Option(help='Its gain; 0: its own default')] = None,
+    step: Annotated[float, typer.Option(help='Force at which dither is tried, N')] = 100.0,
+    conditions: Annotated[int, typer.Option(help='Conditions that the attack tries')] = 200,
+    rates: Annotated[str, typer.Option(
+        help='Control rates of the attack, Hz; the first is that of margin and design')] = '5000',
+    designs: Annotated[int, typer.Option(
+        help='Candidates of the design helper; 0: none')] = 0,
+    seed: Annotated[int, typer.Option(help='Seed of attack and design')] = 1,
+    set_: Settings = None,
+    figure: Annotated[Path | None, typer.Option(
+        help='PNG file: loop and -1/N, and the trade-off of the designs')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Measure how far a compensator is from a limit cycle, and attack it.
+
+    Exit status 1 if a sustained oscillation was found.
+    """
+    rates_hz = _numbers('--rates', rates)
+    if not rates_hz or conditions < 1:
+        raise InputError('--rates takes at least one rate, --conditions at least 1')
+    values = _configured(set_, compensator, gain, step, rates_hz[0])
+    from asi_analysis.quench import answer as quench_answer
+    with progress() as told:
+        document = quench_answer.quench(values['actuator'], values['controller'], rates_hz,
+                                        conditions, seed, designs, told)
+        if figure:
+            from asi_analysis.quench.figure import draw
+            draw(values['actuator'], values['controller'], document, figure)
+    answer(document, as_json, lambda d: print(quench_answer.as_text(d)))
+    if document['sustained_found']:
+        raise typer.Exit(1)
+
+
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
                 step: float, rate: float) -> dict[str, dict[str, Any]]:
     """Return the parameters of actuator and controller, checked; the reference is a step."""

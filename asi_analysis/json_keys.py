@@ -228,6 +228,40 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('unexplained', 'number?', 'share of the output that this kind of valve, followed '
                 'by a linear process, leaves unexplained'))),
         Key('verdict', 'text', 'the cause in words; cannot tell, and what would')),
+    'asi quench': (
+        Key('compensator', 'text', 'name of the compensator'),
+        Key('rate_hz', 'number', 'control rate of margin, dither and design'),
+        Key('margin', 'number', 'least distance between the loop and -1/N in the Nyquist plane, '
+            'over amplitudes, biases and loads; 0: a cycle is predicted'),
+        Key('margin_at', 'object', 'where it is least', (
+            Key('amplitude_n', 'number', 'of the command'),
+            Key('bias_n', 'number', 'force held'),
+            Key('frequency_hz', 'number', 'frequency'),
+            Key('load', 'text', 'load'))),
+        Key('conditions_tried', 'integer', 'conditions of the attack'),
+        Key('sustained_found', 'integer', 'those that left a sustained oscillation'),
+        Key('worst_amplitude_n', 'number?', 'half the swing of the largest; 0: none; null: '
+            'unbounded'),
+        Key('worst', '[object]', 'the most threatening conditions', (
+            Key('amplitude_n', 'number?', 'half the swing that is left'),
+            Key('sustained', 'boolean', 'whether it lasts'),
+            Key('frequency_hz', 'number?', 'its frequency, roughly'),
+            Key('condition', 'object', 'actuator parameters, rate, reference, kick and push'))),
+        Key('dither', '[object]', 'rival cure, if the loop cycles', (
+            Key('frequency_hz', 'number', 'of the dither'),
+            Key('amplitude_n', 'number?', 'least command that quenches; null: none'),
+            Key('valve_travel_m_s', 'number?', 'mean speed of the valve with it'),
+            Key('force_ripple_n', 'number?', 'rms force with it'))),
+        Key('design', 'object?', 'best design found, if asked for', (
+            Key('rival', 'object', "the compensator: Table 1's measures, margin, noise gain"),
+            Key('best', 'object', 'the best design, the same'),
+            Key('beats_rival', 'boolean', 'in all four measures, at no smaller margin'),
+            Key('designs_tried', 'integer', 'candidates'),
+            Key('noise_gain_limit', 'number', 'rms of command over that of sensor noise'),
+            Key('trade_off', '[object]', 'fastest rise for each margin', (
+                Key('margin', 'number', 'limit-cycle margin'),
+                Key('rise_time_s', 'number', 'rise time'),
+                Key('overshoot_percent', 'number', 'overshoot')))))),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

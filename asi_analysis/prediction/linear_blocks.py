@@ -20,7 +20,7 @@ def _second_order(s: Complex, frequency_hz: float, damping: float) -> Complex:
 
 def flexure(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return drive (N) to deflection (N of valve command)."""
-    s = 2j * np.pi * np.asarray(frequency_hz, float)
+    s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     if p['valve_flexure_model'] != FULL:
         return np.full_like(s, flexure_gain(p))
     return (_second_order(s, p['valve_flexure_natural_frequency'],
@@ -31,7 +31,7 @@ def flexure(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
 
 def fluid(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return static less damping force (N) to hydraulic force (N)."""
-    s = 2j * np.pi * np.asarray(frequency_hz, float)
+    s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     if p['fluid_dynamics_model'] != FULL:
         return np.full_like(s, fluid_gain(p))
     return 1.0 / (1.0 + s / (2.0 * np.pi * p['fluid_dynamics_frequency']))
@@ -39,7 +39,7 @@ def fluid(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
 
 def sensor(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return transmitted (N) to measured force (N), gain of the sensor included."""
-    s = 2j * np.pi * np.asarray(frequency_hz, float)
+    s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     if p['force_sensor_model'] != FULL:
         gain = p['force_sensor_linear_gain'] if p['force_sensor_model'] == 1 else 1.0
         return np.full_like(s, gain * p['force_sensor_gain'])
@@ -51,9 +51,10 @@ def sensor(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
 
 def impedance(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return velocity (m/s) of the load to the force (N) that it takes; no frequency may be 0."""
-    s = 2j * np.pi * np.asarray(frequency_hz, float)
+    s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     stiffness, damper = load_spring(p)
-    return np.asarray(p['load_mass'] * s + damper + stiffness / s, np.complex128)
+    answer: Complex = p['load_mass'] * s + damper + stiffness / s
+    return answer
 
 
 def hold(frequency_hz: npt.ArrayLike, period_s: float) -> Complex:

@@ -1,0 +1,78 @@
+"""Limit cycles quenched: the margin, the attack, dither, and the design helper."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from asi_analysis import json_keys
+from asi_analysis.prediction.predict import simulated_onset
+from asi_analysis.quench.attack import NAMES, Condition, attempt, search
+from asi_analysis.quench.design import design
+from asi_analysis.quench.dither import dither
+from asi_analysis.quench.margin import encircles, margin
+
+RATE_HZ = 5000.0
+
+
+def test_margin_falls_with_the_gain_and_is_gone_where_the_loop_cycles():
+    gains = (2.0, 4.0, 6.0, 10.0)
+    found = [margin({}, {'gain': gain}, RATE_HZ).distance for gain in gains]
+    assert found[0] > found[1] > found[2] > found[3] == 0.0
+
+
+def test_lead_has_more_margin_than_the_gain_alone_that_is_as_fast():
+    assert margin({}, {'compensator': 'lead4'}, RATE_HZ).distance > 2.0 * margin(
+        {}, {'gain': 6.0}, RATE_HZ).distance
+
+
+@pytest.mark.parametrize('gain, unstable', [(7.9, False), (8.1, True)])
+def test_encirclement_is_the_stability_limit_of_a_known_loop(gain, unstable):
+    # K / (s + 1)^3 is stable up to K = 8.
+    s = 1j * np.geomspace(1e-3, 1e3, 4000)
+    assert encircles(gain / (s + 1.0) ** 3) is unstable
+
+
+def test_attack_finds_the_cycle_of_a_high_gain_and_none_of_a_low_one():
+    wild = search({}, {'gain': 10.0}, (RATE_HZ,), 20, seed=1)
+    assert wild[0].sustained and wild[0].swing_n > 100.0
+    tame = search({}, {'gain': 2.0}, (RATE_HZ,), 20, seed=1)
+    assert not any(trial.sustained for trial in tame)
+
+
+def test_attack_is_the_same_again():
+    condition = Condition(dict.fromkeys(NAMES, 0.37))
+    assert attempt(condition, {}, {'gain': 9.0}, (RATE_HZ,)) == attempt(
+        condition, {}, {'gain': 9.0}, (RATE_HZ,))
+
+
+def test_dither_quenches_a_cycle_that_is_barely_there_and_costs_valve_travel():
+    settings = {'reference.amplitude': 100.0}
+    gain = simulated_onset({}, settings, RATE_HZ, 8.0)[0]
+    rows = dither({}, {**settings, 'gain': 1.01 * gain}, RATE_HZ, (500.0,))
+    assert rows[0]['amplitude_n'] is not None
+    assert rows[0]['valve_travel_m_s'] > 0.0 and rows[0]['force_ripple_n'] > 0.1
+
+
+def test_best_design_beats_the_papers_fourth_order_lead():
+    found = design({}, {'compensator': 'lead4'}, RATE_HZ, 120, seed=1)
+    best, rival = found['best'], found['rival']
+    assert found['beats_rival']
+    assert best['margin'] >= rival['margin']
+    assert best['rise_time_s'] <= rival['rise_time_s']
+    margins = [row['margin'] for row in found['trade_off']]
+    rises = [row['rise_time_s'] for row in found['trade_off']]
+    assert margins == sorted(margins, reverse=True) and rises == sorted(rises, reverse=True)
+
+
+def test_command_prints_what_is_documented_and_fails_when_it_finds_a_cycle(tmp_path):
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'quench', '--gain', '10', '--conditions', '8',
+         '--figure', str(tmp_path / 'quench.png'), '--json'],
+        capture_output=True, text=True, timeout=100)
+    document = json.loads(result.stdout)
+    assert json_keys.problems(document, json_keys.DOCUMENTS['asi quench']) == []
+    assert document['sustained_found'] and result.returncode == 1
+    assert (tmp_path / 'quench.png').read_bytes().startswith(b'\x89PNG')
