@@ -243,7 +243,7 @@ def limit_cycle(
     figure: Annotated[Path | None, typer.Option(
         help='PNG file for a picture of the first bag')] = None,
     check: Annotated[int | None, typer.Option(
-        help='No bag: so many signals of known truth in each class instead')] = None,
+        min=1, help='No bag: so many signals of known truth in each class instead')] = None,
     as_json: Json = False,
 ) -> None:
     """Say of each stretch of a recording whether it is a limit cycle, and how surely."""
@@ -453,8 +453,8 @@ def main() -> int:
     """
     Run the command; return the exit status.
 
-    0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError), said
-    in one line on stderr; 130: Ctrl-C (typer's).
+    0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError, or a
+    file that cannot be read or written), said in one line on stderr; 130: Ctrl-C (typer's).
     """
     warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
     # Typer brings its own copy of click; this is its ClickException.
@@ -463,6 +463,8 @@ def main() -> int:
         return app(prog_name='asi', standalone_mode=False) or 0
     except InputError as error:
         return _fail(str(error), 2)
+    except OSError as error:
+        return _fail(f'{error.filename}: {error.strerror}' if error.filename else str(error), 2)
     except RuntimeError as error:
         return _fail(str(error), 1)
     except click_exception as error:

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import yaml
 
-from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, DEFAULT_RATE_HZ, MODES
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, DEFAULT_RATE_HZ
 from asi_actuator.parameters import (
     ACTUATOR_PARAMETERS,
     Parameter,
@@ -80,6 +80,12 @@ class Experiment:
         return self.rate_hz or DEFAULT_RATE_HZ[self.mode]
 
     @property
+    def of_the_node(self) -> dict[str, Value]:
+        """What the actuator's node is told around the physics."""
+        return {'mode': self.mode, 'rate_hz': float(self.rate_hz),
+                'duration': float(self.duration_s)}
+
+    @property
     def ticks(self) -> int:
         """How many states the actuator is to publish."""
         return round(self.duration_s * self.control_rate_hz)
@@ -87,23 +93,20 @@ class Experiment:
 
 def checked(experiment: Experiment) -> Experiment:
     """Return the experiment with every parameter; raises InputError if one is not allowed."""
-    if experiment.mode not in MODES:
-        raise InputError(f'mode = {experiment.mode!r} is not allowed: it takes one of '
-                         + ', '.join(MODES))
-    if not experiment.duration_s > 0.0 or experiment.ticks < 1:
-        raise InputError(f'duration = {experiment.duration_s:g} s is not allowed: it takes a '
-                         'number above 0')
-    if not 0.0 <= experiment.rate_hz <= 2e4:
-        raise InputError(f'rate = {experiment.rate_hz:g} Hz is not allowed: it takes a number '
-                         'from 0 to 20000')
     try:
-        from asi_controller.compensator import design
+        from asi_controller.compensator import design, discretise
+        completed(experiment.of_the_node, ACTUATOR_NODE_PARAMETERS)
         controller = completed(experiment.controller, CONTROLLER_PARAMETERS)
-        design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS})
-        return Experiment(completed(experiment.actuator, ACTUATOR_PARAMETERS), controller,
-                          experiment.duration_s, experiment.mode, experiment.rate_hz)
+        discretise(design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS}),
+                   experiment.control_rate_hz)
+        complete = Experiment(completed(experiment.actuator, ACTUATOR_PARAMETERS), controller,
+                              experiment.duration_s, experiment.mode, experiment.rate_hz)
     except ParameterError as error:
         raise InputError(str(error)) from None
+    if complete.ticks < 1:
+        raise InputError(f'duration = {complete.duration_s:g} s is not allowed: it takes at least '
+                         f'a period of {1.0 / complete.control_rate_hz:g} s')
+    return complete
 
 
 def read_parameters(path: Path, which: str) -> dict[str, Value]:
@@ -269,11 +272,10 @@ def _prepare(experiment: Experiment, out: Path) -> None:
             raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
         (out / 'log').mkdir()
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
-        loop: dict[str, Value] = {'mode': experiment.mode, 'rate_hz': float(experiment.rate_hz),
-                                  'await_recorder': True}
-        _write_parameters(out, 'actuator', {
-            **experiment.actuator, **loop, 'duration': float(experiment.duration_s)})
-        _write_parameters(out, 'controller', {**experiment.controller, **loop})
+        node = experiment.of_the_node | {'await_recorder': True}
+        _write_parameters(out, 'actuator', {**experiment.actuator, **node})
+        del node['duration']
+        _write_parameters(out, 'controller', {**experiment.controller, **node})
     except OSError as error:
         raise InputError(f'{out}: {error.strerror}') from None
 
