@@ -4,19 +4,23 @@ VENV := .venv
 BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help setup demo test lint clean
+.PHONY: help setup demo test torture lint clean
 
 help:
-	@echo 'make demo   run actuator and controller, record, analyse: runs/demo/report.html'
-	@echo 'make test   run the tests'
-	@echo 'make lint   check style and types'
-	@echo 'make clean  remove the virtual environment and all that was built'
+	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
+	@echo 'make test     run the tests'
+	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
+	@echo 'make lint     check style and types'
+	@echo 'make clean    remove the virtual environment and all that was built'
 
 demo: setup
 	@$(BIN)/asi demo
 
 test: setup
 	@$(BIN)/python -m pytest -q
+
+torture: setup
+	@$(BIN)/python -m torture
 
 lint: setup
 	@$(BIN)/ruff check .

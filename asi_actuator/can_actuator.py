@@ -16,7 +16,7 @@ from typing import Final
 import can
 import yaml
 
-from asi_actuator.driver.can_bus import open_bus, received
+from asi_actuator.driver.can_bus import close_bus, open_bus, received
 from asi_actuator.driver.frames import COUNTER, Frames, load_table
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.driver.simulated import SimulatedActuator
@@ -191,9 +191,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (can.CanError, OSError) as error:
         print(f'{interface} {channel}: {error}', file=sys.stderr)
         return 1
-    bus.shutdown()
-    if link:
-        link.close()
+    finally:
+        close_bus(bus)
+        if link:
+            link.close()
     return 0
 
 

@@ -34,13 +34,14 @@ def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIE
 class NodeProcess:
     """A node in a process of its own; what it prints goes to a file."""
 
-    def __init__(self, command: list[str], environment: dict[str, str], log: Path):
-        """Start it."""
+    def __init__(self, command: list[str], environment: dict[str, str], log: Path,
+                 limits: Callable[[], None] | None = None):
+        """Start it; limits() runs in the new process before it begins."""
         self._log = log
         with log.open('w') as out:
             self._process = subprocess.Popen(
                 command, env=environment, stdout=out, stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL)
+                stdin=subprocess.DEVNULL, preexec_fn=limits)
 
     @property
     def text(self) -> str:
@@ -57,6 +58,10 @@ class NodeProcess:
         wait_until(lambda: text in self.text or self._process.poll() is not None,
                    f'{text!r} in {self._log.name}')
         assert text in self.text, f'ended with {self._process.poll()}: {self.text}'
+
+    def poll(self) -> int | None:
+        """Return its exit status, None while it runs."""
+        return self._process.poll()
 
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""

@@ -1,6 +1,7 @@
 """The bridge: frames, what a firmware does, and the node over a real slcan link and real DDS."""
 
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from asi_actuator.can_actuator import Firmware, physical_values
 from asi_actuator.driver import frames as frames_module
 from asi_actuator.driver.frames import SIGNALS, Frames, checksum, longest_bits
+from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.parameters import ParameterError
 from asi_analysis.bag import write_bag
 from asi_analysis.run import Run
@@ -162,7 +164,6 @@ def test_firmware_takes_no_frame_twice_nor_from_the_past_nor_damaged(wire: Wire)
 @pytest.fixture
 def peer(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     """Return start(*options), which starts the simulated actuator on pseudo-terminals."""
-    import sys
     started: list[NodeProcess] = []
 
     def start(*options: str) -> NodeProcess:
@@ -289,6 +290,17 @@ def test_killed_actuator_is_a_fault_and_the_bus_is_found_again(
     assert ask('reset') == (True, 'reset: disabled')
     assert ask('enable')[0]
     second.wait_for('the valve is driven')
+
+
+def test_simulated_actuator_that_loses_its_bus_says_so_in_one_line(
+        ros_environment: dict[str, str], tmp_path: Path) -> None:
+    link = LinkedTerminals()
+    process = NodeProcess([sys.executable, '-m', PEER, '--interface', 'slcan', '--channel',
+                           link.first], ros_environment, tmp_path / 'log')
+    process.wait_for(f'slcan {link.first}')
+    link.close()
+    assert process.exit_status() == 1
+    assert process.text.splitlines()[1:] == [f'slcan {link.first}: cannot be read']
 
 
 def test_silent_actuator_is_a_fault_that_names_signal_value_and_limit(

@@ -58,6 +58,14 @@ def test_everything_is_where_ros_looks_for_it(prefix: Path) -> None:
         assert (share / 'asi_actuator' / name).read_bytes() == (ROOT / name).read_bytes()
 
 
+def test_installed_layout_of_the_frames_is_found(prefix: Path, start: Callable) -> None:
+    process = start(str(prefix / 'lib' / 'asi_actuator' / 'can_actuator'), '--load', '1000')
+    assert process.exit_status() == 0, process.text
+    assert [line.split()[0] for line in process.text.splitlines()] == [
+        'frame', 'COMMAND', 'STATE_FORCE', 'STATE_MOTION', 'all']
+    assert process.text.split()[-1] == '38.5'
+
+
 def test_installed_nodes_run_with_the_installed_parameter_files(
         prefix: Path, start: Callable) -> None:
     config = prefix / 'share' / 'asi_actuator' / 'config'

@@ -62,6 +62,14 @@ def open_bus(interface: str, channel: str, bitrate: int, **options: Any) -> can.
     return can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
 
 
+def close_bus(bus: can.BusABC) -> None:
+    """Close a bus, also one that is gone already."""
+    try:
+        bus.shutdown()
+    except (can.CanError, OSError):
+        pass
+
+
 def received(bus: can.BusABC) -> Iterator[can.Message]:
     """
     Yield what a bus has brought, at most MOST_FRAMES frames, without waiting.
@@ -164,11 +172,8 @@ class CanActuator:
         self._retry_at = time.monotonic() + RETRY_S
         if error is not None:
             self._problem = self._words(error)
-        try:
-            if bus is not None:
-                bus.shutdown()
-        except (can.CanError, OSError):
-            pass  # it is gone already
+        if bus is not None:
+            close_bus(bus)
 
     def _words(self, error: Exception) -> str:
         return f'{self._interface} {self._channel}: ' + ' '.join(str(error).split())

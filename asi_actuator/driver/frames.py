@@ -5,8 +5,6 @@ Layout, scaling, limits and units are in that file alone; here are only the chec
 format cannot express, and the way from numbers to bytes and back.
 """
 
-import os
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -138,13 +136,12 @@ def default_path() -> Path:
     """
     Return the DBC file of the package.
 
-    In a source tree (also an editable installation) beside the package, else where setup.py put
-    it: under the prefix of the colcon workspace or of the Python environment.
+    Beside the package in a source tree (also if that is what is installed, editable); else where
+    setup.py has put it, under the prefix that holds lib/python3.x/site-packages.
     """
-    prefixes = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)),
-                sys.prefix]
-    places = [Path(__file__).parents[2] / 'config' / FILE,
-              *(Path(prefix) / 'share' / 'asi_actuator' / 'config' / FILE for prefix in prefixes)]
+    module = Path(__file__).resolve()
+    places = (module.parents[2] / 'config' / FILE,
+              module.parents[5] / 'share' / 'asi_actuator' / 'config' / FILE)
     for place in places:
         if place.is_file():
             return place

@@ -1,0 +1,1 @@
+"""`make torture`: break everything that a lab breaks, and count what is lost."""

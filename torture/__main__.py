@@ -1,0 +1,82 @@
+"""Runs the scenarios for TORTURE_MINUTES (10) and prints what was tried and what was lost."""
+
+import os
+import random
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from torture.bags import bags
+from torture.disk import disk
+from torture.frames import frames
+from torture.lockstep import lockstep
+from torture.messages import messages
+from torture.parameters import parameters
+from torture.processes import processes
+from torture.rig import NotThere, Rig, Tally
+from torture.soak import soak
+
+# Share of the time that each gets.
+SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
+    processes: 0.35, frames: 0.2, messages: 0.1, parameters: 0.1, bags: 0.05, disk: 0.05,
+    lockstep: 0.1, soak: 0.05,
+}
+# The same seed for a scenario breaks the same things in the same order.
+SEED = int(os.environ.get('TORTURE_SEED', '1'))
+
+
+def main() -> int:
+    """Return 1 if anything was not survived."""
+    minutes = float(os.environ.get('TORTURE_MINUTES', '10'))
+    wanted = sys.argv[1:]
+    os.environ.setdefault('ROS_DOMAIN_ID', str(42 + os.getpid() % 50))
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    console = Console(stderr=True)
+    tallies = []
+    with tempfile.TemporaryDirectory(prefix='torture-') as folder:
+        for scenario, share in SCENARIOS.items():
+            if wanted and scenario.__name__ not in wanted:
+                continue
+            tally = Tally(scenario.__name__)
+            tallies.append(tally)
+            rig = Rig(Path(folder) / tally.name, random.Random(SEED))
+            with console.status(f'{tally.name} ...'):
+                begin = time.monotonic()
+                try:
+                    scenario(rig, tally, begin + 60.0 * minutes * (1.0 if wanted else share))
+                except NotThere as error:
+                    tally.count('scenario', str(error))
+                finally:
+                    rig.close()
+            console.print(f'{tally.name}: {tally.survived} of {tally.tried} survived, '
+                          f'{time.monotonic() - begin:.0f} s')
+    _print(tallies)
+    return 1 if any(tally.failures for tally in tallies) else 0
+
+
+def _print(tallies: list[Tally]) -> None:
+    table = Table('scenario', 'faults tried', 'survived', 'samples lost',
+                  'worst time to a shut valve (s)', 'notes')
+    for tally in tallies:
+        table.add_row(tally.name, str(tally.tried), str(tally.survived), str(tally.samples_lost),
+                      f'{max(tally.zero_s):.3f}' if tally.zero_s else '',
+                      '\n'.join(f'{name}: {value:.4g}' for name, value in tally.notes.items()))
+    table.add_section()
+    zeros = [zero for tally in tallies for zero in tally.zero_s]
+    table.add_row('all', *(str(sum(getattr(tally, name) for tally in tallies))
+                           for name in ('tried', 'survived', 'samples_lost')),
+                  f'{max(zeros):.3f}' if zeros else '', '')
+    console = Console(width=None if sys.stdout.isatty() else 130)
+    console.print(table)
+    for tally in tallies:
+        for failure in tally.failures:
+            console.print(f'[red]not survived[/]: {tally.name}: {failure}', markup=True)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

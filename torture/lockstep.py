@@ -1,0 +1,95 @@
+"""Lock-step disturbed in every way: the run must be the same, bit for bit."""
+
+import time
+from typing import Any, Final
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
+
+from asi_actuator.topics import nanoseconds, set_time
+from asi_analysis.closed_loop import simulate_loop
+from torture.rig import ACTUATOR, CONTROLLER, NodeProcess, Rig, Tally, is_alive, pause
+
+DURATION_S: Final = 0.4
+RATE_HZ: Final = 5000.0
+SIDES: Final = ('left', 'right')
+
+
+def lockstep(rig: Rig, tally: Tally, end: float) -> None:
+    """Two loops in two namespaces side by side, disturbed while they run."""
+    states = {side: rig.states(f'/{side}/joint_states') for side in SIDES}
+    clocks = rig.node.create_publisher(Clock, '/clock', 10)
+    commands = {side: rig.node.create_publisher(WrenchStamped, f'/{side}/valve_command', 10)
+                for side in SIDES}
+    while time.monotonic() < end or not tally.tried:
+        physics = {side: {'force_sensor.noise': 0.7,
+                          'force_sensor.noise_seed': rig.random.randrange(2**31)}
+                   for side in SIDES}
+        control = {side: {'reference.shape': 'step', 'reference.start': 0.01,
+                          'reference.amplitude': rig.random.uniform(10.0, 500.0)}
+                   for side in SIDES}
+        actuators, controllers = {}, {}
+        for side in SIDES:
+            states[side].clear()
+            namespace = ('-r', f'__ns:=/{side}')
+            controllers[side] = rig.start(CONTROLLER, *namespace, **control[side])
+            actuators[side] = rig.start(ACTUATOR, *namespace, duration=DURATION_S,
+                                        resend_after=0.02, give_up_after=60.0, **physics[side])
+        faults = 0
+        while any(is_alive(process) for process in actuators.values()):
+            side = rig.random.choice(SIDES)
+            _disturb(rig, side, actuators[side], controllers[side], clocks, commands[side])
+            faults += 1
+        for side in SIDES:
+            # The loop's own answers count as one fault too: that of being disturbed by the other.
+            expected = simulate_loop(physics[side], control[side], DURATION_S, RATE_HZ)
+            tally.count(side, _difference(actuators[side], states[side], expected.force_n, tally),
+                        1 + faults // 2)
+            controllers[side].stop()
+        if tally.failures:
+            return
+
+
+def _disturb(rig: Rig, side: str, actuator: NodeProcess, controller: NodeProcess, clocks: Any,
+             commands: Any) -> None:
+    """Do one thing that must change nothing."""
+    stamp_ns = rig.random.choice((0, 10**6, 10**9, 10**18, rig.random.randrange(10**9)))
+    kind = rig.random.randrange(5)
+    if kind == 0 and is_alive(actuator):
+        pause(actuator, 0.1)
+    elif kind == 1:
+        pause(controller, 0.1)
+    elif kind == 2:
+        for held in (True, False):
+            client = rig.node.create_client(SetBool, f'/{side}/asi_actuator/pause')
+            if client.service_is_ready():
+                client.call_async(SetBool.Request(data=held))
+            time.sleep(0.05)
+    elif kind == 3:
+        message = Clock()
+        set_time(message.clock, stamp_ns)
+        clocks.publish(message)
+    else:
+        command = WrenchStamped()
+        # Not a stamp of a state: those are multiples of 200 us.
+        set_time(command.header.stamp, stamp_ns + 7)
+        command.wrench.force.x = 1000.0
+        commands.publish(command)
+    time.sleep(0.02)
+
+
+def _difference(actuator: NodeProcess, states: list[Any], expected: np.ndarray,
+                tally: Tally) -> str:
+    if actuator.exit_status() != 0:
+        return f'ended with {actuator.exit_status()}: {actuator.text[-500:]}'
+    heard = {nanoseconds(state.header.stamp): state.effort[0] for state in states}
+    period_ns = round(1e9 / RATE_HZ)
+    for k, force in enumerate(expected, 1):
+        if k * period_ns not in heard:
+            # This listener has come too late for it, or it was lost to it alone.
+            tally.samples_lost += 1
+        elif heard[k * period_ns] != force:
+            return f'state {k} is {heard[k * period_ns]!r}, expected {force!r}'
+    return ''

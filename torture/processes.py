@@ -1,0 +1,153 @@
+"""Processes killed, stopped for a while, or asked to end, at random moments."""
+
+import signal
+import time
+from pathlib import Path
+from typing import Final
+
+from asi_analysis.bag_file import read_contents
+from asi_analysis.errors import InputError
+from torture.rig import (
+    ACTUATOR,
+    CONTROLLER,
+    PATIENCE_S,
+    PEER,
+    RECORDER,
+    NodeProcess,
+    NotThere,
+    Rig,
+    Tally,
+    is_alive,
+    until,
+)
+from torture.wire import Wire
+
+SIGNALS: Final = (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM)
+# The limits of this run, s: generous, as the machine is busy and they are not what is tried.
+FIRMWARE_S: Final = 0.1
+AGE_S: Final = 0.2
+RATE_HZ: Final = 200.0
+# After the limit the valve must be shut within two periods; what a busy machine, which lets a
+# process wait for seconds, may add before it counts as not survived, s. The figures tell the rest.
+MACHINE_S: Final = 3.0
+KILL_LOSES_S: Final = 1.0
+
+
+class Loop:
+    """The whole loop over the CAN bus, recorded."""
+
+    def __init__(self, rig: Rig, recorded: bool = True):
+        self.rig = rig
+        self.wire = Wire(rig.folder)
+        self.states = rig.states()
+        self.bags = 0
+        self.processes: dict[str, NodeProcess] = {}
+        for name in ('peer', 'actuator', 'controller', *(['recorder'] if recorded else [])):
+            self.start(name)
+
+    def start(self, name: str) -> None:
+        realtime = {'mode': 'realtime', 'rate_hz': RATE_HZ}
+        if name == 'peer':
+            process = self.rig.start(
+                PEER, '--interface', 'slcan', '--channel', str(self.wire.peer),
+                '--command-timeout', str(FIRMWARE_S), '--set', 'force_sensor.noise=0.5')
+        elif name == 'actuator':
+            process = self.rig.start(
+                ACTUATOR, **realtime, driver='can', command_timeout=AGE_S,
+                **{'can.interface': 'slcan', 'can.channel': self.wire.node,
+                   'limit.state_age': AGE_S, 'limit.lost_states': 10**6})
+        elif name == 'controller':
+            process = self.rig.start(
+                CONTROLLER, **realtime, gain=1.0, **{
+                    'reference.shape': 'sine', 'reference.amplitude': 100.0,
+                    'reference.frequency': 2.0})
+        else:
+            self.bags += 1
+            process = self.rig.start(RECORDER, output=self.bag)
+        self.processes[name] = process
+
+    @property
+    def bag(self) -> Path:
+        return self.rig.folder / f'bag-{self.bags}'
+
+    def run(self) -> None:
+        """Start what is dead, reset what is in fault, and wait until the valve is driven."""
+        for name, process in self.processes.items():
+            if not is_alive(process):
+                self.start(name)
+        count = len(self.states)
+        until(lambda: len(self.states) > count, 'a state')
+        end = time.monotonic() + PATIENCE_S
+        while not self.wire.driven():
+            if time.monotonic() > end:
+                raise NotThere(f'the loop does not run: {self.rig.diagnostics}')
+            self.rig.enable()
+            time.sleep(0.3)
+        if 'recorder' in self.processes:
+            until(self.stamps_in_bag, 'a recorded state')
+
+    def stamps_in_bag(self) -> list[int]:
+        try:
+            topics = read_contents(self.bag, lambda name: name == '/joint_states').topics
+        except InputError:
+            return []  # nothing is written yet
+        return topics['/joint_states'].publish_ns if '/joint_states' in topics else []
+
+
+def processes(rig: Rig, tally: Tally, end: float) -> None:
+    """Each process with each signal, in random order, again and again."""
+    loop = Loop(rig)
+    choices = [(name, number) for name in loop.processes for number in SIGNALS]
+    left: list[tuple[str, signal.Signals]] = []
+    try:
+        while time.monotonic() < end or not tally.tried:
+            left = left or rig.random.sample(choices, len(choices))
+            name, number = left.pop()
+            what = f'{number.name} to {name}'
+            try:
+                loop.run()
+                time.sleep(rig.random.uniform(0.0, 0.3))
+                tally.count(what, _break(loop, name, number, tally))
+            except NotThere as error:
+                tally.count(what, str(error))
+            if trace := rig.tracebacks():
+                tally.failures.append(f'{what}: {trace}')
+                return
+    finally:
+        loop.wire.close()
+
+
+def _break(loop: Loop, name: str, number: signal.Signals, tally: Tally) -> str:
+    """Hit a process; return what was not as it should be."""
+    process, wire = loop.processes[name], loop.wire
+    heard = len(loop.states)
+    wire.mark()
+    hit_ns = time.time_ns()
+    process.send(number)
+    problem = ''
+    if name == 'recorder':
+        # The loop does not care who listens.
+        until(lambda: len(loop.states) > heard + RATE_HZ / 2, 'states without a recorder')
+    else:
+        limit = AGE_S + FIRMWARE_S + 2.0 / RATE_HZ + MACHINE_S
+        # An actuator that is gone or stands still cannot say that its valve is shut.
+        shut = ((lambda: wire.shut_commanded_s) if name == 'peer' else (lambda: wire.shut_s))
+        tally.zero_s.append(until(lambda: shut() is not None and shut(),
+                                  'the valve to be shut', PATIENCE_S))
+        if tally.zero_s[-1] > limit:
+            problem = f'the valve was shut after {tally.zero_s[-1]:.3f} s, not {limit:g} s'
+    if number == signal.SIGSTOP:
+        process.send(signal.SIGCONT)
+        time.sleep(0.1)
+        # The actuator whose terminal is full may lose it; all others go on.
+        return problem or ('' if is_alive(process) else f'has ended: {process.text[-300:]}')
+    status = process.exit_status()
+    if number == signal.SIGTERM and status != 0:
+        return f'exit status {status}: {process.text[-300:]}'
+    if name == 'recorder':
+        missing_s = (hit_ns - max(loop.stamps_in_bag(), default=0)) * 1e-9
+        tally.notes['recording lost (s), worst'] = max(
+            tally.notes.get('recording lost (s), worst', 0.0), missing_s)
+        if missing_s > KILL_LOSES_S + MACHINE_S:
+            return f'the bag ends {missing_s:.2f} s before'
+    return problem

@@ -1,0 +1,160 @@
+"""What the scenarios share: processes, a ROS node that listens, and the tally."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import Any, Final
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from asi_actuator.spin import LoopExecutor
+
+ROOT: Final = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / 'test'))
+from conftest import NodeProcess  # noqa: E402
+
+ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
+RECORDER, PEER = 'asi_analysis.recorder_node', 'asi_actuator.can_actuator'
+# How long a busy machine may take to start a process or to answer a service.
+PATIENCE_S: Final = 60.0
+
+
+class NotThere(Exception):  # noqa: N818
+    """Something that must happen did not."""
+
+
+def until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
+    """Return condition() once it is true; raises NotThere, naming `what`, if it never is."""
+    end = time.monotonic() + timeout_s
+    while not (result := condition()):
+        if time.monotonic() > end:
+            raise NotThere(f'not within {timeout_s:g} s: {what}')
+        time.sleep(0.002)
+    return result
+
+
+@dataclass
+class Tally:
+    """What a scenario tried, and what was lost."""
+
+    name: str
+    tried: int = 0
+    survived: int = 0
+    samples_lost: int = 0
+    zero_s: list[float] = field(default_factory=list)
+    notes: dict[str, float] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+    def count(self, what: str, problem: str = '', times: int = 1) -> None:
+        """Count a fault that was survived, or not because of a problem."""
+        self.tried += times
+        if problem:
+            self.failures.append(f'{what}: {problem}')
+        else:
+            self.survived += times
+
+
+class Rig:
+    """A ROS domain, a folder, and the processes in them; one for each scenario."""
+
+    def __init__(self, folder: Path, random: Random):
+        """Listen to the domain that the environment names."""
+        folder.mkdir(parents=True)
+        self.folder, self.random = folder, random
+        self._started: list[NodeProcess] = []
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        # The name of a recorder, so that nodes with await_recorder wait for it.
+        self.node: Node = rclpy.create_node('asi_recorder')
+        self._executor = LoopExecutor()
+        self._executor.add_node(self.node)
+        self.diagnostics: dict[str, Any] = {}
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
+        self._thread = threading.Thread(target=self._executor.spin)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End everything."""
+        for process in self._started:
+            process.kill()
+        self._executor.stopped = True
+        self._thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown()
+
+    def start(self, module: str, *arguments: str, limits: Callable[[], None] | None = None,
+              **parameters: object) -> NodeProcess:
+        """Start a node; or the CAN actuator, which takes no parameters."""
+        given = [part for name, value in parameters.items() for part in
+                 ('-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
+        ros = ['--ros-args', *given] if module != PEER else []
+        log = self.folder / f'{module.rpartition(".")[2]}-{len(self._started)}.log'
+        environment = dict(os.environ) | {'PYTHONPATH': os.pathsep.join(
+            [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')])}
+        self._started.append(NodeProcess(
+            [sys.executable, '-m', module, *ros, *arguments], environment, log, limits))
+        return self._started[-1]
+
+    def tracebacks(self) -> str:
+        """Return the first traceback that any process has printed, '' if none."""
+        for process in self._started:
+            if 'Traceback' in process.text:
+                return process.text[process.text.index('Traceback'):][:2000]
+        return ''
+
+    def ask(self, kind: type, name: str, request: Any, timeout_s: float = PATIENCE_S) -> Any:
+        """Return the answer of a service; raises NotThere if there is none."""
+        client = self.node.create_client(kind, name)
+        try:
+            until(client.service_is_ready, f'the service {name}', timeout_s)
+            future = client.call_async(request)
+            until(future.done, f'an answer of {name}', timeout_s)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def enable(self, name: str = '/asi_actuator') -> None:
+        """Reset and enable an actuator; raises NotThere if it will not."""
+        def enabled() -> bool:
+            self.ask(Trigger, f'{name}/reset', Trigger.Request())
+            return bool(self.ask(SetBool, f'{name}/enable', SetBool.Request(data=True)).success)
+        until(enabled, f'{name} to be enabled')
+
+    def listen(self, kind: type, topic: str) -> list[Any]:
+        """Return a list that gets the messages of a topic."""
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, 1000)
+        return messages
+
+    def states(self, topic: str = 'joint_states') -> list[Any]:
+        """Return a list that gets the messages of joint_states."""
+        return self.listen(JointState, topic)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        status = message.status[0]
+        self.diagnostics[status.name.partition(':')[0]] = {
+            v.key: v.value for v in status.values} | {'text': status.message,
+                                                      'at': time.monotonic()}
+
+
+def is_alive(process: NodeProcess) -> bool:
+    """Return whether a process still runs."""
+    return process.poll() is None
+
+
+def pause(process: NodeProcess, seconds: float) -> None:
+    """Stop a process for a while."""
+    process.send(signal.SIGSTOP)
+    time.sleep(seconds)
+    process.send(signal.SIGCONT)
