@@ -51,11 +51,11 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'actuator = asi_actuator.actuator_node:main',
-            'can_actuator = asi_actuator.can_actuator:main',
-            'controller = asi_controller.controller_node:main',
-            'recorder = asi_analysis.recorder_node:main',
-            'replay = asi_analysis.replay_node:main',
+            'actuator = asi_actuator.executables:actuator',
+            'can_actuator = asi_actuator.executables:can_actuator',
+            'controller = asi_actuator.executables:controller',
+            'recorder = asi_actuator.executables:recorder',
+            'replay = asi_actuator.executables:replay',
             'asi = asi_analysis.cli:main',
         ],
     },

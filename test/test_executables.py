@@ -1,0 +1,46 @@
+"""What `ros2 run` starts: the entry points, and signals while a node is still importing."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT
+
+# The import of a node, as slow as can be.
+SLOW_IMPORT = """
+import time
+from asi_actuator import executables
+
+def slow(module):
+    print(module, flush=True)
+    time.sleep(60.0)
+
+executables.import_module = slow
+executables.actuator()
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signal_while_a_node_imports_ends_it_cleanly(number):
+    process = subprocess.Popen(
+        [sys.executable, '-c', SLOW_IMPORT], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert process.stdout.readline() == 'asi_actuator.actuator_node\n'
+    process.send_signal(number)
+    _, complaint = process.communicate(timeout=30)
+    assert (process.returncode, complaint) == (0, '')
+
+
+@pytest.mark.parametrize('name, function', re.findall(
+    r"'(\w+) = asi_actuator.executables:(\w+)'", (ROOT / 'setup.py').read_text()))
+def test_every_executable_ends_with_one_line_where_it_cannot_run(name, function):
+    code = f'import sys; from asi_actuator import executables; sys.exit(executables.{function}())'
+    result = subprocess.run(
+        [sys.executable, '-c', code, '--ros-args', '--remap', 'no_rule'], capture_output=True,
+        text=True, timeout=60, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert name == function
+    assert result.returncode == 2
+    assert len(result.stderr.splitlines()) == 1, result.stderr
