@@ -350,6 +350,10 @@ def quench(
     designs: Annotated[int, typer.Option(
         help='Candidates of the design helper; 0: none')] = 0,
     seed: Annotated[int, typer.Option(help='Seed of attack and design')] = 1,
+    replay: Annotated[int, typer.Option(
+        help='How many of the worst finds to run over ROS')] = 0,
+    out: Annotated[Path, typer.Option(
+        help='Directory for the bags of --replay')] = Path('runs/quench'),
     set_: Settings = None,
     figure: Annotated[Path | None, typer.Option(
         help='PNG file: loop and -1/N, and the trade-off of the designs')] = None,
@@ -367,7 +371,8 @@ def quench(
     from asi_analysis.quench import answer as quench_answer
     with progress() as told:
         document = quench_answer.quench(values['actuator'], values['controller'], rates_hz,
-                                        conditions, seed, designs, told)
+                                        conditions, seed, designs,
+                                        (replay, out) if replay else None, told)
         if figure:
             from asi_analysis.quench.figure import draw
             draw(values['actuator'], values['controller'], document, figure)

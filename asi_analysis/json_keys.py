@@ -247,6 +247,12 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('sustained', 'boolean', 'whether it lasts'),
             Key('frequency_hz', 'number?', 'its frequency, roughly'),
             Key('condition', 'object', 'actuator parameters, rate, reference, kick and push'))),
+        Key('replayed', '[object]', 'the worst finds run over ROS, if asked for', (
+            Key('bag', 'text', 'path of the bag'),
+            Key('verdict', 'text', 'of `asi limit-cycle` on its last segment'),
+            Key('confidence', 'number', 'of the verdict'),
+            Key('amplitude_n', 'number?', 'null: it comes to rest'),
+            Key('frequency_hz', 'number?', 'its frequency'))),
         Key('dither', '[object]', 'rival cure, if the loop cycles', (
             Key('frequency_hz', 'number', 'of the dither'),
             Key('amplitude_n', 'number?', 'least command that quenches; null: none'),

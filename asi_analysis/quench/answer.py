@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from asi_analysis.prediction.simulation import Values, step_run, sustained
@@ -16,12 +17,14 @@ WORST: Final = 5
 
 
 def quench(actuator: Values, controller: Values, rates_hz: Sequence[float], count: int,
-           seed: int, designs: int = 0, report: Report = lambda *_: None) -> dict[str, Any]:
+           seed: int, designs: int = 0, replayed: tuple[int, Path] | None = None,
+           report: Report = lambda *_: None) -> dict[str, Any]:
     """
     Return all that `asi quench --json` prints.
 
     rates_hz: control rates of the attack, the first is that of margin, dither and design; count:
-    conditions tried; designs: candidates of the design helper, 0 for none.
+    conditions tried; designs: candidates of the design helper, 0 for none; replayed: how many of
+    the worst finds to run over ROS, and the directory for their bags.
     """
     rate = rates_hz[0]
     report('margin', None)
@@ -36,7 +39,11 @@ def quench(actuator: Values, controller: Values, rates_hz: Sequence[float], coun
         'conditions_tried': count, 'sustained_found': len(lasting),
         'worst_amplitude_n': _finite(lasting[0].swing_n) if lasting else 0.0,
         'worst': [_trial(trial, tuple(rates_hz)) for trial in trials[:WORST]],
-        'dither': [], 'design': None}
+        'replayed': [], 'dither': [], 'design': None}
+    if replayed:
+        from asi_analysis.quench.replay import replay
+        document['replayed'] = replay(trials[:replayed[0]], controller, actuator,
+                                      tuple(rates_hz), replayed[1], report)
     swing = sustained(step_run(actuator, controller, rate))
     if swing is not None:
         # Only what cycles can be quenched by dither.
@@ -74,6 +81,9 @@ def as_text(document: dict[str, Any]) -> str:
         lines.append(f'  {"unbounded" if size is None else f"{size:.3g} N"} at '
                      f'{c["rate_hz"]:g} Hz control, load {c["actuator"]["load.type"]}, '
                      f'{c["shape"]} of {c["amplitude_n"]:.0f} N about {c["offset_n"]:.0f} N')
+    lines += [f'over ROS: {row["bag"]}: {row["verdict"]}'
+              + (f', {row["amplitude_n"]:.3g} N at {row["frequency_hz"]:.4g} Hz'
+                 if row['amplitude_n'] is not None else '') for row in document['replayed']]
     for row in document['dither']:
         lines.append(f'dither of {row["frequency_hz"]:g} Hz: ' + (
             'none up to the limit of the command quenches' if row['amplitude_n'] is None else

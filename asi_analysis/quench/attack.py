@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+from scipy import signal
 
 from asi_actuator.model.actuator import rest
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record
@@ -23,6 +25,7 @@ Report = Callable[[str, float | None], None]
 EXCITED_S: Final = 0.25
 LEFT_ALONE_S: Final = 0.45
 WATCHED_S: Final = 0.12
+CONFIRMED_S: Final = 2.5
 # A swing that keeps this share of its size over the watched time, and is larger than this (N).
 KEEPS: Final = 0.95
 LEAST_N: Final = 1.0
@@ -106,20 +109,27 @@ def attempt(condition: Condition, actuator: Values, controller: Values,
         out = np.empty((6, math.ceil(duration * rate)))
         _close(state, plant, c, reference, 1.0 / rate, out)
         force.append(out[2])
-    last = force[1][-2 * int(WATCHED_S * rate):]
-    half = len(last) // 2
-    if not np.isfinite(last).all():
-        return Trial(condition, math.inf, True, math.nan)
-    # What creeps to rest is no oscillation: only what crosses its mean counts.
-    late = last[half:] - last[half:].mean()
-    late = late - np.polyval(np.polyfit(np.arange(len(late)), late, 1), np.arange(len(late)))
-    early = last[:half] - np.polyval(np.polyfit(np.arange(half), last[:half], 1),
-                                     np.arange(half))
+    swing, lasts, frequency = _left(force[1][-2 * int(WATCHED_S * rate):], rate)
+    if lasts and math.isfinite(swing):
+        # A slow ring could look like it for so short a time: watched for long.
+        out = np.empty((6, math.ceil(CONFIRMED_S * rate)))
+        _close(state, plant, c, reference, 1.0 / rate, out)
+        swing, lasts, frequency = _left(out[2][-int(0.6 * CONFIRMED_S * rate):], rate)
+    return Trial(condition, swing, lasts, frequency)
+
+
+def _left(force: npt.NDArray[np.float64], rate_hz: float) -> tuple[float, bool, float]:
+    """Return half the swing (N) of the second half of a force, whether it lasts, frequency."""
+    if not np.isfinite(force).all():
+        return math.inf, True, math.nan
+    half = len(force) // 2
+    # What creeps to rest is no oscillation: only what crosses its own trend counts.
+    early, late = (signal.detrend(force[:half]), signal.detrend(force[half:2 * half]))
     crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
     swing, before = 0.5 * float(np.ptp(late)), 0.5 * float(np.ptp(early))
-    lasts = swing > LEAST_N and crossings >= 2 and swing > KEEPS * before
-    return Trial(condition, swing if crossings >= 2 else 0.0, lasts,
-                 crossings / (len(late) / rate))
+    if crossings < 2:
+        return 0.0, False, 0.0
+    return swing, swing > LEAST_N and swing > KEEPS * before, crossings * rate_hz / half
 
 
 def _threat(trial: Trial) -> float:

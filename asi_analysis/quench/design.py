@@ -32,7 +32,7 @@ STEP_N: Final = 150.0
 DURATION_S: Final = 0.35
 # The drive may be used so far by that step.
 HEADROOM: Final = 0.9
-RANDOM_SHARE: Final = 0.5
+RANDOM_SHARE: Final = 0.4
 # name: (least, most), searched evenly in the logarithm
 RANGES: Final = {
     'gain': (0.4, 8.0), 'ratio': (1.2, 12.0), 'zero_frequency': (60.0, 800.0),
