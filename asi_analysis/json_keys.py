@@ -95,7 +95,8 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('section', 'text', 'section, figure or table of the paper'),
             Key('conditions', 'text', 'load, step and controller'),
             Key('method', 'text', 'how it was measured'),
-            Key('fitted', 'boolean', 'whether the calibration may see it'))),
+            Key('role', 'text', 'given: the model is told it; fitted: the calibration aims '
+                'at it; held out: it does not'))),
         Key('met', 'integer', 'rows met'),
         Key('total', 'integer', 'rows'),
         Key('ids_met', '[text]', 'facts all of whose rows are met'),
@@ -268,6 +269,13 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
                 Key('margin', 'number', 'limit-cycle margin'),
                 Key('rise_time_s', 'number', 'rise time'),
                 Key('overshoot_percent', 'number', 'overshoot')))))),
+    'asi calibrate': (
+        Key('evaluations', 'integer', 'candidates that have been tried'),
+        Key('cost', 'number', 'of the best one; 0: every row well inside its limits'),
+        Key('met', 'integer', 'rows met, of those that the fit aims at, as the search measures'),
+        Key('total', 'integer', 'rows that the fit aims at'),
+        Key('not_met', '[text]', 'names of the values that are not met'),
+        Key('best', 'text', 'path of the best candidate')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

@@ -99,7 +99,7 @@ def as_document(result: Reproduction) -> dict[str, Any]:
             'simulated': _finite(value), 'unit': fact.unit,
             'tolerance': fact.tolerance, 'met': result.met(fact), 'section': fact.section,
             'conditions': texts[fact.id][0], 'method': texts[fact.id][1],
-            'fitted': fact.fitted})
+            'role': fact.role})
     ids = dict.fromkeys(fact.id for fact in FACTS)
     whole = [id_ for id_ in ids if all(result.met(fact) for fact in FACTS if fact.id == id_)]
     return {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from asi_actuator.parameters import as_record
 from asi_analysis.facts.bench import Values, in_process, step_experiment
-from asi_analysis.facts.conditions import LOCKED, SPRING, Conditions
+from asi_analysis.facts.conditions import LOCKED, Conditions
 from asi_analysis.facts.cycle import proportional
 from asi_analysis.facts.describing import describing_function, log_response, predict
 from asi_analysis.facts.measures import FASTEST_M_S, OPENINGS, Measured, onset_name
@@ -137,7 +137,7 @@ def table_1_step(actuator: Values, conditions: Conditions, name: str, title: str
     test = getattr(conditions, name)
     figure, axes = _figure(f'{title}, step of {test.amplitude_n:g} N')
     run = in_process(step_experiment(
-        {**actuator, **SPRING}, {'feedforward': conditions.feedforward, **test.controller},
+        {**actuator, **test.load}, {'feedforward': conditions.feedforward, **test.controller},
         test.amplitude_n, 0.4))
     axes.plot(run.time_s, run.reference_n, '--', color='black', linewidth=0.8)
     axes.plot(run.time_s, run.force_n, color=BLUE)

@@ -27,7 +27,7 @@ def write_report(result: Reproduction, out: Path) -> Path:
         with figures.style():
             figure.savefig(out / f'{name}.png')
     document = as_document(result)
-    held_out = [fact for fact in document['facts'] if not fact['fitted']]
+    held_out = [fact for fact in document['facts'] if fact['role'] == 'held out']
     templates = environment()
     templates.filters['roots'] = _roots
     page = out / 'report.html'

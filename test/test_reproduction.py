@@ -63,7 +63,7 @@ def test_linear_model_is_the_simulator_for_small_motion():
 
 def test_onset_of_a_linear_loop_is_its_critical_gain():
     plant = as_record({**LINEAR, 'command_limit': 1e5, 'fluid_dynamics.model': 'off'})
-    gain, _ = onset(lambda gain: Bench(plant, proportional(gain)), 50.0)
+    gain = onset(lambda gain: Bench(plant, proportional(gain)), 50.0, 6.0, 13.0)
     # The loop holds each command for a period: half a period of delay more than the prediction.
     predicted, _ = linear_critical_gain(plant)
     with_hold, _ = linear_critical_gain(as_record({

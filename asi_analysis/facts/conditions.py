@@ -16,18 +16,20 @@ SPRING: Final[Mapping[str, Value]] = {'load.type': 'spring'}
 
 
 class StepTest(NamedTuple):
-    """A step of the desired force (N) on the spring load, and what controls it."""
+    """A step of the desired force (N), what controls it, and what the piston pushes against."""
 
     controller: Mapping[str, Value]
     amplitude_n: float
+    load: Mapping[str, Value]
 
 
 class Conditions(NamedTuple):
     """Everything about the experiments that is not the actuator."""
 
-    proportional: StepTest = StepTest({'compensator': 'proportional', 'gain': 3.0}, 670.0)
-    lead_lag: StepTest = StepTest({'compensator': 'lead_lag'}, 150.0)
-    lead4: StepTest = StepTest({'compensator': 'lead4'}, 150.0)
+    proportional: StepTest = StepTest({'compensator': 'proportional', 'gain': 3.0}, 150.0,
+                                      SPRING)
+    lead_lag: StepTest = StepTest({'compensator': 'lead_lag'}, 150.0, LOCKED)
+    lead4: StepTest = StepTest({'compensator': 'lead4'}, 150.0, LOCKED)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0
@@ -35,7 +37,7 @@ class Conditions(NamedTuple):
     onset_accuracy: float = 0.003
     # Fig. 6: a step of this size, at this multiple of the onset gain.
     cycle_step_n: float = 100.0
-    cycle_gain: float = 1.15
+    cycle_gain: float = 1.1
     open_loop_amplitude_n: float = 300.0
     small_amplitude_n: float = 50.0
     # The largest sine that the actuator can follow: 90 % of its thrust.

@@ -20,6 +20,8 @@ MOST_PIECES: Final = 8
 # From piece to piece a cycle keeps its amplitude to this share; below the least it has died.
 STEADY: Final = 0.01
 LEAST_N: Final = 1.0
+# No gain below this is tried.
+LEAST_GAIN: Final = 1.0
 
 
 class Cycle(NamedTuple):
@@ -84,29 +86,26 @@ def sustained(bench: Bench, amplitude_n: float) -> Cycle | None:
     return cycle(force)
 
 
-def onset(loop: Callable[[float], Bench], amplitude_n: float, low: float = 4.0,
-          high: float = 16.0, accuracy: float = 0.003, limit: float = 80.0
-          ) -> tuple[float, Cycle]:
+def onset(loop: Callable[[float], Bench], amplitude_n: float, low: float, high: float,
+          accuracy: float = 0.003, limit: float = 80.0) -> float:
     """
-    Return the least gain at which a step leaves a sustained cycle, and that cycle.
+    Return the least gain at which a step leaves a sustained cycle; infinite if above `limit`.
 
-    loop: makes a loop at rest with a gain. Gain infinite and an empty cycle if there is none up
-    to `limit`.
+    loop: makes a loop at rest with a gain; low, high: where to look first.
     """
-    found = sustained(loop(high), amplitude_n)
-    while found is None:
-        low, high = high, 2.0 * high
+    while low > LEAST_GAIN and sustained(loop(low), amplitude_n) is not None:
+        low, high = 0.7 * low, low
+    while sustained(loop(high), amplitude_n) is None:
+        low, high = high, 1.5 * high
         if low >= limit:
-            return math.inf, Cycle(0.0, 0.0, 0.0)
-        found = sustained(loop(high), amplitude_n)
+            return math.inf
     while high / low > 1.0 + accuracy:
         middle = math.sqrt(low * high)
-        cycle_ = sustained(loop(middle), amplitude_n)
-        if cycle_ is None:
+        if sustained(loop(middle), amplitude_n) is None:
             low = middle
         else:
-            high, found = middle, cycle_
-    return high, found
+            high = middle
+    return high
 
 
 def proportional(gain: float) -> Values:

@@ -9,8 +9,8 @@ import numpy as np
 
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.facts.bandwidth import bandwidth_hz, closed_loop_gain, open_loop_gain
-from asi_analysis.facts.bench import Bench, Runner, Values, in_process, step_experiment
-from asi_analysis.facts.conditions import LOCKED, SPRING, Conditions, StepTest
+from asi_analysis.facts.bench import Array, Bench, Runner, Values, in_process, step_experiment
+from asi_analysis.facts.conditions import LOCKED, Conditions, StepTest
 from asi_analysis.facts.cycle import Cycle, cycle, onset, sustained
 from asi_analysis.facts.describing import linear_critical_gain, predict
 from asi_analysis.facts.linear import fluid_phase_deg, linear_model
@@ -33,11 +33,14 @@ PAPER_PROPORTIONAL_GAIN: Final = 3.0
 # The family of Fig. 3: valve positions as shares of full opening, up to a speed.
 OPENINGS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 FASTEST_M_S: Final = 1.0
+SPEEDS_M_S: Final = np.geomspace(0.01, FASTEST_M_S, 60)
 HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
                              'valve_characteristic.model': 'linear'}
 NO_HYSTERESIS: Final = {'valve_hysteresis.model': 'off'}
 NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
 STEP_S: Final = 0.8
+# Gains between which an onset is looked for first.
+FIRST_LOOK: Final = (6.0, 13.0)
 CYCLE_S: Final = 1.2
 # Samples at the end of a run over which a cycle is measured.
 LAST: Final = 1500
@@ -67,18 +70,32 @@ def static(actuator: Values, conditions: Conditions) -> Measured:
     inside = np.abs(thrust.x) < 0.97 * full
     slope = np.polyfit(thrust.x[inside], thrust.y[inside], 1)
     bent = np.abs(np.polyval(slope, thrust.x[inside]) - thrust.y[inside]).max()
-    width = loop_half_width(hysteresis_loop(actuator, conditions.open_loop_amplitude_n))
-    gain = float(as_record(actuator)['valve_characteristic_gain'])
     return {
+        **error_within_loop(actuator, conditions),
         'thrust_push_n': float(thrust.y.max()),
         'thrust_pull_n': float(-thrust.y.min()),
         'characteristic_bend_percent': 100.0 * bent / float(thrust.y.max()),
         'coulomb_n': coulomb(actuator),
         'stiction_push_n': breakaway(actuator, 1),
         'stiction_pull_n': breakaway(actuator, -1),
-        # An error that stays inside the loop moves the valve nowhere: (1 + Kp G) e = half width.
-        'error_within_loop_n': width / (1.0 + PAPER_PROPORTIONAL_GAIN * gain),
     }
+
+
+def error_within_loop(actuator: Values, conditions: Conditions) -> Measured:
+    """Return the error at Kp = 3 that the loop hides: (1 + Kp G) e = half width, in force."""
+    width = loop_half_width(hysteresis_loop(actuator, conditions.open_loop_amplitude_n))
+    gain = float(as_record(actuator)['valve_characteristic_gain'])
+    return {'error_within_loop_n': width / (1.0 + PAPER_PROPORTIONAL_GAIN * gain)}
+
+
+def _exponent(speeds: Array, force: Array) -> float:
+    return float((np.diff(np.log(np.maximum(force, 1e-9))) / np.diff(np.log(speeds))).max())
+
+
+def damping_exponent(actuator: Values) -> Measured:
+    """Return the highest power of the velocity with which the damping rises, valve closed."""
+    closed = damping_sweep(actuator, 0.0, SPEEDS_M_S).y
+    return {'damping_exponent': _exponent(SPEEDS_M_S, closed)}
 
 
 def linear(actuator: Values) -> Measured:
@@ -91,15 +108,14 @@ def linear(actuator: Values) -> Measured:
 
 def damping(actuator: Values) -> Measured:
     """Return the shape of the damping family (Fig. 3)."""
-    speeds = np.geomspace(0.01, FASTEST_M_S, 60)
+    speeds = SPEEDS_M_S
     family = {opening: damping_sweep(actuator, opening, speeds).y for opening in OPENINGS}
     closed = family[0.0]
-    exponent = np.diff(np.log(np.maximum(closed, 1e-9))) / np.diff(np.log(speeds))
     slope = np.diff(closed) / np.diff(speeds)
     middle = [float(np.interp(0.5 * curve.max(), curve, speeds)) for curve in family.values()]
     return {
         'damping_largest_n': max(float(np.abs(curve).max()) for curve in family.values()),
-        'damping_exponent': float(exponent.max()),
+        'damping_exponent': _exponent(speeds, closed),
         'damping_taper': float(slope[-1] / slope.max()),
         'damping_spread': max(middle) / min(middle),
     }
@@ -135,8 +151,12 @@ def onsets(actuator: Values, conditions: Conditions) -> Measured:
             bench.run(0.1, conditions.start_n)
         return bench
 
-    found = [onset(partial(loop, step=step), step, accuracy=conditions.onset_accuracy)[0]
-             for step in conditions.onset_steps_n]
+    found: list[float] = []
+    for step in conditions.onset_steps_n:
+        # The next onset is near the last one.
+        known = found and math.isfinite(found[-1])
+        low, high = (0.9 * found[-1], 1.2 * found[-1]) if known else FIRST_LOOK
+        found.append(onset(partial(loop, step=step), step, low, high, conditions.onset_accuracy))
     gains = np.array(found)
     measured = {onset_name(step, 'gain'): gain
                 for step, gain in zip(conditions.onset_steps_n, found, strict=True)}
@@ -219,9 +239,9 @@ def free_onset(actuator: Values, conditions: Conditions, changes: Mapping[str, V
     if not math.isfinite(onset_gain):
         return 0.0
     plant = _plant(actuator, LOCKED, changes)
-    found, _ = onset(lambda gain: _loop(plant, conditions, gain), conditions.cycle_step_n,
-                     low=0.5 * onset_gain, high=most * onset_gain, accuracy=accuracy,
-                     limit=0.99 * most * onset_gain)
+    found = onset(lambda gain: _loop(plant, conditions, gain), conditions.cycle_step_n,
+                  low=onset_gain, high=most * onset_gain, accuracy=accuracy,
+                  limit=0.99 * most * onset_gain)
     return min(found / onset_gain, most)
 
 
@@ -229,29 +249,26 @@ def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float
     """
     Return the one-harmonic prediction over the simulated cycle, from the onset to Kp = 15.
 
-    Frequency: the worst ratio, above 1. Amplitude: the least ratio; and what is left of it where
-    it is largest when the simulator too has neither damping nor friction.
+    Frequency: the worst ratio, above 1. Amplitude: predicted over simulated at Kp = 15, and
+    simulated without over with damping and friction.
     """
     plant, bare = _plant(actuator, LOCKED), _plant(actuator, LOCKED, NO_DAMPING)
     predicted = predict(plant)
     low = max(conditions.cycle_gain * min(onset_gain, PAPER_GAIN), float(predicted.gain[0]))
-    frequency, amplitude, undamped = [], [], []
-    for gain in np.linspace(low, max(PAPER_GAIN, 1.2 * low), 4):
-        full = sustained(_loop(plant, conditions, gain), conditions.cycle_step_n)
-        free = sustained(_loop(bare, conditions, gain), conditions.cycle_step_n)
-        if full is None or free is None:
-            continue
-        ratio = float(np.interp(gain, predicted.gain, predicted.frequency_hz)) / full.frequency_hz
-        frequency.append(max(ratio, 1.0 / ratio))
-        expected = float(np.interp(gain, predicted.gain, predicted.amplitude_n))
-        amplitude.append(expected / full.amplitude_n)
-        undamped.append(free.amplitude_n / full.amplitude_n)
-    if not frequency:
-        return {'prediction_frequency_ratio': math.inf, 'prediction_amplitude_ratio': 0.0,
-                'undamped_amplitude_ratio': 0.0}
-    return {'prediction_frequency_ratio': max(frequency),
-            'prediction_amplitude_ratio': min(amplitude),
-            'undamped_amplitude_ratio': min(undamped)}
+    ratios = []
+    for gain in np.linspace(low, PAPER_GAIN, 3):
+        found = sustained(_loop(plant, conditions, gain), conditions.cycle_step_n)
+        if found is not None:
+            expected = float(np.interp(gain, predicted.gain, predicted.frequency_hz))
+            ratios.append(max(expected / found.frequency_hz, found.frequency_hz / expected))
+    full, undamped = (sustained(_loop(each, conditions, PAPER_GAIN), conditions.cycle_step_n)
+                      for each in (plant, bare))
+    expected = float(np.interp(PAPER_GAIN, predicted.gain, predicted.amplitude_n))
+    return {
+        'prediction_frequency_ratio': max(ratios, default=math.inf),
+        'prediction_amplitude_ratio': expected / full.amplitude_n if full else 0.0,
+        'undamped_amplitude_ratio':
+            undamped.amplitude_n / full.amplitude_n if full and undamped else 0.0}
 
 
 def describing(actuator: Values) -> Measured:
@@ -279,7 +296,7 @@ def step_test(actuator: Values, conditions: Conditions, test: StepTest, name: st
               runner: Runner = in_process) -> Measured:
     """Return one column of Table 1, with what its waveform says about artefacts."""
     run = runner(step_experiment(
-        {**actuator, **SPRING}, {'feedforward': conditions.feedforward, **test.controller},
+        {**actuator, **test.load}, {'feedforward': conditions.feedforward, **test.controller},
         test.amplitude_n, STEP_S))
     step = headline(step_responses(Run(*run)))
     nothing = math.inf

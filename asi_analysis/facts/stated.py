@@ -64,6 +64,8 @@ def stated(actuator: Values, conditions: Conditions) -> dict[str, tuple[str, str
     }
     for id_, name in (('F14', 'proportional'), ('F15', 'lead_lag'), ('F16', 'lead4')):
         test: StepTest = getattr(conditions, name)
-        texts[id_] = (f'{_spring(actuator)}; {_controller(test, conditions.feedforward)}, '
+        load = ('piston locked' if test.load['load.type'] == 'locked'
+                else _spring({**actuator, **test.load}))
+        texts[id_] = (f'{load}; {_controller(test, conditions.feedforward)}, '
                       f'{RATE_HZ:g} Hz; step of {test.amplitude_n:g} N', step)
     return texts
