@@ -170,7 +170,7 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
               0.0, 1e4, source='paper, section 2.2'),
     Parameter('friction.stiction_pull', 15.0, 'N', 'Breakaway force when the piston retracts',
               0.0, 1e4, source='paper, section 2.2'),
-    Parameter('friction.stribeck_velocity', 0.001, 'm/s',
+    Parameter('friction.stribeck_velocity', 0.005, 'm/s',
               'Velocity over which stiction falls to Coulomb friction', 1e-6, 10.0,
               source='assumed'),
     Parameter('friction.presliding_stiffness', 2e5, 'N/m',

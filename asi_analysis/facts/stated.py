@@ -33,7 +33,7 @@ def stated(actuator: Values, conditions: Conditions) -> dict[str, tuple[str, str
                'force against valve position; straight line fitted below 97 % of the opening'),
         'F2': ('valve closed; piston moved at a prescribed speed',
                'stiction: largest force of a slow motion; Coulomb: force when sliding, '
-               'extrapolated to no speed'),
+               'less that without friction'),
         'F3': ('piston locked, small motion about rest, hysteresis as a gain',
                'poles and zeros of the linearised model'),
         'F4': (f'piston locked, open loop, sines of {conditions.open_loop_amplitude_n:g} N',

@@ -12,8 +12,8 @@ from asi_analysis.facts.conditions import LOCKED
 RAMP_S: Final = 3.0
 TRIANGLE_S: Final = 2.0
 # Slow against the Stribeck velocity; and fast against it, where only Coulomb friction is left.
-SLOW: Final = 0.05
-FAST: Final = (3.0, 4.0, 5.0, 6.0, 7.0)
+SLOW: Final = 0.02
+FAST: Final = 4.0
 NO_FRICTION: Final = {'friction.model': 'off'}
 
 
@@ -77,17 +77,17 @@ def breakaway(actuator: Values, direction: int) -> float:
 
 def coulomb(actuator: Values) -> float:
     """
-    Return the friction when sliding (N): the part of the force that does not depend on the speed.
+    Return the friction when sliding (N): mean of both directions.
 
-    Mean of both directions; the hydraulic damping, odd in the velocity, is fitted and taken out.
+    What the same motion takes without friction, the hydraulic damping, is taken out.
     """
     plant = as_record({**actuator, 'load.type': 'prescribed'})
-    velocities = np.array(FAST) * plant['friction_stribeck_velocity']
+    bare = as_record({**actuator, **NO_FRICTION, 'load.type': 'prescribed'})
+    velocity = FAST * plant['friction_stribeck_velocity']
     limit = plant['friction_stiction_push'] / plant['friction_presliding_stiffness']
-    forces = [0.5 * (abs(_moved(plant, v, 4.0 * limit / v + 0.02)[-1])
-                     + abs(_moved(plant, -v, 4.0 * limit / v + 0.02)[-1])) for v in velocities]
-    basis = np.column_stack([np.ones_like(velocities), velocities, velocities**3])
-    return float(np.linalg.lstsq(basis, np.array(forces), rcond=None)[0][0])
+    duration = 4.0 * limit / velocity + 0.02
+    return float(np.mean([abs(_moved(plant, v, duration)[-1] - _moved(bare, v, duration)[-1])
+                          for v in (velocity, -velocity)]))
 
 
 def damping_sweep(actuator: Values, opening: float, velocities: Array) -> Curve:
