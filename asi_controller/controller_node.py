@@ -250,6 +250,10 @@ class RealTime:
     def on_state(self, stamp_ns: int, force_n: float) -> None:
         latency_ns = self.node.get_clock().now().nanoseconds - stamp_ns
         if abs(latency_ns) > OTHER_CLOCK_NS:
+            if self.latest is not None:
+                # Not from the actuator that this loop has begun with, or the clock was set.
+                self.node.ignored += 1
+                return
             raise RunError(f'a state of {stamp_ns * 1e-9:.6f} s is not of the wall clock: the '
                            'mode of the actuator is lockstep, that of this controller realtime')
         if self.latest is not None:

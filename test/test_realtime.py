@@ -118,6 +118,24 @@ def test_controller_says_that_the_actuator_is_gone_and_gives_no_command(
     assert controller.stop() == 0
 
 
+def test_stray_state_of_another_clock_does_not_end_the_controller(
+        start_node: Callable, ros_node: Any, states: Listener, diagnostics: Callable) -> None:
+    from sensor_msgs.msg import JointState
+
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=10.0)
+    controller = start_node(CONTROLLER, **PATIENT)
+    diagnostics('asi_controller', 'running')
+    stray = JointState(name=['piston', 'valve'], effort=[1e6, 0.0])
+    stray.header.stamp.sec = 1
+    publisher = ros_node.create_publisher(JointState, 'joint_states', 10)
+    wait_until(lambda: publisher.get_subscription_count() > 1, 'the controller')
+    publisher.publish(stray)
+    wait_until(lambda: {v.key: v.value for v in diagnostics('asi_controller', 'running').values}[
+        'states ignored'] == '1', 'the stray state to be counted')
+    assert controller.stop() == 0
+    assert not any(abs(state.effort[1]) > 10.0 for state in states.messages)
+
+
 @pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_a_running_loop_with_exit_status_0(

@@ -75,5 +75,5 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
             until(lambda since=since: rig.diagnostics['asi_actuator']['at'] > since
                   and rig.diagnostics['asi_actuator']['text'] == 'running', 'the loop to go on')
         tally.count(publisher.topic_name, problem, BURST)
-        if problem:
+        if problem or tally.failures:
             return

@@ -1,10 +1,12 @@
 """Processes killed, stopped for a while, or asked to end, at random moments."""
 
 import signal
+import struct
 import time
 from pathlib import Path
 from typing import Final
 
+from asi_actuator.topics import nanoseconds
 from asi_analysis.bag_file import read_contents
 from asi_analysis.errors import InputError
 from torture.rig import (
@@ -91,7 +93,20 @@ class Loop:
             topics = read_contents(self.bag, lambda name: name == '/joint_states').topics
         except InputError:
             return []  # nothing is written yet
-        return topics['/joint_states'].publish_ns if '/joint_states' in topics else []
+        if '/joint_states' not in topics:
+            return []
+        # A CDR message begins with 4 bytes of its own, this one goes on with its stamp.
+        stamps = [struct.unpack_from('<4xiI', data) for data in topics['/joint_states'].data]
+        return [seconds * 10**9 + rest for seconds, rest in stamps]
+
+    def lost(self) -> int:
+        """Return how many states are not in the bag that came while it was recorded."""
+        recorded = self.stamps_in_bag()
+        if not recorded:
+            return 0
+        heard = {nanoseconds(state.header.stamp) for state in self.states}
+        return len({stamp for stamp in heard if recorded[0] <= stamp <= recorded[-1]}
+                   - set(recorded))
 
 
 def processes(rig: Rig, tally: Tally, end: float) -> None:
@@ -108,6 +123,8 @@ def processes(rig: Rig, tally: Tally, end: float) -> None:
                 loop.run()
                 time.sleep(rig.random.uniform(0.0, 0.3))
                 tally.count(what, _break(loop, name, number, tally))
+                if not is_alive(loop.processes['recorder']):
+                    tally.samples_lost += loop.lost()
             except NotThere as error:
                 tally.count(what, str(error))
             if trace := rig.tracebacks():
