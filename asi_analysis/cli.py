@@ -95,6 +95,8 @@ def run(
         help='Any other parameter, as actuator.load.mass=0.3; may be repeated')] = None,
     out: Annotated[Path | None, typer.Option(
         help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
+    experiment: Annotated[str | None, typer.Option(
+        help='isolation: two runs that show whether a limit cycle is isolated')] = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -117,7 +119,16 @@ def run(
                         'controller': named}, duration)
     wanted = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
                                       rate))
+    if experiment not in (None, 'isolation'):
+        raise InputError(f'--experiment {experiment}: it takes isolation')
     out = out or ex.free_directory(Path('runs'), str(wanted.controller['compensator']))
+    if experiment:
+        from asi_analysis.limit_cycle import answer as limit_cycle_answer
+        from asi_analysis.limit_cycle.experiment import isolation
+        with progress() as report:
+            document = isolation(wanted, out, report)
+        answer(document, as_json, lambda d: print(limit_cycle_answer.as_text(d)))
+        return
     try:
         with progress() as report:
             bag = ex.run_experiment(wanted, out, report)

@@ -61,6 +61,38 @@ ANALYZE: Final = (
     Key('notes', '[text]', 'why a value is null or to be doubted'),
 )
 
+SEGMENTS: Final = Key(
+    'segments', '[object]', 'the stretches of each bag, in the order of time', (
+        Key('source', 'text', 'bag'),
+        Key('signal', 'text', 'signal that was judged'),
+        Key('unit', 'text', 'its unit: that of the amplitudes, whatever their name says'),
+        Key('start_s', 'number', 'begin'),
+        Key('end_s', 'number', 'end'),
+        Key('verdict', 'text', 'limit_cycle, decaying, growing, forced, saturating, noise or '
+            'unsteady'),
+        Key('confidence', 'number', 'probability of the verdict, 0 to 1'),
+        Key('why', 'text', 'what speaks for it; for a closed orbit not shown to be isolated, '
+            'the run that would show it'),
+        Key('cycles', 'number', 'cycles in the segment'),
+        Key('frequency_hz', 'number?', 'of the fundamental; null: no oscillation'),
+        Key('frequency_low_hz', 'number?', 'its interval at 95 %: low end'),
+        Key('frequency_high_hz', 'number?', 'high end'),
+        Key('amplitude_n', 'number?', 'amplitude of the fundamental'),
+        Key('amplitude_low_n', 'number?', 'its interval at 95 %: low end'),
+        Key('amplitude_high_n', 'number?', 'high end'),
+        Key('thd', 'number?', 'rms of the harmonics over that of the fundamental'),
+        Key('harmonics', '[number]', 'amplitudes over that of the first'),
+        Key('envelope_rate_1_s', 'number?', 'growth of the logarithm of the amplitude'),
+        Key('envelope_rate_low_1_s', 'number?', 'its interval at 95 %: low end'),
+        Key('envelope_rate_high_1_s', 'number?', 'high end'),
+        Key('return_map_slope', 'number?', 'slope of each peak against the one before: the '
+            'Poincaré map; below 1 it attracts'),
+        Key('orbit_closure', 'number?', 'rms distance to the orbit one cycle earlier, over '
+            'the rms of the signal; 0: closed'),
+        Key('came_from', 'text', 'inside, outside: how the orbit was reached; disturbed: it '
+            'had been left; empty: the record does not show it'),
+        Key('isolated', 'boolean', 'whether these bags show that the orbit is isolated')))
+
 DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
     'asi analyze': ANALYZE,
     'asi run': (
@@ -108,38 +140,10 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
                 Key('over_ros', 'number?', 'from the bag'),
                 Key('equal', 'boolean', 'whether they are the same to the last bit'))),
         Key('report', 'text?', 'path of the report; null: none was asked for')),
-    'asi limit-cycle': (
-        Key('segments', '[object]', 'the stretches of each bag, in the order of time', (
-            Key('source', 'text', 'bag'),
-            Key('signal', 'text', 'signal that was judged'),
-            Key('unit', 'text', 'its unit: that of the amplitudes, whatever their name says'),
-            Key('start_s', 'number', 'begin'),
-            Key('end_s', 'number', 'end'),
-            Key('verdict', 'text', 'limit_cycle, decaying, growing, forced, saturating, noise or '
-                'unsteady'),
-            Key('confidence', 'number', 'probability of the verdict, 0 to 1'),
-            Key('why', 'text', 'what speaks for it; for a closed orbit not shown to be isolated, '
-                'the run that would show it'),
-            Key('cycles', 'number', 'cycles in the segment'),
-            Key('frequency_hz', 'number?', 'of the fundamental; null: no oscillation'),
-            Key('frequency_low_hz', 'number?', 'its interval at 95 %: low end'),
-            Key('frequency_high_hz', 'number?', 'high end'),
-            Key('amplitude_n', 'number?', 'amplitude of the fundamental'),
-            Key('amplitude_low_n', 'number?', 'its interval at 95 %: low end'),
-            Key('amplitude_high_n', 'number?', 'high end'),
-            Key('thd', 'number?', 'rms of the harmonics over that of the fundamental'),
-            Key('harmonics', '[number]', 'amplitudes over that of the first'),
-            Key('envelope_rate_1_s', 'number?', 'growth of the logarithm of the amplitude'),
-            Key('envelope_rate_low_1_s', 'number?', 'its interval at 95 %: low end'),
-            Key('envelope_rate_high_1_s', 'number?', 'high end'),
-            Key('return_map_slope', 'number?', 'slope of each peak against the one before: the '
-                'Poincaré map; below 1 it attracts'),
-            Key('orbit_closure', 'number?', 'rms distance to the orbit one cycle earlier, over '
-                'the rms of the signal; 0: closed'),
-            Key('came_from', 'text', 'inside, outside: how the orbit was reached; disturbed: it '
-                'had been left; empty: the record does not show it'),
-            Key('isolated', 'boolean', 'whether these bags show that the orbit is isolated'))),
-    ),
+    'asi limit-cycle': (SEGMENTS,),
+    'asi run --experiment isolation': (
+        Key('bags', '[text]', 'paths of the run from inside and that from outside'),
+        SEGMENTS),
     'asi limit-cycle --check': (
         Key('accuracy', '[object]', 'sines of known truth', (
             Key('cycles', 'number', 'cycles in the record'),

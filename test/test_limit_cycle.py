@@ -106,3 +106,18 @@ def test_command_prints_what_is_documented(tmp_path):
     assert json_keys.problems(document, json_keys.DOCUMENTS['asi limit-cycle']) == []
     assert document['segments'][-1]['verdict'] == 'limit_cycle'
     assert (tmp_path / 'picture.png').read_bytes().startswith(b'\x89PNG')
+
+
+@pytest.mark.timeout(180)
+def test_isolation_experiment_shows_the_orbit_from_both_sides(tmp_path, ros_environment):
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--experiment', 'isolation', '--gain',
+         '10', '--step', '100', '--duration', '0.7', '--out', str(tmp_path / 'out'), '--json'],
+        capture_output=True, text=True, timeout=170)
+    assert result.returncode == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert json_keys.problems(
+        document, json_keys.DOCUMENTS['asi run --experiment isolation']) == []
+    cycles = [s for s in document['segments'] if s['verdict'] == 'limit_cycle']
+    assert {s['came_from'].split()[0] for s in cycles} == {'inside', 'outside'}
+    assert all(s['isolated'] for s in cycles)

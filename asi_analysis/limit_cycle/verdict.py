@@ -123,16 +123,24 @@ def judge_run(run: Run, name: str | None = None) -> list[Segment]:
 
 
 def _merge(found: list[Segment]) -> list[Segment]:
-    """Return the segments with neighbours joined that are both noise, or both unsteady."""
+    """Return the segments with neighbours of one kind joined, under the figures of the longer."""
     merged: list[Segment] = []
     for segment in found:
-        if merged and segment.verdict == merged[-1].verdict and segment.verdict in (
-                'noise', 'unsteady'):
-            longer = max(merged[-1], segment, key=lambda s: s.end_s - s.start_s)
-            merged[-1] = longer._replace(start_s=merged[-1].start_s, end_s=segment.end_s)
-        else:
+        before = merged[-1] if merged else None
+        if before is None or not _one_kind(before, segment):
             merged.append(segment)
+            continue
+        longer = max(before, segment, key=lambda s: s.end_s - s.start_s)
+        merged[-1] = longer._replace(start_s=before.start_s, end_s=segment.end_s,
+                                     came_from=before.came_from)
     return merged
+
+
+def _one_kind(a: Segment, b: Segment) -> bool:
+    """Return whether two neighbours are one motion; a limit cycle keeps its size within 5 %."""
+    if a.verdict != b.verdict or a.verdict in ('forced', 'saturating'):
+        return False
+    return a.verdict != 'limit_cycle' or abs(a.amplitude - b.amplitude) < 0.05 * b.amplitude
 
 
 def reduce(time_s: Array, values: Array, frequency_hz: float) -> tuple[Array, Array]:
