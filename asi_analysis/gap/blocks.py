@@ -1,0 +1,432 @@
+"""
+The blocks, each driven by its measured input, with every effect of the vocabulary built in.
+
+valve:   command -> valve position          (command path and valve)
+force:   valve position, velocity -> force  (hydraulics, then the sensor)
+load:    motion -> force                    (mechanics, then the sensor)
+
+The load is run backwards, from the measured motion to the force that it takes: an error does not
+pile up in an integral, and a closed loop does no harm. It is linear but for friction, backlash and
+compliance, and so computed in the frequency domain, where a derivative is exact.
+All parameters are one record: those of the actuator, and those of the effects, which do nothing
+at zero.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.delay import delay, delay_steps
+from asi_actuator.model.force_sensor import CARD_DAMPING
+from asi_actuator.model.friction import friction, sliding_share
+from asi_actuator.model.hydraulic_damping import hydraulic_damping
+from asi_actuator.model.jit import FULL, LINEAR, jit
+from asi_actuator.model.linear_lag import second_order, second_order_step
+from asi_actuator.model.valve_characteristic import valve_position
+from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
+from asi_actuator.parameters import ACTUATOR_DTYPE, RING
+
+Array = npt.NDArray[np.float64]
+
+EFFECT_FIELDS = (
+    'command_delay',            # s
+    'command_quantum',          # N
+    'command_phase',            # of its steps: 0 has a step's middle at zero, 0.5 an edge
+    'command_bias',             # N
+    'loop_width',               # N, largest half width of the plays
+    'loop_share',               # share of the command that goes through the plays
+    'loop_spread',              # 0: all plays equally wide, 1: from nothing to loop_width
+    'command_deadband',         # N, half width
+    'valve_lag',                # s
+    'valve_limit',              # m, 0: none
+    'orifice_deadband',         # m, half width
+    'force_limit',              # N, 0: none
+    'corner',                   # how round the corner of a saturation is, 0: hard
+    'damping_viscous',          # N s/m
+    'damping_quadratic',        # N s2/m2
+    'damping_opening',          # N s/m at full opening
+    'supply_drop',              # share of the force
+    'supply_sag',               # share of the force when the valve has long been open
+    'supply_time',              # s
+    'leakage_linear',           # N/N
+    'leakage_quadratic',        # N/N at force_scale
+    'force_scale',              # N
+    'air_time',                 # s, at no force
+    'air_stiffening',           # how much faster at force_scale
+    'friction_level',           # N
+    'friction_asymmetry',       # -1 to 1
+    'friction_breakaway',       # breakaway over sliding friction, less one
+    'friction_stribeck',        # m/s
+    'friction_bristle',         # m, deflection of the seals at breakaway
+    'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
+    'viscous',                  # N s/m
+    'viscous_asymmetry',        # -1 to 1
+    'backlash',                 # m, half width
+    'backlash_memory',          # 1: the load stays where it was left, 0: springs back
+    'compliance',               # m/N
+    'compliance_damping',       # s
+    'disturbance',              # N
+    'disturbance_cosine',       # N
+    'disturbance_sine',         # N
+    'disturbance_frequency',    # Hz
+    'disturbance_pulse',        # N
+    'disturbance_start',        # s
+    'disturbance_end',          # s
+    'sensor_offset',            # N
+    'sensor_gain_error',        # N/N
+    'sensor_lag',               # s
+    'sensor_drift',             # N/s
+    'sensor_drift_curve',       # N/s2
+    'load_offset',              # N, a constant that a joint's nominal model declares
+)
+EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
+PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
+
+PLAYS = 4
+ROUNDEST = 0.25   # of the reciprocal exponent: 0 is a hard corner
+
+
+@jit
+def clip_round(x, corner):
+    """Return x held within -1 to 1, its corner rounded: x / (1 + |x|^n)^(1/n), corner = 1/n."""
+    size = abs(x)
+    if corner <= 0.01 or size < 0.3:
+        return min(max(x, -1.0), 1.0)
+    if size > 3.0:
+        return 1.0 if x > 0.0 else -1.0
+    return x / (1.0 + size ** (1.0 / corner)) ** corner
+
+
+@jit
+def dead_zone(x, width):
+    """Return x less `width` towards zero."""
+    if x > width:
+        return x - width
+    if x < -width:
+        return x + width
+    return 0.0
+
+
+@jit
+def held_command(command, position, step):
+    """
+    Return the mean of a held command over `step` samples from `position` samples on.
+
+    Before its first sample the command is that sample. The mean, so that a delay moves the result
+    smoothly and can be fitted.
+    """
+    first = int(math.floor(position))
+    last = int(math.floor(position + step))
+    limit = command.shape[0] - 1
+    here = command[min(max(first, 0), limit)]
+    if first == last:
+        return here
+    share = (last - position) / step
+    return share * here + (1.0 - share) * command[min(max(last, 0), limit)]
+
+
+@jit
+def lag_weights(time, h):
+    """
+    Return how a first-order lag of `time` s goes on over `h` s: weights of output, input, input.
+
+    Of its old output, and of its input before and after; exact for an input that moves straight.
+    """
+    if time <= 0.0:
+        return 0.0, 0.0, 1.0
+    a = h / time
+    decay = math.exp(-a)
+    ramp = (1.0 - decay) / a
+    return decay, ramp - decay, 1.0 - ramp
+
+
+@jit
+def valve(command, p, e, period, count, out):
+    """
+    Put the valve position (m) at each sample into `out`.
+
+    command: n valve commands, N, each held for `period` s; `count` sub-steps a sample.
+    """
+    h = period / count
+    wait = e.command_delay / period
+    if p.valve_flexure_model == FULL:
+        # All that follows is invariant in time but for the command, so the delays can be one.
+        wait += p.valve_flexure_delay / period
+    decay = rate_decay(p, h)
+    coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
+    flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
+    keep, old, new = lag_weights(e.valve_lag, h)
+    start = command[0] + e.command_bias
+    plays = np.full(PLAYS, start)
+    filtered, flux = start, start
+    before = dead_zone(start, e.command_deadband)
+    lagged, coil, pipe, pipe_rate = before, before, before, 0.0
+    for k in range(out.shape[0]):
+        position = valve_position(pipe, p)
+        if e.valve_limit > 0.0:
+            position = e.valve_limit * clip_round(position / e.valve_limit, e.corner)
+        out[k] = position
+        for j in range(count):
+            u = held_command(command, k + j / count - wait, 1.0 / count)
+            u = min(max(u, -p.command_limit), p.command_limit)
+            if e.command_quantum > 0.0:
+                u = e.command_quantum * (math.floor(u / e.command_quantum + 0.5 - e.command_phase)
+                                         + e.command_phase)
+            u += e.command_bias
+            filtered = u + (filtered - u) * decay
+            flux = valve_hysteresis(flux, u, filtered, p)
+            drive = loop(plays, saturated(flux, p), e)
+            after = dead_zone(drive, e.command_deadband)
+            lagged_before = lagged
+            lagged = keep * lagged + old * before + new * after
+            before = after
+            if p.valve_flexure_model == FULL:
+                mean = 0.5 * (lagged_before + lagged) if e.valve_lag > 0.0 else lagged
+                coil_before = coil
+                coil = mean + (coil - mean) * coil_decay
+                pipe, pipe_rate = second_order_step(
+                    pipe, pipe_rate, 0.5 * (coil_before + coil), flexure)
+            else:
+                pipe = lagged
+                if p.valve_flexure_model == LINEAR:
+                    pipe *= p.valve_flexure_linear_gain
+
+
+@jit
+def loop(plays, drive, e):
+    """
+    Return what is left of a drive (N) after the effects' hysteresis; updates its plays.
+
+    A sum of plays of evenly spread widths (Prandtl, Ishlinskii), and a share that goes past them.
+    """
+    if e.loop_width <= 0.0:
+        return drive
+    through = 0.0
+    for i in range(PLAYS):
+        radius = e.loop_width * (1.0 - e.loop_spread * (i + 0.5) / PLAYS)
+        plays[i] = min(max(plays[i], drive - radius), drive + radius)
+        through += plays[i] / PLAYS
+    return (1.0 - e.loop_share) * drive + e.loop_share * through
+
+
+@jit
+def slide(deflection, velocity, e, h):
+    """
+    Return deflection of the seals (m) and friction (N) after `h` s of the effects' friction.
+
+    The elasto-plastic bristle of asi_actuator/model/friction.py, given by its breakaway distance
+    instead of its stiffness, so that its width does not depend on its height.
+    """
+    relative = velocity / e.friction_stribeck if e.friction_stribeck > 0.0 else 1e9
+    rise = 1.0 + e.friction_breakaway * math.exp(-relative * relative)
+    reach = e.friction_bristle * rise
+    share = sliding_share(deflection, velocity, reach)
+    after = (deflection + h * velocity) / (1.0 + h * share * abs(velocity) / reach)
+    after = min(max(after, -reach), reach)
+    uneven = 1.0 + e.friction_asymmetry if after >= 0.0 else 1.0 - e.friction_asymmetry
+    return after, e.friction_level * uneven * after / e.friction_bristle
+
+
+@jit
+def inner_friction(seal, extra, v, mean, p, e, h):
+    """
+    Return both deflections (m) and the friction (N) between valve and force sensor.
+
+    v, mean: velocity (m/s) at the end of `h` s and its mean.
+    """
+    rub = friction(seal, mean, v, p, h)
+    total = rub.force
+    if e.friction_inside > 0.5:
+        if e.friction_level > 0.0:
+            extra, more = slide(extra, v, e, h)
+            total += more
+        total += viscous_force(v, e)
+    return rub.seal, extra, total
+
+
+@jit
+def viscous_force(v, e):
+    """Return the viscous friction (N) that the effects add at a velocity (m/s)."""
+    return e.viscous * (v + e.viscous_asymmetry * abs(v))
+
+
+@jit
+def force(position, velocity, p, e, period, count, out):
+    """
+    Put the measured force (N) at each sample into `out`.
+
+    position: n valve positions, m; velocity: n velocities of the piston, m/s; both taken to move
+    straight from sample to sample; `count` sub-steps a sample of `period` s.
+    """
+    h = period / count
+    ring = np.zeros(RING)
+    wait = delay_steps(p.force_sensor_delay, h)
+    flexure = second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
+    fluid_time = 0.0
+    if p.fluid_dynamics_model == FULL:
+        fluid_time = 1.0 / (2.0 * math.pi * p.fluid_dynamics_frequency)
+    fluid_gain = p.fluid_dynamics_linear_gain if p.fluid_dynamics_model == LINEAR else 1.0
+    sensor_gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
+
+    keep, old, new = lag_weights(fluid_time, h)
+    sensor_keep, sensor_old, sensor_new = lag_weights(e.sensor_lag, h)
+    steady = (e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0)
+    opening_keep = math.exp(-h / e.supply_time)
+
+    seal, extra, seal_v = 0.0, 0.0, velocity[0]
+    target, opened = supplied(position[0], velocity[0], 0.0, fluid_gain, p, e, 0.0)
+    hydraulic = target
+    seal, extra, rub = inner_friction(seal, extra, velocity[0], velocity[0], p, e, h)
+    transmitted = hydraulic - rub
+    sensor, sensor_rate, sensed, lagged = transmitted, 0.0, transmitted, transmitted
+    ring[:] = transmitted
+    index = 0
+    for k in range(out.shape[0]):
+        out[k] = reading(lagged, k * period, p, e)
+        if k == out.shape[0] - 1:
+            break
+        for j in range(count):
+            part = (j + 1.0) / count
+            z = position[k] + part * (position[k + 1] - position[k])
+            v = velocity[k] + part * (velocity[k + 1] - velocity[k])
+            before = target
+            target, opened = supplied(z, v, opened, fluid_gain, p, e, opening_keep)
+            if not steady:
+                size = abs(hydraulic) / e.force_scale
+                leak = 1.0 + e.leakage_linear + e.leakage_quadratic * size
+                time = fluid_time + e.air_time / (1.0 + e.air_stiffening * size)
+                keep, old, new = lag_weights(time / leak, h)
+                old, new = old / leak, new / leak
+            hydraulic = keep * hydraulic + old * before + new * target
+            seal, extra, rub = inner_friction(seal, extra, v, 0.5 * (seal_v + v), p, e, h)
+            seal_v = v
+            transmitted_before = transmitted
+            transmitted = hydraulic - rub
+            sensed_before = sensed
+            if p.force_sensor_model == FULL:
+                sensor, sensor_rate = second_order_step(
+                    sensor, sensor_rate, 0.5 * (transmitted_before + transmitted), flexure)
+                index = (index + 1) & (RING - 1)
+                sensed = delay(ring, index, sensor, wait)
+            else:
+                sensed = sensor_gain * transmitted
+            lagged = sensor_keep * lagged + sensor_old * sensed_before + sensor_new * sensed
+
+
+@jit
+def supplied(z, v, opened, fluid_gain, p, e, keep):
+    """
+    Return the force (N) that valve and motion ask of the fluid, and how long the valve was open.
+
+    z: valve position, m; v: velocity, m/s; opened: the opening, lagged, of which `keep` is left.
+    """
+    relative = dead_zone(z, e.orifice_deadband) / p.valve_characteristic_full_opening
+    opening = clip_round(relative, e.corner)
+    if p.valve_characteristic_model == FULL:
+        relative = opening
+    elif p.valve_characteristic_model == LINEAR:
+        relative *= p.valve_characteristic_linear_gain
+    static = relative * p.valve_characteristic_maximum_force
+    if e.force_limit > 0.0:
+        static = e.force_limit * clip_round(static / e.force_limit, e.corner)
+    if e.supply_sag != 0.0:
+        opened = abs(opening) + keep * (opened - abs(opening))
+    static *= 1.0 - e.supply_drop - e.supply_sag * opened
+    against = v * (e.damping_viscous + e.damping_opening * abs(opening)
+                   + e.damping_quadratic * abs(v))
+    if p.hydraulic_damping_model == FULL:
+        against += hydraulic_damping(v, opening, p)
+    elif p.hydraulic_damping_model == LINEAR:
+        against += p.hydraulic_damping_linear_gain * v
+    return fluid_gain * (static - against), opened
+
+
+@jit
+def reading(sensed, time, p, e):
+    """Return what the sensor reads (N) of a sensed force (N) at a time (s)."""
+    return (p.force_sensor_gain * (1.0 + e.sensor_gain_error) * sensed + p.force_sensor_offset
+            + e.sensor_offset + e.sensor_drift * time + e.sensor_drift_curve * time * time)
+
+
+@jit
+def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out):
+    """
+    Put into `out` the force (N) of the load that is not linear in its motion.
+
+    Friction beyond the sensor, what backlash takes away from spring and damper, disturbance.
+    position m, velocity m/s: of the piston; stiffness N/m, damping N s/m of the load; start: time
+    of the first sample, s.
+    """
+    seal = 0.0
+    left = position[0]
+    pulse = e.disturbance_end > e.disturbance_start
+    omega = 2.0 * math.pi * e.disturbance_frequency
+    for k in range(out.shape[0]):
+        x, v = position[k], velocity[k]
+        total = e.load_offset - e.disturbance
+        if e.friction_inside < 0.5:
+            if e.friction_level > 0.0:
+                seal, rub = slide(seal, v, e, period)
+                total += rub
+            total += viscous_force(v, e) + damping * e.viscous_asymmetry * abs(v)
+        if e.backlash > 0.0:
+            left = min(max(left, x - e.backlash), x + e.backlash)
+            seat = e.backlash_memory * left + (1.0 - e.backlash_memory) * dead_zone(x, e.backlash)
+            total -= stiffness * (x - seat)
+        if e.disturbance_frequency > 0.0:
+            time = start + k * period
+            total -= (e.disturbance_cosine * math.cos(omega * time)
+                      + e.disturbance_sine * math.sin(omega * time))
+        if pulse:
+            time = start + k * period
+            # Edges one sample wide, so that their places can be fitted.
+            rise = min(max((time - e.disturbance_start) / period + 0.5, 0.0), 1.0)
+            fall = min(max((time - e.disturbance_end) / period + 0.5, 0.0), 1.0)
+            total -= e.disturbance_pulse * (rise - fall)
+        out[k] = total
+
+
+def parts(p: np.void) -> tuple[np.void, np.void]:
+    """Return the actuator's and the effects' part of the plant's record, as compiled code asks."""
+    raw = p.tobytes()
+    return (np.frombuffer(raw, ACTUATOR_DTYPE, 1)[0],
+            np.frombuffer(raw, EFFECT_DTYPE, 1, ACTUATOR_DTYPE.itemsize)[0])
+
+
+def load_constants(p: np.void) -> tuple[float, float, float]:
+    """Return mass kg, damping N s/m and stiffness N/m that the piston pushes against."""
+    kind = int(p['load_type'])
+    stiffness = (p['load_locked_stiffness'], p['load_stiffness'], 0.0, 0.0)[kind]
+    damping = (p['load_locked_damping'], p['load_damping'], 0.0, 0.0)[kind]
+    return float(p['load_mass']), float(damping), float(stiffness)
+
+
+def sensor_response(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
+    """Return the frequency response of the sensor, gain and lag included; omega in rad/s."""
+    s = 1j * omega
+    response = 1.0 / (1.0 + s * p['sensor_lag'])
+    if p['force_sensor_model'] == FULL:
+        w = 2.0 * math.pi * p['force_sensor_natural_frequency']
+        response = response * np.exp(-s * p['force_sensor_delay']) / (
+            1.0 + 2.0 * p['force_sensor_damping_ratio'] * s / w + (s / w) ** 2)
+        w = 2.0 * math.pi * p['force_sensor_card_frequency']
+        response = response / (1.0 + 2.0 * CARD_DAMPING * s / w + (s / w) ** 2)
+    elif p['force_sensor_model'] == LINEAR:
+        response = response * p['force_sensor_linear_gain']
+    return response * (p['force_sensor_gain'] * (1.0 + p['sensor_gain_error']))
+
+
+def impedance(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
+    """Return force over velocity of the linear load without its spring, N s/m."""
+    mass, damping, _ = load_constants(p)
+    return mass * 1j * omega + damping
+
+
+def compliance_response(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
+    """Return what a compliance between piston and load leaves of the load's force."""
+    mass, damping, stiffness = load_constants(p)
+    s = 1j * omega
+    rigid = mass * s * s + damping * s + stiffness
+    soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
+    return 1.0 / (1.0 + soft * rigid)

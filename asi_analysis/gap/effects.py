@@ -1,0 +1,198 @@
+"""
+Every effect that the diagnosis knows: its block, its parameters, its bounds.
+
+A parameter changes one field of the plant's record (blocks.py): it sets it, or scales its nominal
+value. Bounds and starts are in units of a `scale` of the recording ('command', 'force' ...), so
+that they fit any actuator. An effect may have several variants: where it acts (friction before or
+after the force sensor) or how (missing from reality, though the nominal model has it).
+"""
+
+from typing import NamedTuple
+
+COMMAND_PATH, VALVE, HYDRAULICS, MECHANICS, SENSOR = BLOCKS = (
+    'command_path', 'valve', 'hydraulics', 'mechanics', 'sensor')
+NO_GAP, UNKNOWN = 'no_gap', 'unknown'
+
+
+class Free(NamedTuple):
+    """
+    A free parameter: a field of the plant's record, its bounds and where to start.
+
+    scale: what low, high and starts are multiples of: '' for the plain unit, the name of a signal
+    (its range in the recording), 'duration', or 'nominal' (the field's own nominal value).
+    """
+
+    field: str
+    low: float
+    high: float
+    starts: tuple[float, ...]
+    scale: str = ''
+    unit: str = ''
+
+
+class Variant(NamedTuple):
+    """
+    One form of an effect.
+
+    channels: what it shows in: 'valve', 'force', 'load'; fixed: fields it sets; needs: fields of
+    the nominal record that must not be zero; joined: only together with another effect.
+    """
+
+    free: tuple[Free, ...]
+    channels: tuple[str, ...]
+    fixed: tuple[tuple[str, float], ...] = ()
+    needs: tuple[str, ...] = ()
+    joined: bool = False
+
+
+class Effect(NamedTuple):
+    """An effect of the vocabulary."""
+
+    name: str
+    block: str
+    description: str
+    variants: tuple[Variant, ...]
+
+
+FORCE_SIDE = ('force',)
+LOAD_SIDE = ('load',)
+BOTH = ('force', 'load')
+VALVE_SIDE = ('valve',)
+
+
+def _scaled(field: str, low: float = 0.0, high: float = 5.0,
+            starts: tuple[float, ...] = (0.3, 2.5)) -> Free:
+    """Return a nominal parameter that is free far beyond its tolerance."""
+    return Free(field, low, high, starts, 'nominal')
+
+
+def _friction(*more: Free, joined: bool = False) -> tuple[Variant, ...]:
+    """Return a kind of friction beyond the force sensor and before it."""
+    level = Free('friction_level', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N')
+    # The breakaway distance of seals and bearings: from microns to half a millimetre.
+    bristle = Free('friction_bristle', 2e-6, 5e-4, (5e-5, 1e-5), '', 'm')
+    return tuple(Variant((level, bristle, *more), channels, (('friction_inside', inside),),
+                         joined=joined)
+                 for inside, channels in ((0.0, LOAD_SIDE), (1.0, FORCE_SIDE)))
+
+
+_ASYMMETRIC = tuple(
+    variant for low, high, start in ((0.15, 1.0, 0.4), (-1.0, -0.15, -0.4))
+    for variant in _friction(Free('friction_asymmetry', low, high, (start,))))
+_ASYMMETRIC_TOO = _friction(Free('friction_asymmetry', -1.0, 1.0, (0.1, -0.1)),
+                            Free('viscous_asymmetry', -0.5, 0.5, (0.02, -0.02)), joined=True)
+_STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
+                      Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'))
+
+# The right size of a step is a narrow place: many starts, each 2 % from the next.
+QUANTA = tuple(0.01 * 1.02 ** k for k in range(180))
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect('transport_delay', COMMAND_PATH, 'the command arrives later', (
+        Variant((Free('command_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's'),),
+                VALVE_SIDE),
+        Variant((_scaled('valve_flexure_delay', 0.0, 1.0, (0.3,)),), VALVE_SIDE,
+                needs=('valve_flexure_model', 'valve_flexure_delay')),
+    )),
+    Effect('command_quantisation', COMMAND_PATH, 'the command comes in steps', (
+        *(Variant((Free('command_quantum', 0.004, 0.5, QUANTA, 'command', 'N'),), VALVE_SIDE,
+                  (('command_phase', phase),)) for phase in (0.0, 0.5)),
+    )),
+    Effect('valve_hysteresis', VALVE, 'the valve lags behind a turning command', (
+        Variant((Free('loop_width', 0.0, 0.8, (0.02, 0.06, 0.15), 'command', 'N'),
+                 Free('loop_share', 0.0, 1.0, (0.95,)), Free('loop_spread', 0.0, 1.0, (0.3, 0.9))),
+                VALVE_SIDE),
+        Variant((_scaled('valve_hysteresis_radius', 0.0, 10.0),
+                 _scaled('valve_hysteresis_lag_time')), VALVE_SIDE,
+                needs=('valve_hysteresis_model', 'valve_hysteresis_radius')),
+    )),
+    Effect('valve_deadband', VALVE, 'a small command does not move the valve, or moves no oil', (
+        Variant((Free('command_deadband', 0.0, 0.5, (0.02, 0.06, 0.15), 'command', 'N'),),
+                VALVE_SIDE),
+        Variant((Free('orifice_deadband', 0.0, 0.5, (0.02, 0.06, 0.15), 'valve_position', 'm'),),
+                FORCE_SIDE),
+    )),
+    Effect('valve_saturation', VALVE, 'the valve opens, or passes oil, only so far', (
+        Variant((Free('valve_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'valve_position', 'm'),
+                 Free('corner', 0.0, 0.25, (0.05,))), VALVE_SIDE),
+        Variant((Free('force_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'force', 'N'),
+                 Free('corner', 0.0, 0.25, (0.05,))), FORCE_SIDE),
+    )),
+    Effect('valve_bias', VALVE, 'the valve is off its centre at no command', (
+        Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
+    )),
+    Effect('valve_lag', VALVE, 'the valve follows later, the faster the less', (
+        Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
+        Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
+                needs=('valve_flexure_model',)),
+    )),
+    Effect('hydraulic_damping', HYDRAULICS, 'force lost to the oil that a motion drives', (
+        Variant((Free('damping_viscous', -1.0, 1.0, (0.02,), 'damping', 'N s/m'),
+                 Free('damping_quadratic', -1.0, 1.0, (0.02,), 'damping_quadratic', 'N s2/m2'),
+                 Free('damping_opening', -1.0, 1.0, (0.02,), 'damping', 'N s/m')), FORCE_SIDE),
+        Variant((_scaled('hydraulic_damping_viscous', starts=(0.3, 1.7)),
+                 _scaled('hydraulic_damping_maximum_force', starts=(0.4, 1.5)),
+                 _scaled('hydraulic_damping_saturation_velocity', 0.3, 3.0, (1.0,))),
+                FORCE_SIDE, needs=('hydraulic_damping_model',)),
+    )),
+    Effect('supply_pressure', HYDRAULICS, 'less supply pressure, or it sags with the valve open',
+           (Variant((Free('supply_drop', -0.6, 0.9, (0.1,)), Free('supply_sag', 0.0, 0.9, (0.05,)),
+                     Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
+            )),
+    Effect('internal_leakage', HYDRAULICS, 'oil leaks past the piston, more at a higher force', (
+        Variant((Free('leakage_linear', 0.0, 3.0, (0.1,)),
+                 Free('leakage_quadratic', 0.0, 3.0, (0.1,))), FORCE_SIDE),
+    )),
+    Effect('entrained_air', HYDRAULICS, 'the force builds up late, above all a small one', (
+        Variant((Free('air_time', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
+                 Free('air_stiffening', 0.0, 20.0, (1.0,))), FORCE_SIDE),
+    )),
+    Effect('coulomb_friction', MECHANICS, 'a constant force against the motion', (
+        *_friction(),
+        Variant((_scaled('friction_coulomb', 0.0, 8.0),), FORCE_SIDE, needs=('friction_model',)),
+    )),
+    Effect('stiction', MECHANICS, 'more force to break away than to slide', (
+        *_STICKING,
+        Variant((_scaled('friction_stiction_push'), _scaled('friction_stiction_pull')),
+                FORCE_SIDE, needs=('friction_model',)),
+    )),
+    Effect('friction_asymmetry', MECHANICS, 'more friction one way than the other',
+           (*_ASYMMETRIC, *_ASYMMETRIC_TOO)),
+    Effect('viscous_friction', MECHANICS, 'a force against the motion in proportion to it', (
+        Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),), LOAD_SIDE),
+        Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),), FORCE_SIDE,
+                (('friction_inside', 1.0),)),
+    )),
+    Effect('backlash', MECHANICS, 'the piston moves a little before the load does', tuple(
+        Variant((Free('backlash', 0.0, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
+                (('backlash_memory', memory),)) for memory in (0.0, 1.0))),
+    Effect('load_compliance', MECHANICS, 'the load gives way between piston and mass', (
+        Variant((Free('compliance', 0.0, 2.0, (0.05, 0.3), 'compliance', 'm/N'),
+                 Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's')), LOAD_SIDE),
+    )),
+    Effect('disturbance_force', MECHANICS, 'something else pushes the load', (
+        Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
+        Variant((Free('disturbance_cosine', -1.0, 1.0, (0.01,), 'force', 'N'),
+                 Free('disturbance_sine', -1.0, 1.0, (0.01,), 'force', 'N'),
+                 Free('disturbance_frequency', 0.9, 1.1, (1.0,), 'residual_frequency', 'Hz'),
+                 Free('disturbance', -1.0, 1.0, (0.0,), 'force', 'N')), LOAD_SIDE),
+        Variant((Free('disturbance_pulse', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),
+                 Free('disturbance_start', 0.0, 1.0, (0.2, 0.4, 0.6), 'duration', 's'),
+                 Free('disturbance_end', 0.0, 1.0, (0.5, 0.7, 0.95), 'duration', 's')), LOAD_SIDE),
+    )),
+    Effect('sensor_offset', SENSOR, 'the force sensor does not read zero at no force', (
+        Variant((Free('sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), BOTH),
+    )),
+    Effect('sensor_gain', SENSOR, 'the force sensor reads in proportion too much or too little', (
+        Variant((Free('sensor_gain_error', -0.7, 1.0, (0.05, -0.05)),), BOTH),
+    )),
+    Effect('sensor_lag', SENSOR, 'the force sensor follows late', (
+        Variant((Free('sensor_lag', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),), BOTH),
+    )),
+    Effect('sensor_drift', SENSOR, 'the zero of the force sensor wanders', (
+        Variant((Free('sensor_drift', -1.0, 1.0, (0.02, -0.02), 'drift', 'N/s'),
+                 Free('sensor_drift_curve', -1.0, 1.0, (0.0,), 'drift_curve', 'N/s2')), BOTH),
+    )),
+)
+BY_NAME = {effect.name: effect for effect in EFFECTS}
+BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}

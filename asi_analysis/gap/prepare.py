@@ -1,0 +1,245 @@
+"""A run made ready for the diagnosis: one clean time base, noise of each signal, motion, parts."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import coherence
+
+from asi_analysis.errors import InputError
+from asi_analysis.run import Run
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+SHORTEST_S = 1.0
+BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
+MOST_MISSING = 0.05     # share of missing samples that is still bridged
+PARTS = 12              # of a recording: every other one is held out
+PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
+SMOOTHING = 2.5         # the motion is smoothed at this multiple of the band that is judged
+COHERENT = 0.9
+LOWEST_BAND_HZ = 20.0
+CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
+
+
+@dataclass(frozen=True)
+class Motion:
+    """
+    The measured motion of the piston, for the load: extended by PAD_S at both ends.
+
+    spectra are of the whole extended length; `judge` is the gain of the band that is judged.
+    """
+
+    omega: Array                 # rad/s
+    position: Array              # m, smoothed
+    velocity: Array              # m/s, smoothed
+    position_spectrum: npt.NDArray[np.complex128]
+    velocity_spectrum: npt.NDArray[np.complex128]
+    judge: Array
+    band_hz: float
+    pad: int                     # samples before the recording
+    measured: bool               # false if the position was found by integration
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One bag, ready: arrays of n samples, `period_s` apart; what was not recorded is None."""
+
+    source: str
+    period_s: float
+    command: Array | None        # N, or the unit of the position servo's reference
+    force: Array | None          # N
+    valve_position: Array | None   # m; of a position servo: its position
+    velocity: Array | None       # m/s, measured
+    motion: Motion | None
+    force_judged: Array | None   # N, force within the band of the motion
+    noise: dict[str, float]      # standard deviation of each signal's noise, by signal
+    fit: Mask                    # samples to fit on
+    held_out: Mask               # samples to judge on
+
+    def sub_steps(self, longest_s: float) -> int:
+        """Return into how many steps, none longer than `longest_s` s, a period is cut."""
+        return max(1, math.ceil(self.period_s / longest_s - 1e-9))
+
+    @property
+    def time_s(self) -> Array:
+        """Return the time of each sample."""
+        return self.period_s * np.arange(self.fit.size)
+
+
+def noise_of(signal: Array) -> float:
+    """
+    Return the standard deviation of a signal's white noise.
+
+    From the fourth differences, in which a smooth signal vanishes; the median, because jumps and
+    corners are rare.
+    """
+    return float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
+
+
+def _bridged(name: str, values: Array, source: str) -> Array:
+    """Return a signal with its missing samples bridged; refuse one that misses too many."""
+    missing = ~np.isfinite(values)
+    if missing.mean() > MOST_MISSING:
+        raise InputError(f'{source}: signal {name} misses {100 * missing.mean():.0f} % of its '
+                         f'samples (NaN or infinite); at most {100 * MOST_MISSING:.0f} % can be '
+                         'bridged')
+    if not missing.any():
+        return values
+    index = np.arange(values.size)
+    return np.interp(index, index[~missing], values[~missing])
+
+
+def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
+    """Return the period (s) and the signals at equal distances in time."""
+    time = run.time_s
+    if len(run) < 2 or time[-1] - time[0] < SHORTEST_S:
+        raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, it '
+                         f'takes at least {SHORTEST_S:g} s')
+    steps = round((time[-1] - time[0]) / run.period_s)
+    period = float((time[-1] - time[0]) / steps)
+    even = time[0] + period * np.arange(steps + 1)
+    # Samples that are all there, late by a little at most, are taken as they come.
+    complete = len(run) == steps + 1 and np.abs(time - even).max() < period
+    signals = {}
+    for name, values in run.signals().items():
+        whole = _bridged(name, np.asarray(values, float), run.source)
+        if complete:
+            signals[name] = whole
+        elif name in ('command', 'reference'):   # held from sample to sample
+            before = np.searchsorted(time, even + 1e-6 * period, side='right') - 1
+            signals[name] = whole[np.clip(before, 0, None)]
+        else:
+            signals[name] = np.interp(even, time, whole)
+    return period, signals
+
+
+def _extended(values: Array, pad: int) -> Array:
+    """Return the values with `pad` mirrored ones at both ends: value and slope go on."""
+    head = 2.0 * values[0] - values[pad:0:-1]
+    tail = 2.0 * values[-1] - values[-2:-pad - 2:-1]
+    return np.concatenate([head, values, tail])
+
+
+def low_pass(frequency: Array, corner: float) -> Array:
+    """Return the gain of a fourth-order Butterworth filter run forwards and backwards."""
+    return 1.0 / (1.0 + (frequency / corner) ** 8)
+
+
+def _band(motion: Array, force: Array, period: float) -> float:
+    """
+    Return the frequency (Hz) up to which a motion and its force belong together.
+
+    There their coherence is above COHERENT; beyond it noise and what no rigid load does prevail.
+    """
+    rate = 1.0 / period
+    frequency, shared = coherence(motion, force, rate, nperseg=min(motion.size // 4, 2048),
+                                  detrend='linear')
+    width = max(1, int(5.0 / frequency[1]))
+    smooth = np.convolve(shared, np.ones(width) / width, 'same')
+    above = frequency[smooth > COHERENT]
+    return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
+
+
+def _motion(position: Array | None, velocity: Array | None, band: float,
+            period: float) -> Motion | None:
+    """Return the motion that the load has, from what was measured of it; judged up to `band`."""
+    source = velocity if velocity is not None else position
+    if source is None:
+        return None
+    pad = min(int(PAD_S / period), source.size - 2)
+    count = source.size + 2 * pad
+    frequency = np.fft.rfftfreq(count, period)
+    omega = 2.0 * np.pi * frequency
+    smooth = low_pass(frequency, min(SMOOTHING * band, 0.45 / period))
+    if position is not None:
+        x = np.fft.rfft(_extended(position, pad)) * smooth
+    if velocity is not None:
+        v = np.fft.rfft(_extended(velocity, pad)) * smooth
+        if position is None:
+            x = np.zeros_like(v)
+            x[1:] = v[1:] / (1j * omega[1:])
+    else:
+        v = 1j * omega * x
+    judge = low_pass(frequency, band)
+    if position is None:   # what an integral adds up at low frequency says nothing
+        judge = judge * (1.0 - low_pass(frequency, 0.5))
+    return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count), x, v, judge, band, pad,
+                  position is not None)
+
+
+def judged(values: Array, motion: Motion) -> Array:
+    """Return a recorded signal within the band of the motion that is judged."""
+    spectrum = np.fft.rfft(_extended(values, motion.pad)) * motion.judge
+    count = values.size + 2 * motion.pad
+    return np.fft.irfft(spectrum, count)[motion.pad:motion.pad + values.size]
+
+
+def split(count: int, period: float) -> tuple[Mask, Mask]:
+    """
+    Return which samples to fit on and which to judge on.
+
+    Parts that take turns, so that both see the whole run; short gaps between them, so that one
+    part does not know its neighbour.
+    """
+    part = np.arange(count) * PARTS // count
+    edge = np.arange(count) - np.ceil(part * count / PARTS)
+    gap = (edge < 0.02 / period) & (part > 0)
+    usable = (np.arange(count) * period >= BURN_IN_S) & ~gap
+    return usable & (part % 2 == 0), usable & (part % 2 == 1)
+
+
+def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
+    """Return the period (s) and the signals that move, under the names of the diagnosis."""
+    period, signals = _uniform(run)
+    named = {name: signals.get(name)
+             for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
+    if drive == 'force':
+        driving = named['command'] if named['force'] is None else named['force']
+        named = {**named, 'force': driving, 'command': None, 'valve_position': None}
+    elif drive == 'position':
+        named = {'command': signals.get('reference'),
+                 'valve_position': signals.get(run.controlled())}
+    moving = {name: values for name, values in named.items()
+              if values is not None and np.ptp(values) > 0.0}
+    if not {'command', 'valve_position'} <= set(moving) and (
+            'force' not in moving or len(moving) < 2):
+        raise InputError(f'{run.source}: nothing to compare: it takes a command and what follows '
+                         'from it, or a force and a motion; signals that move here: '
+                         + (', '.join(moving) or 'none'))
+    return period, moving
+
+
+def prepare(runs: Sequence[Run], drive: str = 'valve',
+            held_out: Sequence[bool] | None = None) -> list[Recording]:
+    """
+    Return runs ready for the diagnosis; of those with `held_out` nothing is fitted on.
+
+    drive: what the command is: 'valve' (the hydraulic actuator), 'force' (a joint whose force or
+    torque is commanded or measured), 'position' (a joint that follows a position or velocity).
+    Raises InputError if one is too short, misses too many samples or holds nothing to compare.
+    """
+    read = [_signals(run, drive) for run in runs]
+    bands = [_band(moving.get('velocity', moving.get('position')), moving['force'], period)
+             for period, moving in read
+             if 'force' in moving and ('velocity' in moving or 'position' in moving)]
+    recordings = []
+    for number, (run, (period, moving)) in enumerate(zip(runs, read, strict=True)):
+        motion = None
+        if bands and 'force' in moving:
+            motion = _motion(moving.get('position'), moving.get('velocity'), min(bands), period)
+        force = moving.get('force')
+        fit, held = split(next(iter(moving.values())).size, period)
+        if held_out is not None and held_out[number]:
+            fit, held = np.zeros_like(fit), fit | held
+        recordings.append(Recording(
+            source=run.source, period_s=period, command=moving.get('command'), force=force,
+            valve_position=moving.get('valve_position'), velocity=moving.get('velocity'),
+            motion=motion,
+            force_judged=judged(force, motion) if force is not None and motion else None,
+            noise={name: noise_of(values) for name, values in moving.items()},
+            fit=fit, held_out=held))
+    return recordings

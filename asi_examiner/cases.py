@@ -1,0 +1,280 @@
+"""
+Blind cases: which effect, how large, which excitation, which errors of the nominal model.
+
+Everything of a case follows from its seed. An effect is drawn large enough to be seen: at least
+VISIBLE times the noise after all that errors of the nominal parameters can explain of it, which is
+worked out with the examiner's own plant (`visibility`).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import lsq_linear
+
+from asi_examiner.plant import PERIOD_S, plant, simulate
+
+Array = npt.NDArray[np.float64]
+Values = dict[str, float]
+
+DURATION_S = 10.0
+ERROR = 0.2
+VISIBLE, INVISIBLE = 2.0, 0.5
+NOISE = np.array([1.0, 2e-8, 1e-6, 5e-4])   # N, m, m, m/s
+
+# The nominal parameters of the actuator, by the name that the user's model file has.
+NOMINAL = {
+    'gain': ('valve_characteristic.gain', 0.535),
+    'coil': ('valve_flexure.coil_frequency', 26.1),
+    'pipe': ('valve_flexure.natural_frequency', 890.0),
+    'pipe_damping': ('valve_flexure.damping_ratio', 0.359),
+    'delay': ('valve_flexure.delay', 1.003e-3),
+    'full_opening': ('valve_characteristic.full_opening', 2e-5),
+    'maximum_force': ('valve_characteristic.maximum_force', 1000.0),
+    'fluid': ('fluid_dynamics.frequency', 1000.0),
+    'mass': ('load.mass', 0.5),
+}
+SPRING = {'stiffness': ('load.stiffness', 2e5), 'damper': ('load.damping', 20.0)}
+LOCKED = {'stiffness': ('load.locked_stiffness', 1.12e6), 'damper': ('load.locked_damping', 50.0)}
+TEXTBOOK = {'damping': ('hydraulic_damping.linear_gain', 1000.0)}
+FULL = {
+    'damping': ('hydraulic_damping.viscous', 970.0),
+    'family_force': ('hydraulic_damping.maximum_force', 1200.0),
+    'family_velocity': ('hydraulic_damping.saturation_velocity', 0.452),
+    'base_hysteresis': ('valve_hysteresis.radius', 14.0),
+    'base_lag': ('valve_hysteresis.lag_time', 0.654e-3),
+    'base_coulomb': ('friction.coulomb', 7.0),
+    'base_push': ('friction.stiction_push', 27.0),
+    'base_pull': ('friction.stiction_pull', 15.0),
+    'sensor_corner': ('force_sensor.natural_frequency', 800.0),
+    'sensor_delay': ('force_sensor.delay', 0.1e-3),
+}
+TEXTBOOK_MODEL = {
+    'valve_hysteresis.model': 'off', 'valve_characteristic.model': 'off',
+    'hydraulic_damping.model': 'linear', 'friction.model': 'off', 'force_sensor.model': 'off',
+}
+EXCITATIONS = ('loop', 'multisine', 'chirp', 'steps', 'triangle')
+
+EFFECTS = {
+    'transport_delay': 'command_path', 'command_quantisation': 'command_path',
+    'valve_hysteresis': 'valve', 'valve_deadband': 'valve', 'valve_saturation': 'valve',
+    'valve_bias': 'valve', 'valve_lag': 'valve', 'hydraulic_damping': 'hydraulics',
+    'supply_pressure': 'hydraulics', 'internal_leakage': 'hydraulics',
+    'entrained_air': 'hydraulics', 'coulomb_friction': 'mechanics', 'stiction': 'mechanics',
+    'friction_asymmetry': 'mechanics', 'viscous_friction': 'mechanics', 'backlash': 'mechanics',
+    'load_compliance': 'mechanics', 'disturbance_force': 'mechanics', 'sensor_offset': 'sensor',
+    'sensor_gain': 'sensor', 'sensor_lag': 'sensor', 'sensor_drift': 'sensor',
+}
+OUTSIDE = ('slew_limit', 'one_sided_gain', 'cubic_spring', 'fading_gain', 'dropouts', 'ripple',
+           'resonance', 'position_gain')
+
+
+class Case(NamedTuple):
+    """One blind case: what the bag shows, and what the answer file says."""
+
+    seed: int
+    world: str                    # 'textbook' or 'full'
+    excitation: str
+    load: str
+    effects: tuple[str, ...]      # the truth; () if there is none
+    kind: str                     # 'effect', 'pair', 'none', 'small' or 'outside'
+    visibility: float             # of the effect, in multiples of the noise
+    nominal: dict[str, Any]       # the user's model file
+    plant: np.void
+    without: np.void              # the same plant without the effect
+    reference: Array
+    closed: bool
+    recording: Array              # 5 x n
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def draw_effect(name: str, rng: np.random.Generator, size: Values, world: str) -> Values:
+    """Return the plant's parameters of an effect; size: the sizes of the signals without it."""
+    u, force, v, x, z = (size[key] for key in 'ufvxz')
+    friction = {'slip_distance': _log(rng, 1e-5, 1e-4), 'dahl': float(rng.random() < 0.5)}
+    push = _sign(rng) * _log(rng, 0.03, 0.2) * force
+    choices: dict[str, Values] = {
+        'transport_delay': {'extra_delay': _log(rng, 1e-3, 1e-2), 'jitter': rng.uniform(0, 0.3)},
+        'command_quantisation': {'quantum': _log(rng, 0.03, 0.25) * u},
+        'valve_hysteresis': {'loop_width': _log(rng, 0.02, 0.2) * u,
+                             'loop_preisach': float(rng.random() < 0.5),
+                             'loop_exponent': rng.uniform(1.0, 2.0)},
+        'valve_deadband': ({'deadband': _log(rng, 0.02, 0.2) * u} if rng.random() < 0.7 else
+                           {'orifice_deadband': _log(rng, 0.02, 0.2) * z}),
+        'valve_saturation': ({'travel_limit': rng.uniform(0.4, 0.85) * z * 2e-5}
+                             if rng.random() < 0.5 else
+                             {'force_limit': rng.uniform(0.4, 0.85) * force}),
+        'valve_bias': {'bias': _sign(rng) * _log(rng, 0.01, 0.15) * u},
+        'valve_lag': {'extra_lag': _log(rng, 2e-3, 2e-2)},
+        'hydraulic_damping': {'turbulent': _log(rng, 0.05, 0.5) * force / v ** 2,
+                              'turbulent_opening': rng.uniform(0.0, 0.1) * force / v},
+        'supply_pressure': ({'supply_drop': rng.uniform(0.28, 0.55)} if rng.random() < 0.4 else
+                            {'supply_sag': rng.uniform(0.2, 0.7) * 1000.0 / max(force, 300.0),
+                             'supply_time': _log(rng, 0.08, 0.6)}),
+        'internal_leakage': {'leak': _log(rng, 0.2, 1.5)},
+        'entrained_air': {'air_time': _log(rng, 1e-3, 1e-2), 'air_force': _log(rng, 50, 500)},
+        'coulomb_friction': {'friction': _log(rng, 0.02, 0.2) * force, 'breakaway': 1.0,
+                             **friction},
+        'stiction': {'friction': _log(rng, 0.02, 0.12) * force, 'breakaway': rng.uniform(1.8, 4.0),
+                     'stribeck': _log(rng, 0.05, 0.3) * v, **friction, 'dahl': 0.0},
+        'friction_asymmetry': {'friction': _log(rng, 0.02, 0.2) * force, 'breakaway': 1.0,
+                               'asymmetry': _sign(rng) * rng.uniform(0.3, 0.8), **friction},
+        'viscous_friction': {'viscous': _log(rng, 0.02, 0.2) * force / v},
+        'backlash': {'gap': _log(rng, 0.01, 0.15) * x, 'piston_share': 0.4},
+        'load_compliance': {'coupling': _log(rng, 0.3, 3.0) * size['k'], 'piston_share': 0.4},
+        'disturbance_force': ({'push_constant': push} if rng.random() < 0.25 else
+                              {'push_sine': push, 'push_frequency': _log(rng, 0.5, 30)}
+                              if rng.random() < 0.6 else
+                              {'push_burst': 2.0 * push, 'burst_start': rng.uniform(1.0, 4.0),
+                               'burst_end': rng.uniform(5.0, 9.0)}),
+        'sensor_offset': {'sensor_offset': push},
+        'sensor_gain': {'sensor_scale': _sign(rng) * rng.uniform(0.25, 0.5)},
+        'sensor_lag': {'sensor_lag': _log(rng, 1e-3, 1e-2)},
+        'sensor_drift': {'drift': 2.0 * push, 'drift_time': _log(rng, 3.0, 15.0)},
+        'slew_limit': {'slew': rng.uniform(1.5, 6.0) * u},
+        'one_sided_gain': {'one_sided_gain': _sign(rng) * rng.uniform(0.2, 0.4)},
+        'cubic_spring': {'cubic_spring': rng.uniform(0.3, 1.0) / (1e5 * x ** 2)},
+        'fading_gain': {'fading_gain': rng.uniform(0.3, 0.6)},
+        'dropouts': {'dropout': _log(rng, 0.002, 0.008)},
+        'ripple': {'ripple': rng.uniform(0.05, 0.2) * force,
+                   'ripple_pitch': rng.uniform(0.1, 0.4) * x},
+        'resonance': {'resonance': _log(rng, 15.0, 60.0),
+                      'resonance_share': rng.uniform(0.3, 0.8)},
+        'position_gain': {'position_gain': _sign(rng) * rng.uniform(0.3, 0.6) / x},
+    }
+    values = choices[name]
+    if world == 'full':   # present already: what is wrong is that it is other than believed
+        other = {
+            'valve_hysteresis': {'base_hysteresis': 14.0 * _log(rng, 3.0, 8.0)},
+            'hydraulic_damping': {'damping': 970.0 * rng.choice([0.4, 1.8, 2.5])},
+            'stiction': {'base_push': 27.0 * rng.uniform(2.0, 4.0),
+                         'base_pull': 15.0 * rng.uniform(2.0, 4.0)},
+            'coulomb_friction': {'base_coulomb': 7.0 * rng.uniform(2.5, 5.0),
+                                 'base_push': 27.0 + 14.0, 'base_pull': 15.0 + 20.0},
+        }
+        return other.get(name, values)
+    return values
+
+
+def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
+    """Return n desired forces or valve commands of a kind of excitation; peak: its largest."""
+    t = np.arange(int(DURATION_S / PERIOD_S)) * PERIOD_S
+    if kind == 'multisine':
+        tones = np.geomspace(0.4, rng.uniform(30, 80), 25)
+        signal = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / f ** 0.25
+                     for f in tones)
+    elif kind == 'chirp':
+        rate = np.geomspace(0.3, rng.uniform(40, 90), t.size)
+        signal = np.sin(2 * np.pi * np.cumsum(rate) * PERIOD_S) * rng.uniform(0.7, 1.0)
+        signal = signal + 0.3 * np.sin(2 * np.pi * 0.31 * t)
+    elif kind == 'triangle':
+        f = rng.uniform(0.3, 0.8)
+        signal = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * f * t)) * (0.4 + 0.6 * t / t[-1])
+    else:   # steps, and the reference of the closed loop: levels held, with rests and reversals
+        signal = np.zeros(t.size)
+        start = 0
+        while start < t.size:
+            length = int(rng.uniform(0.08, 0.6) / PERIOD_S)
+            signal[start:start + length] = rng.uniform(-1, 1)
+            start += length
+        if kind == 'loop':
+            signal = signal + 0.25 * sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3))
+                                         for f in (3.1, 11.3, 37.0))
+    return peak * np.asarray(signal) / np.abs(signal).max()
+
+
+def visibility(p: np.void, without: np.void, uncertain: list[str], recording: Array) -> float:
+    """
+    Return how far an effect stands out, in multiples of the noise.
+
+    Both plants replay the recorded command, without noise. What errors of the nominal parameters
+    can explain (linear, within their bounds) is taken away; the largest over the signals counts.
+    """
+    quiet = np.zeros(4)
+    command = recording[0]
+    base = simulate(without, command, False, 0.0, quiet, 0)
+    gap = simulate(p, command, False, 0.0, quiet, 0) - base
+    columns = []
+    for name in uncertain:
+        moved = without.copy()
+        moved[name] *= 1.02
+        columns.append((simulate(moved, command, False, 0.0, quiet, 0) - base) / 0.02)
+    best = 0.0
+    for signal, level in ((1, NOISE[0]), (2, NOISE[1]), (4, NOISE[3])):
+        matrix = np.array([column[signal] for column in columns]).T
+        explained = lsq_linear(matrix / level, gap[signal] / level, (-ERROR, ERROR))
+        best = max(best, math.sqrt(2.0 * explained.cost / gap[signal].size))
+    return best
+
+
+def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | None = None,
+         effects: tuple[str, ...] | None = None, excitation: str | None = None) -> Case:
+    """Return the case of a seed; what is not given is drawn: 70 % of cases hold one effect."""
+    rng = np.random.default_rng([seed, 7])
+    excitation = excitation or EXCITATIONS[rng.choice(5, p=[0.3, 0.25, 0.2, 0.15, 0.1])]
+    kind = kind or str(rng.choice(['effect', 'pair', 'none', 'small', 'outside'],
+                                  p=[0.6, 0.12, 0.12, 0.04, 0.12]))
+    names = {**NOMINAL, **(SPRING if load == 'spring' else LOCKED),
+             **(TEXTBOOK if world == 'textbook' else FULL)}
+    nominal: dict[str, Any] = dict(names.values())
+    nominal |= {'load.type': load} | (TEXTBOOK_MODEL if world == 'textbook' else {})
+    true = {key: value * (1.0 + ERROR * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
+    # The flow that opens the valve fully and the thrust are known together: the gain is what errs.
+    true['friction_inside'] = float(rng.random() < 0.5) if world == 'textbook' else 1.0
+    true['saturates'] = true['family'] = float(world == 'full')
+    uncertain = list(names)
+
+    closed = excitation == 'loop'
+    force = rng.uniform(250, 700)
+    gain = true['gain']
+    reference = excite(excitation, rng, force if closed else force / gain)
+    feed_forward = 1.0 / 0.535
+    without = plant(true)
+    clean = simulate(without, reference, closed, feed_forward, NOISE, seed)
+    size = {'u': float(np.quantile(np.abs(clean[0]), 0.98)),
+            'f': float(np.quantile(np.abs(clean[1]), 0.98)),
+            'z': float(np.quantile(np.abs(clean[2]), 0.98)) / 2e-5,
+            'x': float(np.quantile(np.abs(clean[3]), 0.98)),
+            'v': float(np.quantile(np.abs(clean[4]), 0.98)), 'k': true['stiffness']}
+
+    for _ in range(30):
+        if effects is not None:
+            chosen = effects
+        elif kind == 'none':
+            chosen = ()
+        elif kind == 'outside':
+            chosen = (str(rng.choice(OUTSIDE)),)
+        else:
+            chosen = tuple(map(str, rng.choice(list(EFFECTS), 2 if kind == 'pair' else 1,
+                                               replace=False)))
+        values, seen = dict(true), math.inf
+        for name in chosen:
+            extra = draw_effect(name, rng, size, world)
+            if kind == 'small':
+                extra = {key: value * (0.02 if key not in ('slip_distance', 'dahl', 'breakaway',
+                                                           'piston_share', 'drift_time') else 1.0)
+                         for key, value in extra.items()}
+            single = plant({**true, **extra})
+            recording = simulate(single, reference, closed, feed_forward, NOISE, seed)
+            if np.isfinite(recording).all():
+                seen = min(seen, visibility(single, without, uncertain, recording))
+            else:
+                seen = -1.0
+            values |= extra
+        if not chosen:
+            seen = 0.0
+            break
+        if kind == 'small' and 0.0 <= seen <= INVISIBLE or kind != 'small' and seen >= VISIBLE:
+            break
+    truth = plant(values)
+    recording = simulate(truth, reference, closed, feed_forward, NOISE, seed)
+    return Case(seed, world, excitation, load, chosen, kind, seen, nominal, truth, without,
+                reference, closed, recording)
