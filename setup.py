@@ -9,7 +9,8 @@ package_name = 'asi_actuator'
 setup(
     name=package_name,
     version='0.1.0',
-    packages=find_packages(include=['asi_actuator*', 'asi_controller*', 'asi_analysis*']),
+    packages=find_packages(include=['asi_actuator*', 'asi_controller*', 'asi_analysis*',
+                                    'asi_examiner*']),
     package_data={'asi_analysis': ['templates/*', 'py.typed'],
                   'asi_actuator': ['py.typed', 'fastdds.xml'],
                   'asi_controller': ['py.typed']},

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from asi_analysis.errors import InputError
 
@@ -35,6 +36,17 @@ Settings = Annotated[list[str] | None, typer.Option(
 def command(name: str, example: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Make a function a command; `example` is the end of its help."""
     return app.command(name, epilog=f'Example: `{example}`')
+
+
+def _or_first(default: str) -> type[typer.core.TyperGroup]:
+    """Return a group of commands that takes what is none of their names as a call of `default`."""
+    class Group(typer.core.TyperGroup):
+        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+            if args and args[0] not in {*self.commands, '-h', '--help'}:
+                args = [default, *args]
+            return super().parse_args(ctx, args)
+
+    return Group
 
 
 def answer(document: Mapping[str, Any], as_json: bool, show: Callable[[Any], None]) -> None:
@@ -409,6 +421,42 @@ def _numbers(option: str, text: str) -> list[float]:
         return [float(part) for part in text.split(',') if part.strip()]
     except ValueError:
         raise InputError(f'{option} {text}: it takes numbers with commas between') from None
+
+
+gap_app = typer.Typer(cls=_or_first('of'), help='The sim-to-real gap: where, which effect, how '
+                      'far it shrinks, what to record next.',
+                      context_settings={'help_option_names': ['-h', '--help']})
+app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --model m.yaml`')
+
+
+@gap_app.command('of', help='Diagnose bags; the same as `asi gap BAG...`.')
+def gap(
+    bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
+    model: Annotated[Path | None, typer.Option(
+        help='Nominal parameters: a ROS parameter file; default: config/actuator.yaml')] = None,
+    plant: Annotated[str, typer.Option(
+        help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
+    held_out: Annotated[list[Path] | None, typer.Option(
+        help='A recording that is only judged on; may be repeated')] = None,
+    tolerance: Annotated[float, typer.Option(
+        help='How far off the nominal parameters may be, as a share')] = 0.2,
+    drive: Annotated[str | None, typer.Option(
+        help='Of a joint: force or position; default: told from the signals')] = None,
+    report: Annotated[Path | None, typer.Option(
+        help='Directory for an HTML report and the improved model file')] = None,
+    as_json: Json = False,
+) -> None:
+    """Tell where recordings differ from the simulator, why, and how far that can be mended."""
+    from asi_analysis.gap import command as gap_command
+    from asi_analysis.gap.show import show
+    with progress() as told:
+        document = gap_command.run(bags, model, plant, held_out or [], tolerance, drive, report,
+                                   told)
+    answer(document, as_json, show)
+
+
+def _figure(value: float | None, unit: str, scale: float = 1.0, digits: int = 4) -> str:
+    return '-' if value is None else f'{value * scale:.{digits}g} {unit}'
 
 
 def _show_run(document: Mapping[str, Any]) -> None:

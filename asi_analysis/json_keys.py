@@ -92,6 +92,15 @@ SEGMENTS: Final = Key(
         Key('came_from', 'text', 'inside, outside: how the orbit was reached; disturbed: it '
             'had been left; empty: the record does not show it'),
         Key('isolated', 'boolean', 'whether these bags show that the orbit is isolated')))
+_GAP: Final = (
+    Key('before_nrmse', 'number', 'error of the nominal model over the rms of the signal'),
+    Key('refitted_nrmse', 'number', 'with its uncertain parameters refitted'),
+    Key('after_nrmse', 'number', 'with the effects of the verdict'),
+    Key('noise_floor_nrmse', 'number', 'what noise alone leaves'),
+    Key('shrink', 'number', '1 - after / before'),
+    Key('shrink_low', 'number', 'low end of its 95 % interval'),
+    Key('shrink_high', 'number', 'high end'),
+)
 
 DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
     'asi analyze': ANALYZE,
@@ -280,6 +289,37 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('total', 'integer', 'rows that the fit aims at'),
         Key('not_met', '[text]', 'names of the values that are not met'),
         Key('best', 'text', 'path of the best candidate')),
+    'asi gap': (
+        Key('verdict', 'text', 'the effect, or effects joined by +; no_gap; unknown'),
+        Key('probability', 'number', 'of the verdict'),
+        Key('where', '[object]', 'blocks, the largest share first', (
+            Key('block', 'text', 'command_path, valve, hydraulics, mechanics or sensor'),
+            Key('share', 'number', 'of the gap, 0 to 1'))),
+        Key('which', '[object]', 'effects, the most probable first', (
+            Key('effect', 'text', 'its name'),
+            Key('block', 'text', 'where it acts'),
+            Key('probability', 'number', 'that it is at work, alone or with another'),
+            Key('parameters', 'object', 'fitted parameters, SI units; doc/gap.md'))),
+        Key('no_gap_probability', 'number', 'that there is nothing beyond noise and tolerance'),
+        Key('unknown_probability', 'number', 'that something else is at work'),
+        Key('ambiguity_set', '[text]', 'verdicts that hold the truth with 90 %'),
+        Key('gap', 'object', 'of the channel in which the verdict explains most, on held-out data',
+            (Key('channel', 'text', 'valve, force or load'), *_GAP)),
+        Key('channels', '[object]', 'the same for every channel',
+            (Key('channel', 'text', 'valve, force or load'), *_GAP)),
+        Key('chain', 'object?', 'share of each part of the chain in the gap of the force '
+            '(Shapley); null: a signal is missing'),
+        Key('regimes', '[object]', 'where in frequency, amplitude, motion and time the gap is', (
+            Key('kind', 'text', 'frequency, amplitude, velocity ...'),
+            Key('regime', 'text', 'which part'),
+            Key('relative', 'number', 'rms of the gap there over that everywhere'),
+            Key('share', 'number', 'of the samples'))),
+        Key('next_experiment', 'object?', 'what would separate what is left; null: nothing to '
+            'separate, or no experiment of the catalogue does'),
+        Key('notes', '[text]', 'what is doubtful, or cannot be told from these signals'),
+        Key('sources', '[text]', 'the recordings'),
+        Key('nuisance', 'object', 'the uncertain nominal parameters as refitted, by channel'),
+        Key('report', 'text?', 'path of the report; null: none was asked for')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

@@ -84,8 +84,8 @@ _ASYMMETRIC_TOO = _friction(Free('friction_asymmetry', -1.0, 1.0, (0.1, -0.1)),
 _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
                       Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'))
 
-# The right size of a step is a narrow place: many starts, each 2 % from the next.
-QUANTA = tuple(0.01 * 1.02 ** k for k in range(180))
+# The right size of a step is a narrow place: many starts, each 3 % from the next.
+QUANTA = tuple(0.02 * 1.03 ** k for k in range(94))
 
 EFFECTS: tuple[Effect, ...] = (
     Effect('transport_delay', COMMAND_PATH, 'the command arrives later', (

@@ -26,11 +26,12 @@ Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
 MODEL_ERROR = 0.01   # share of a signal that no model of ours is trusted to explain
 STEP = 1e-3          # of a parameter's range, for the derivatives
-# The valve moves within a sample, its hysteresis even within 0.1 ms; valve position and velocity
-# come sampled, so finer steps than this tell nothing new.
-VALVE_STEP_S = 1e-4
-FORCE_STEP_S = 2.5e-4
-ROUNDS = 10          # of the optimiser
+# Valve position and velocity come sampled, so finer steps than this tell nothing new; but the
+# hysteresis of the full model, whose width follows the rate of the command, jumps within a sample.
+STEP_S = 2.5e-4
+HYSTERESIS_STEP_S = 1e-4
+PULL = 1.0           # of the start, on a parameter that is a whole range away
+ROUNDS = 15          # of the optimiser
 STARTS = 2           # of the best starting points that are followed
 
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
@@ -81,6 +82,11 @@ class Group:
     floor: Values = field(default_factory=dict)
 
     @property
+    def held_out_s(self) -> float:
+        """Return how many seconds are held out."""
+        return sum(float(r.held_out.sum()) * r.period_s for r in self.recordings)
+
+    @property
     def measures_valve(self) -> bool:
         """Return whether every recording holds the valve position."""
         return all(recording.valve_position is not None for recording in self.recordings)
@@ -94,6 +100,7 @@ class Fitted(NamedTuple):
     theta: Array
     cost: float                  # on the fitted parts, weighed by the floors
     held_out: Values             # mean square left on the held-out parts, by channel
+    problem: 'Problem'
 
     @property
     def values(self) -> Values:
@@ -105,18 +112,23 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return what a channel should have measured: n samples, in the channel's unit."""
     if channel == 'load':
         return _load(recording, p)
-    out = np.empty(recording.fit.size)
     if channel == 'valve':
-        blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
-                     recording.sub_steps(VALVE_STEP_S), out)
-        return out
+        return _valve(recording, p)
+    out = np.empty(recording.fit.size)
     position = recording.valve_position
     if position is None:
-        position = np.empty(out.size)
-        blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
-                     recording.sub_steps(VALVE_STEP_S), position)
+        position = _valve(recording, p)
     blocks.force(position, _velocity(recording, p), *blocks.parts(p), recording.period_s,
-                 recording.sub_steps(FORCE_STEP_S), out)
+                 recording.sub_steps(STEP_S), out)
+    return out
+
+
+def _valve(recording: Recording, p: np.void) -> Array:
+    """Return the valve position (m) that the recorded command should have made."""
+    out = np.empty(recording.fit.size)
+    longest = HYSTERESIS_STEP_S if p['valve_hysteresis_model'] == FULL else STEP_S
+    blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
+                 recording.sub_steps(longest), out)
     return out
 
 
@@ -344,44 +356,70 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
 
     starts: parameter vectors, as shares of the way between bounds; the best STARTS are followed.
     """
-    last: dict[bytes, list[Array]] = {}
+    problem = Problem(group, tuple(free), tuple(fixed))
+    ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
+    best_cost, best_theta = math.inf, ranked[0]
+    for start in ranked[:STARTS if len(starts) > 3 else 1]:
+        # A touch of a prior, so that parameters which do the same do not make it singular.
+        pull = PULL * np.eye(start.size)
 
-    def residuals(theta: Array) -> list[Array]:
-        key = theta.tobytes()
-        if key not in last:
-            last.clear()
-            p = _record(group, free, theta, fixed)
-            last[key] = [_residual(group, channel, p) for channel in group.channels]
-        return last[key]
+        def residual(theta: Array, start: Array = start) -> Array:
+            return np.concatenate([problem.residual(theta), PULL * (theta - start)])
 
-    def jacobian(theta: Array) -> Array:
-        base = residuals(theta)
+        def jacobian(theta: Array, pull: Array = pull) -> Array:
+            return np.vstack([problem.jacobian(theta), pull])
+
+        # dogbox: it lets parameters rest on their bounds, where trf creeps along them.
+        solution = least_squares(residual, start, jacobian, bounds=(0.0, 1.0), method='dogbox',
+                                 x_scale='jac', max_nfev=ROUNDS, ftol=1e-4, xtol=1e-5, gtol=1e-9)
+        if solution.cost < best_cost:
+            best_cost, best_theta = float(solution.cost), solution.x
+    record = problem.record(best_theta)
+    return Fitted(record, problem.free, best_theta, best_cost, held_out_error(group, record),
+                  problem)
+
+
+@dataclass
+class Problem:
+    """A least-squares problem: which parameters of a group are free, and what is fixed."""
+
+    group: Group
+    free: tuple[Free, ...]
+    fixed: tuple[tuple[str, float], ...] = ()
+    _key: bytes = b''
+    _last: list[Array] = field(default_factory=list)
+
+    def record(self, theta: Array) -> np.void:
+        """Return the plant's record at a parameter vector."""
+        return _record(self.group, self.free, theta, self.fixed)
+
+    def _by_channel(self, theta: Array) -> list[Array]:
+        if self._key != theta.tobytes():
+            p = self.record(theta)
+            self._last = [_residual(self.group, channel, p) for channel in self.group.channels]
+            self._key = theta.tobytes()
+        return self._last
+
+    def residual(self, theta: Array) -> Array:
+        """Return what is left on the fitted parts, channel after channel, in floors."""
+        return np.concatenate(self._by_channel(theta))
+
+    def jacobian(self, theta: Array) -> Array:
+        """Return its derivatives, by differences; only of channels that a parameter acts on."""
+        base = self._by_channel(theta)
         columns = np.zeros((sum(part.size for part in base), theta.size))
-        for i, parameter in enumerate(free):
+        for i, parameter in enumerate(self.free):
             step = STEP if theta[i] < 0.5 else -STEP
             moved = theta.copy()
             moved[i] += step
-            p = _record(group, free, moved, fixed)
+            p = self.record(moved)
             begin = 0
-            for channel, part in zip(group.channels, base, strict=True):
+            for channel, part in zip(self.group.channels, base, strict=True):
                 end = begin + part.size
-                if shows_in(parameter.field, channel, group):
-                    columns[begin:end, i] = (_residual(group, channel, p) - part) / step
+                if shows_in(parameter.field, channel, self.group):
+                    columns[begin:end, i] = (_residual(self.group, channel, p) - part) / step
                 begin = end
         return columns
-
-    def residual(theta: Array) -> Array:
-        return np.concatenate(residuals(theta))
-
-    ranked = sorted(starts, key=lambda theta: float(np.sum(residual(theta) ** 2)))
-    best_cost, best_theta = math.inf, ranked[0]
-    for start in ranked[:STARTS if len(starts) > 3 else 1]:
-        solution = least_squares(residual, start, jacobian, bounds=(0.0, 1.0), x_scale='jac',
-                                 max_nfev=ROUNDS, ftol=3e-4, xtol=1e-5, gtol=1e-9)
-        if solution.cost < best_cost:
-            best_cost, best_theta = float(solution.cost), solution.x
-    record = _record(group, free, best_theta, fixed)
-    return Fitted(record, tuple(free), best_theta, best_cost, held_out_error(group, record))
 
 
 def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
@@ -427,22 +465,18 @@ def channels_of(variant: Variant, group: Group) -> set[str]:
     return shows & set(group.channels)
 
 
-def fit_variants(group: Group, base: Fitted, variants: Sequence[Variant]) -> Fitted:
-    """
-    Return the fit of one variant each of one or more effects, all together.
-
-    base: the fit to start from (nested warm start): its parameters stay, those of the variants
-    are added; where both hold a field the wider bounds win.
-    """
-    fixed = [pair for variant in variants for pair in variant.fixed]
-    known = {free.field: free for free in base.free}
+def _added(group: Group, base: Fitted, variants: Sequence[Variant]
+           ) -> tuple[Problem, list[Array]]:
+    """Return the problem of a fit with the parameters of variants added, and its starts."""
+    fixed = tuple(pair for variant in variants for pair in variant.fixed)
+    known = {free.field for free in base.free}
     new: dict[str, Free] = {}
     for variant in variants:
         for free in variant.free:
-            old = new.get(free.field)
+            old = new.get(free.field)   # where both hold a field the wider bounds win
             new[free.field] = free if old is None else free._replace(
                 low=min(free.low, old.low), high=max(free.high, old.high))
-    frees = [free for name, free in known.items() if name not in new] + list(new.values())
+    frees = [free for free in base.free if free.field not in new] + list(new.values())
     warm = {free.field: _share(float(base.record[free.field]), *_bounds(free, group))
             for free in frees if free.field in known}
     fresh = [free for free in new.values() if free.field not in known]
@@ -457,7 +491,51 @@ def fit_variants(group: Group, base: Fitted, variants: Sequence[Variant]) -> Fit
             starts.append(np.array([begin[other.field] for other in frees]))
     if not fresh:
         starts.append(np.array([warm[free.field] for free in frees]))
-    return fit(group, frees, starts, fixed)
+    return Problem(group, tuple(frees), fixed), starts
+
+
+def fit_variants(group: Group, base: Fitted, variants: Sequence[Variant]) -> Fitted:
+    """
+    Return the fit of one variant each of one or more effects, all together.
+
+    base: the fit to start from (nested warm start): its parameters stay, those of the variants
+    are added.
+    """
+    problem, starts = _added(group, base, variants)
+    return fit(group, problem.free, starts, problem.fixed)
+
+
+class Promise:
+    """
+    How much an effect on top of a fit could explain, from a few simulations of it.
+
+    At each of its starts the change that it makes is freed of what the parameters already fitted
+    could do as well (projection), and taken at its best size.
+    """
+
+    def __init__(self, base: Fitted) -> None:
+        self._base = base
+        self._left = base.problem.residual(base.theta)
+        basis, triangle = np.linalg.qr(base.problem.jacobian(base.theta))
+        size = np.abs(np.diag(triangle))
+        self._basis = basis[:, size > 1e-6 * size.max()]
+        self._left_over = self._clear(self._left)
+
+    def _clear(self, values: Array) -> Array:
+        return values - self._basis @ (self._basis.T @ values)
+
+    def cost(self, group: Group, variants: Sequence[Variant]) -> float:
+        """Return the cost that a fit of these variants may be expected to reach."""
+        problem, starts = _added(group, self._base, variants)
+        least = whole = float(self._left_over @ self._left_over)
+        for start in starts:
+            there = self._clear(problem.residual(start))
+            change = there - self._left_over
+            size = float(change @ change)
+            along = max(-float(change @ self._left_over), 0.0)
+            least = min(least, float(there @ there),
+                        whole - along * along / size if size > 0.0 else whole)
+        return 0.5 * least
 
 
 def residual_frequency(group: Group, fitted: Fitted) -> float:

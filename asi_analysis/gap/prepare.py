@@ -20,8 +20,10 @@ MOST_MISSING = 0.05     # share of missing samples that is still bridged
 PARTS = 12              # of a recording: every other one is held out
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 SMOOTHING = 2.5         # the motion is smoothed at this multiple of the band that is judged
-COHERENT = 0.9
+COHERENT = 0.95         # share of the power that motion and force have in common
 LOWEST_BAND_HZ = 20.0
+# A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
+RIGID_BAND_HZ = 40.0
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
@@ -133,7 +135,7 @@ def _band(motion: Array, force: Array, period: float) -> float:
     """
     Return the frequency (Hz) up to which a motion and its force belong together.
 
-    There their coherence is above COHERENT; beyond it noise and what no rigid load does prevail.
+    There their coherence is above COHERENT; beyond, noise prevails and what no rigid load does.
     """
     rate = 1.0 / period
     frequency, shared = coherence(motion, force, rate, nperseg=min(motion.size // 4, 2048),
@@ -230,7 +232,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
     for number, (run, (period, moving)) in enumerate(zip(runs, read, strict=True)):
         motion = None
         if bands and 'force' in moving:
-            motion = _motion(moving.get('position'), moving.get('velocity'), min(bands), period)
+            band = min([*bands, RIGID_BAND_HZ] if drive == 'force' else bands)
+            motion = _motion(moving.get('position'), moving.get('velocity'), band, period)
         force = moving.get('force')
         fit, held = split(next(iter(moving.values())).size, period)
         if held_out is not None and held_out[number]:

@@ -14,6 +14,7 @@ from asi_analysis.gap.effects import BY_NAME, EFFECTS, NO_GAP, UNKNOWN, Effect, 
 from asi_analysis.gap.fit import (
     Fitted,
     Group,
+    Promise,
     Values,
     channels_of,
     fit_null,
@@ -28,20 +29,27 @@ class Constants(NamedTuple):
     """
     The constants of the weighing, fitted to blind cases with seeds below 10 000 (doc/gap.md).
 
-    samples: independent samples that a channel is counted as; price: log prior of an effect
-    against none; second: that of one more; unknown: log prior of an effect outside the vocabulary;
-    left: share of the mean square that an explanation may leave.
+    samples: independent samples that a channel is counted as if USUAL_S are held out; price: log
+    prior of an effect against none; second: that of one more; parameter: that of a parameter more
+    than one, so that a richer effect must explain more; left: share of the mean square of the gap
+    that an explanation may leave before `unknown` is as likely; beyond: how many times the floor
+    what is left must be to be doubted; steep: how fast the doubt grows with the log of both.
     """
 
     samples: float = 25.0
-    price: float = 3.0
+    price: float = 2.0
     second: float = 3.0
-    unknown: float = 4.0
+    parameter: float = 1.0
     left: float = 0.15
+    beyond: float = 6.0
+    steep: float = 2.0
 
 
 CONSTANTS = Constants()
-FOLLOWED = 2       # of the single effects, to which a second is tried
+USUAL_S = 5.0
+# How many effects are fitted, of those that promise most; to how many of them a second is added,
+# of how many; and in how many of its forms each is fitted.
+SINGLES, FOLLOWED, PAIRS, FORMS = 9, 2, 4, 2
 WORTH = 0.8        # times the floor: what must be left for another effect to be tried
 
 
@@ -67,7 +75,9 @@ def excess(group: Group, left: Values) -> float:
 
 
 def _log_evidence(group: Group, left: Values, c: Constants) -> float:
-    return sum(-0.5 * c.samples * math.log(left[channel] + group.floor[channel])
+    # Errors of a model go on through a recording, so twice the length does not tell twice as much.
+    samples = c.samples * math.sqrt(group.held_out_s / USUAL_S)
+    return sum(-0.5 * samples * math.log(left[channel] + group.floor[channel])
                for channel in group.channels)
 
 
@@ -78,23 +88,39 @@ def candidates_of(group: Group, tick: Callable[[], None] = lambda: None) -> dict
     if excess(group, null.held_out) < WORTH:
         return found
     group.scale['residual_frequency'] = residual_frequency(group, null)
-    for effect in EFFECTS:
-        best = _best(group, null, [(variant,) for variant in effect.variants
-                                   if _may_explain(variant, group, null) and not variant.joined],
-                     (effect.name,))
-        if best is not None:
-            found[best.names] = best
-        tick()
+    choices = {(effect.name,): [(variant,) for variant in effect.variants
+                                if _may_explain(variant, group, null) and not variant.joined]
+               for effect in EFFECTS}
+    found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: -_log_evidence(group, c.fitted.held_out, CONSTANTS))
     for first in singles[:FOLLOWED]:
-        for effect in EFFECTS:
-            names = tuple(sorted({*first.names, effect.name}))
-            if len(names) == 2 and names not in found:
-                best = _best(group, first.fitted, list(_second(group, first, effect)), names)
-                if best is not None:
-                    found[names] = best
-            tick()
+        pairs = {tuple(sorted({*first.names, effect.name})): list(_second(group, first, effect))
+                 for effect in EFFECTS if effect.name not in first.names}
+        found |= _most_promising(group, first.fitted, {
+            names: variants for names, variants in pairs.items() if names not in found}, PAIRS,
+            tick)
+    return found
+
+
+def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[Variant, ...]]],
+                    most: int, tick: Callable[[], None]) -> dict[Names, Candidate]:
+    """Fit the hypotheses that promise most on top of a fit, each in its most promising form."""
+    promise = Promise(base)
+    promised = []
+    for names, forms in choices.items():
+        costs = [(promise.cost(group, variants), number)
+                 for number, variants in enumerate(forms)]
+        promised += [(cost, names, forms[number]) for cost, number in sorted(costs)[:FORMS]]
+        tick()
+    promised.sort(key=lambda entry: entry[0])
+    chosen = list(dict.fromkeys(names for _, names, _ in promised))[:most]
+    found: dict[Names, Candidate] = {}
+    for _, names, variants in promised:
+        if names in chosen:
+            fitted = fit_variants(group, base, variants)
+            if names not in found or fitted.cost < found[names].fitted.cost:
+                found[names] = Candidate(names, variants, fitted)
     return found
 
 
@@ -118,30 +144,37 @@ def _second(group: Group, first: Candidate, effect: Effect) -> Iterable[tuple[Va
             yield (*first.variants, variant)
 
 
-def _best(group: Group, base: Fitted, choices: list[tuple[Variant, ...]],
-          names: Names) -> Candidate | None:
-    """Return the variant of an effect that fits best, on the parts that were fitted."""
-    fits = [(fit_variants(group, base, variants), variants) for variants in choices]
-    if not fits:
-        return None
-    fitted, variants = min(fits, key=lambda pair: pair[0].cost)
-    return Candidate(names, variants, fitted)
+def doubt(group: Group, null: Values, best: Values, c: Constants = CONSTANTS) -> float:
+    """
+    Return the probability that something outside the vocabulary is at work.
+
+    From what the best explanation leaves: as a share of what there was, and in multiples of the
+    floor; the worst channel counts. An explanation that leaves little, or only noise, is good.
+    """
+    worst = -math.inf
+    for channel in group.channels:
+        floor = group.floor[channel]
+        over = max(best[channel] - floor, 1e-9 * floor)
+        share = over / max(null[channel] - floor, over)
+        worst = max(worst, min(math.log(share / c.left),
+                               math.log(best[channel] / floor / c.beyond)))
+    return 1.0 / (1.0 + math.exp(-c.steep * worst))
 
 
 def weigh(group: Group, found: dict[Names, Candidate], c: Constants = CONSTANTS) -> Weighed:
     """Return the probability of every hypothesis of a group, `unknown` among them."""
-    null = found[()].fitted.held_out
     score = {}
     for names, candidate in found.items():
-        prior = -(c.price * (len(names) > 0) + c.second * (len(names) > 1))
+        own = {free.field for variant in candidate.variants for free in variant.free}
+        prior = -(c.price * (len(names) > 0) + c.second * (len(names) > 1)
+                  + c.parameter * max(len(own) - len(names), 0))
         score[names] = prior + _log_evidence(group, candidate.fitted.held_out, c)
-    something = {channel: max(2.0 * group.floor[channel], c.left * null[channel])
-                 for channel in group.channels}
-    score[(UNKNOWN,)] = -c.unknown + _log_evidence(group, something, c)
-    top = max(score.values())
-    weight = {names: math.exp(value - top) for names, value in score.items()}
+    best = max(score, key=lambda names: score[names])
+    weight = {names: math.exp(value - score[best]) for names, value in score.items()}
+    unknown = doubt(group, found[()].fitted.held_out, found[best].fitted.held_out, c)
     total = sum(weight.values())
-    return Weighed(group, found, {names: w / total for names, w in weight.items()})
+    probability = {names: (1.0 - unknown) * w / total for names, w in weight.items()}
+    return Weighed(group, found, probability | {(UNKNOWN,): unknown})
 
 
 def join(groups: list[Weighed]) -> dict[Names, float]:

@@ -1,0 +1,59 @@
+"""What `asi gap` does: bags and a model file in, the document out."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from asi_actuator.parameters import (
+    ACTUATOR_PARAMETERS,
+    ParameterError,
+    Value,
+    completed,
+)
+from asi_analysis.bag import read_bag
+from asi_analysis.errors import InputError
+from asi_analysis.experiment import read_parameters
+from asi_analysis.gap.diagnose import diagnose, document, plain
+
+PLANTS = ('actuator', 'joint')
+DRIVES = (None, 'force', 'position')
+
+
+def nominal_model(path: Path | None) -> dict[str, Value]:
+    """Return the actuator's parameters of a model file; {} without one. Raises InputError."""
+    if path is None:
+        return {}
+    known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
+    values = {name: value for name, value in read_parameters(path, 'actuator').items()
+              if name in known}
+    try:
+        completed(values, ACTUATOR_PARAMETERS)
+    except ParameterError as error:
+        raise InputError(f'{path}: {error}') from None
+    return values
+
+
+def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence[Path],
+        tolerance: float, drive: str | None, report: Path | None,
+        told: Callable[[str, float | None], None]) -> dict[str, Any]:
+    """Return the document of `asi gap`. Raises InputError."""
+    if plant not in PLANTS:
+        raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
+    if drive not in DRIVES:
+        raise InputError(f'--drive {drive!r} is not allowed: force or position')
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f'--tolerance {tolerance:g} is not allowed: above 0, below 1')
+    told('reading', None)
+    runs = [read_bag(path) for path in (*bags, *held_out)]
+    values = nominal_model(model)
+    if plant == 'joint' and model is None:
+        values = {}
+    diagnosis = diagnose(runs, values, plant, tolerance,
+                         [False] * len(bags) + [True] * len(held_out), drive, told)
+    answer = plain(document(diagnosis))
+    answer['report'] = None
+    if report is not None:
+        from asi_analysis.gap.report import write_report
+        told('report', None)
+        answer['report'] = str(write_report(diagnosis, answer, report))
+    return answer

@@ -1,0 +1,250 @@
+"""From recordings and a nominal model to the whole answer: `diagnose`, and its JSON document."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from asi_actuator.parameters import Value
+from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.gap import next_experiment, quality, where
+from asi_analysis.gap.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
+from asi_analysis.gap.fit import TOLERANCE, Group, make_group, plant_record
+from asi_analysis.gap.joint import drive_of, joint_groups
+from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.shrink import Shrink, shrink_of
+from asi_analysis.gap.verdict import (
+    Candidate,
+    Names,
+    Weighed,
+    ambiguity_set,
+    candidates_of,
+    join,
+    marginals,
+    weigh,
+)
+from asi_analysis.run import Run
+
+Report = Callable[[str, float | None], None]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer. joined: probability of each set of effects; shrinks: by channel."""
+
+    sources: list[str]
+    groups: list[Weighed]
+    joined: dict[Names, float]
+    verdict: Names                 # () for no gap, ('unknown',) if it holds that
+    shrinks: list[Shrink]
+    notes: list[str]
+    next_experiment: dict[str, object] | None
+    chain: dict[str, float] | None
+
+    def best(self, weighed: Weighed) -> Candidate:
+        """Return the hypothesis of a group that belongs to the verdict."""
+        names = _part(weighed, self.verdict)
+        if names in weighed.candidates:
+            return weighed.candidates[names]
+        known = [n for n in weighed.probability if n in weighed.candidates]
+        return weighed.candidates[max(known, key=lambda n: weighed.probability[n])]
+
+
+def _part(weighed: Weighed, names: Names) -> Names:
+    """Return the effects of a joint hypothesis that a group has a hypothesis for."""
+    fits = [part for part in weighed.probability if set(part) <= set(names)]
+    return max(fits, key=lambda part: (len(part), weighed.probability[part]))
+
+
+def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance: float,
+                    held_out: Sequence[bool]) -> tuple[list[Group], list[str]]:
+    """Return the groups of channels that these recordings of the actuator have, and notes."""
+    recordings = prepare(runs, 'valve', held_out)
+    p = plant_record(nominal)
+    notes, groups = [], []
+    has = {name: all(getattr(r, name) is not None for r in recordings)
+           for name in ('command', 'force', 'valve_position', 'motion')}
+    for run, recording in zip(runs, recordings, strict=True):
+        notes += quality.check_excitation(recording)
+        notes += quality.check_motion(recording, run.position_m)
+    if has['command'] and has['valve_position']:
+        groups.append(make_group(p, recordings, ('valve',), tolerance))
+    else:
+        notes.append('without command and valve position the valve cannot be told from the '
+                     'hydraulics by its own signal')
+    moves = has['motion'] and has['force'] and nominal.get('load.type') != 'prescribed'
+    channels = tuple(name for name, there in (
+        ('force', has['force'] and (has['valve_position'] or has['command'])), ('load', moves))
+        if there)
+    if has['force'] and not moves:
+        notes.append('without the motion of the piston, backlash, compliance, a disturbance and '
+                     'the gain of the force sensor cannot be told apart from other causes')
+    if channels:
+        groups.append(make_group(p, recordings, channels, tolerance))
+    if not groups:
+        raise InputError(f'{runs[0].source}: no block has both its input and its output recorded')
+    return groups, notes
+
+
+def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actuator',
+             tolerance: float = TOLERANCE, held_out: Sequence[bool] | None = None,
+             drive: str | None = None, report: Report = lambda text, share: None) -> Diagnosis:
+    """
+    Return where recordings differ from their nominal model, why, and how far that can be mended.
+
+    runs: one or more; model: the nominal parameters; plant: 'actuator' or 'joint'; tolerance: how
+    far, as a share, the nominal parameters may be off; held_out: which runs are only judged on;
+    drive: of a joint, 'force' or 'position'; None: told from the signals.
+    Raises InputError for recordings that cannot be judged; says what is doubtful in `notes`.
+    """
+    out = list(held_out) if held_out is not None else [False] * len(runs)
+    notes: list[str] = []
+    if plant == 'joint':
+        groups = joint_groups(runs, model, tolerance, out, drive or drive_of(runs))
+    else:
+        groups, notes = actuator_groups(runs, model, tolerance, out)
+    steps, done = len(groups) * 3 * len(EFFECTS), 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        report('fitting effects', min(done / steps, 1.0))
+
+    weighed = []
+    for group in groups:
+        found = candidates_of(group, tick)
+        if plant == 'actuator':
+            notes += quality.check_against_model(group, found[()].fitted.record)
+        weighed.append(weigh(group, found))
+    joined = join(weighed)
+    verdict = max(joined, key=lambda names: joined[names])
+    for note in notes:
+        warnings.warn(note, InputWarning, stacklevel=2)
+    answer = Diagnosis([run.source for run in runs], weighed, joined, verdict, [], notes, None,
+                       None)
+    shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
+                         answer.best(w).fitted.record)
+               for w in weighed for channel in w.group.channels]
+    left = ambiguity_set(joined)
+    experiment, chain = None, None
+    if plant == 'actuator' and len(left) > 1:
+        nominal = groups[-1].nominal
+        force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0
+        experiment = next_experiment.choose(weighed, left, nominal, round(force, -1),
+                                            str(model.get('load.type', 'locked')))
+    if [g.channels for g in groups] == [('valve',), ('force', 'load')]:
+        chain = where.along_the_chain(groups[0], groups[1], groups[0].nominal, groups[1].nominal)
+    return Diagnosis(answer.sources, weighed, joined, verdict, shrinks, notes, experiment, chain)
+
+
+def told(names: Names) -> str:
+    """Return a hypothesis in one word: effects joined by +, unknown, or no_gap."""
+    return '+'.join(names) if names else NO_GAP
+
+
+def main_shrink(diagnosis: Diagnosis) -> Shrink:
+    """Return the shrink of the channel in which the verdict explains most."""
+    def explained(shrink: Shrink) -> float:
+        return shrink.refitted ** 2 - shrink.after ** 2
+
+    shown = list(diagnosis.shrinks)
+    if not diagnosis.verdict or UNKNOWN in diagnosis.verdict:
+        return max(shown, key=lambda shrink: shrink.refitted / max(shrink.noise_floor, 1e-9))
+    return max(shown, key=explained)
+
+
+def _effect_values(diagnosis: Diagnosis, name: str) -> dict[str, float]:
+    """Return the fitted parameters of an effect, in the best hypothesis that holds it."""
+    for weighed in diagnosis.groups:
+        holding = [candidate for names, candidate in weighed.candidates.items() if name in names]
+        if holding:
+            own = diagnosis.best(weighed)
+            chosen = own if name in own.names else max(
+                holding, key=lambda c: weighed.probability.get(c.names, 0.0))
+            effect = next(effect for effect in EFFECTS if effect.name == name)
+            fields = {free.field for variant in effect.variants for free in variant.free}
+            return {field: value for field, value in chosen.fitted.values.items()
+                    if field in fields}
+    return {}
+
+
+def document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the answer as `asi gap --json` prints it; plain data."""
+    chance = marginals(diagnosis.joined)
+    # Two effects that are both sure: first the one that explains more by itself.
+    alone = {name: max(w.probability.get((name,), 0.0) for w in diagnosis.groups)
+             for name in BLOCK_OF}
+    which = [{'effect': name, 'block': BLOCK_OF[name], 'probability': chance[name],
+              'parameters': _effect_values(diagnosis, name)}
+             for name in sorted(BLOCK_OF, key=lambda n: (-round(chance[n], 2), -alone[n]))
+             if chance[name] > 0.001]
+    left = ambiguity_set(diagnosis.joined)
+    main = main_shrink(diagnosis)
+    weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)
+    regimes = where.by_regime(weighed.group, main.channel,
+                              weighed.candidates[()].fitted.record)
+    return {
+        'verdict': told(diagnosis.verdict),
+        'probability': diagnosis.joined[diagnosis.verdict],
+        'where': [{'block': block, 'share': share}
+                  for block, share in where.by_block(diagnosis.groups).items()],
+        'which': which,
+        'no_gap_probability': chance[NO_GAP], 'unknown_probability': chance[UNKNOWN],
+        'ambiguity_set': [told(names) for names in left],
+        'gap': {'before_nrmse': main.nominal, 'refitted_nrmse': main.refitted,
+                'after_nrmse': main.after, 'noise_floor_nrmse': main.noise_floor,
+                'shrink': main.shrink, 'shrink_low': main.low, 'shrink_high': main.high,
+                'channel': main.channel},
+        'channels': [{'channel': s.channel, 'before_nrmse': s.nominal,
+                      'refitted_nrmse': s.refitted, 'after_nrmse': s.after,
+                      'noise_floor_nrmse': s.noise_floor, 'shrink': s.shrink,
+                      'shrink_low': s.low, 'shrink_high': s.high}
+                     for s in diagnosis.shrinks],
+        'chain': diagnosis.chain,
+        'regimes': [regime._asdict() for regime in regimes],
+        'next_experiment': diagnosis.next_experiment,
+        'notes': diagnosis.notes, 'sources': diagnosis.sources,
+        'nuisance': {weighed.group.channels[-1]: {
+            free.field: float(diagnosis.best(weighed).fitted.record[free.field])
+            for free in weighed.group.nuisance} for weighed in diagnosis.groups},
+    }
+
+
+def sentences(answer: Mapping[str, Any]) -> list[str]:
+    """Return the verdict in three sentences, from the document."""
+    verdict, gap = answer['verdict'], answer['gap']
+    sure = f'{100 * answer["probability"]:.0f} %'
+    if verdict == NO_GAP:
+        first = f'No gap beyond noise and the tolerance of the model ({sure}).'
+    elif UNKNOWN in verdict.split('+'):
+        first = (f'There is a gap in the {answer["where"][0]["block"]} that no effect of the '
+                 f'vocabulary explains ({sure}).')
+    else:
+        blocks = dict.fromkeys(BLOCK_OF[name] for name in verdict.split('+'))
+        first = (f'The gap lies in the {" and the ".join(blocks)}: '
+                 f'{verdict.replace("+", " and ")} ({sure}).')
+    second = (f'On data that no fit has seen the error of the {gap["channel"]} falls from '
+              f'{100 * gap["before_nrmse"]:.1f} % to {100 * gap["after_nrmse"]:.1f} % of the '
+              f'signal (shrink {gap["shrink"]:.2f}, 95 % interval {gap["shrink_low"]:.2f} to '
+              f'{gap["shrink_high"]:.2f}; noise {100 * gap["noise_floor_nrmse"]:.1f} %).')
+    rest = [name for name in answer['ambiguity_set'] if name != verdict]
+    third = ('Nothing else explains it nearly as well.' if not rest else
+             f'It could also be {" or ".join(rest)}.')
+    if answer['next_experiment']:
+        third += f' To tell: {answer["next_experiment"]["command"]}'
+    return [first, second, third]
+
+
+def plain(value: Any) -> Any:
+    """Return a document with numpy numbers as plain ones and without infinities."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

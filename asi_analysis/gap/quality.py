@@ -1,0 +1,94 @@
+"""
+Refuse, or warn of, recordings that would lead to a confident wrong answer.
+
+What a model error cannot do, but a mistake in the recording can: a sign reversed, a factor of ten
+or a thousand, one clock ahead of another, no excitation, another robot.
+"""
+
+import numpy as np
+from scipy.signal import correlate
+
+from asi_analysis.errors import InputError
+from asi_analysis.gap.fit import Group, measured, predict
+from asi_analysis.gap.prepare import Array, Recording
+
+LEAST_SWING = 5.0      # times the noise that a signal must move
+FACTOR = 4.0           # no actuator differs so much from its own model
+UNLIKE = 0.3           # correlation with the model below which it is another machine
+ALIKE = 0.6            # correlation above which a factor or a sign is told apart from the shape
+EARLY_S, LATE_S = 0.004, 0.08
+IMPROVED = 0.1         # by which a shift of the clock must raise the correlation
+
+# What a channel compares: what is measured, and what it is driven by.
+COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
+            'load': ('force', 'velocity or position')}
+
+
+def check_excitation(recording: Recording) -> list[str]:
+    """Refuse a recording whose signals do not move; return warnings."""
+    for name in ('command', 'force'):
+        values = getattr(recording, name)
+        if values is not None and np.std(values) < LEAST_SWING * recording.noise[name]:
+            raise InputError(
+                f'{recording.source}: no excitation: {name} swings by {np.std(values):.3g} (rms), '
+                f'its noise is {recording.noise[name]:.3g}; record a run in which it moves')
+    return []
+
+
+def check_motion(recording: Recording, position: Array | None) -> list[str]:
+    """Return a warning if velocity is not the derivative of position."""
+    if recording.velocity is None or position is None:
+        return []
+    moved = np.gradient(position, recording.period_s)
+    if np.std(moved) == 0.0 or np.std(recording.velocity) == 0.0:
+        return []
+    rough = np.convolve(moved, np.ones(9) / 9, 'same')
+    smooth = np.convolve(recording.velocity, np.ones(9) / 9, 'same')
+    if np.corrcoef(rough, smooth)[0, 1] ** 2 < 0.5:
+        return []
+    slope = float(rough @ smooth / (smooth @ smooth))
+    if slope < 0.0 or not 1.0 / FACTOR < slope < FACTOR:
+        return [f'{recording.source}: velocity is not the derivative of position: that is '
+                f'{slope:.3g} times as large; check sign and unit of velocity']
+    return []
+
+
+def check_against_model(group: Group, p: np.void) -> list[str]:
+    """Refuse what no effect could do to these channels; return warnings."""
+    warnings = []
+    for recording in group.recordings:
+        for channel in group.channels:
+            real, model = measured(recording, channel), predict(recording, channel, p)
+            kept = recording.fit | recording.held_out
+            output, driven = COMPARED[channel]
+            where = f'{recording.source}: {output} against what the model makes of {driven}'
+            if np.std(model[kept]) == 0.0:
+                raise InputError(f'{where}: the model says that it never moves')
+            alike = float(np.corrcoef(real[kept], model[kept])[0, 1])
+            slope = float(np.std(real[kept]) / np.std(model[kept]))
+            if alike < -ALIKE:
+                raise InputError(f'{where}: the sign is reversed (correlation {alike:.2f}); check '
+                                 f'the sign of {output} and of {driven}')
+            if alike > ALIKE and not 1.0 / FACTOR < slope < FACTOR:
+                raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
+                                 f'and of {driven}, or the model')
+            shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
+            if shifted > alike + IMPROVED and not -EARLY_S <= shift <= LATE_S:
+                raise InputError(f'{where}: {"late" if shift > 0.0 else "early"} by '
+                                 f'{abs(shift) * 1e3:.0f} ms (correlation {alike:.2f}, shifted '
+                                 f'{shifted:.2f}): the clocks of {output} and {driven} differ')
+            if shifted < UNLIKE:
+                raise InputError(f'{where}: nothing in common (correlation {alike:.2f}): this is '
+                                 'not the actuator of the model, or not the signal that it says')
+    return warnings
+
+
+def best_shift(real: Array, model: Array, period: float) -> tuple[float, float]:
+    """Return the delay (s) of `real` behind `model` at which they are most alike, and how much."""
+    a, b = real - real.mean(), model - model.mean()
+    most = min(int(1.0 / period), a.size // 4)
+    both = correlate(a, b, 'full', 'fft') / (np.linalg.norm(a) * np.linalg.norm(b))
+    middle = b.size - 1
+    window = both[middle - most:middle + most + 1]
+    best = int(np.argmax(window))
+    return (best - most) * period, float(window[best])

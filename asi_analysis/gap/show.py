@@ -1,0 +1,41 @@
+"""The diagnosis as tables in the terminal."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from asi_analysis.gap.diagnose import sentences
+
+
+def show(document: Mapping[str, Any]) -> None:
+    """Print the verdict in three sentences, then the tables."""
+    console = Console()
+    for sentence in sentences(document):
+        print(sentence)
+    for title, columns, rows in (
+            ('where', ('block', 'share'),
+             [(row['block'], f'{100 * row["share"]:.0f} %') for row in document['where']
+              if row['share'] > 0.005]),
+            ('which', ('effect', 'block', 'probability', 'parameters'),
+             [(row['effect'], row['block'], f'{100 * row["probability"]:.1f} %',
+               ', '.join(f'{name} {value:.4g}' for name, value in row['parameters'].items()))
+              for row in document['which'][:6]]),
+            ('how far, on held-out data (share of the signal)',
+             ('channel', 'nominal', 'refitted', 'with the effect', 'noise', 'shrink'),
+             [(row['channel'], *(f'{100 * row[key]:.2f} %' for key in (
+                 'before_nrmse', 'refitted_nrmse', 'after_nrmse', 'noise_floor_nrmse')),
+               f'{row["shrink"]:.3f} [{row["shrink_low"]:.3f}, {row["shrink_high"]:.3f}]')
+              for row in document['channels']])):
+        if rows:
+            table = Table(title=title, title_justify='left', box=None, pad_edge=False)
+            for column in columns:
+                table.add_column(column)
+            for row in rows:
+                table.add_row(*row)
+            console.print(table)
+    for note in document['notes']:
+        print('note: ' + note)
+    if document.get('report'):
+        print('report: ' + document['report'])
