@@ -13,6 +13,7 @@ at zero.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,8 @@ from asi_actuator.model.valve_characteristic import valve_position
 from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
+Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 EFFECT_FIELDS = (
     'command_delay',            # s
@@ -402,7 +404,7 @@ def load_constants(p: np.void) -> tuple[float, float, float]:
     return float(p['load_mass']), float(damping), float(stiffness)
 
 
-def sensor_response(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
+def sensor_response(omega: Array, p: np.void) -> Complex:
     """Return the frequency response of the sensor, gain and lag included; omega in rad/s."""
     s = 1j * omega
     response = 1.0 / (1.0 + s * p['sensor_lag'])
@@ -417,13 +419,13 @@ def sensor_response(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
     return response * (p['force_sensor_gain'] * (1.0 + p['sensor_gain_error']))
 
 
-def impedance(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
+def impedance(omega: Array, p: np.void) -> Complex:
     """Return force over velocity of the linear load without its spring, N s/m."""
     mass, damping, _ = load_constants(p)
     return mass * 1j * omega + damping
 
 
-def compliance_response(omega: Array, p: np.void) -> npt.NDArray[np.complex128]:
+def compliance_response(omega: Array, p: np.void) -> Complex:
     """Return what a compliance between piston and load leaves of the load's force."""
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega

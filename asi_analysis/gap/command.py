@@ -46,8 +46,6 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
     told('reading', None)
     runs = [read_bag(path) for path in (*bags, *held_out)]
     values = nominal_model(model)
-    if plant == 'joint' and model is None:
-        values = {}
     diagnosis = diagnose(runs, values, plant, tolerance,
                          [False] * len(bags) + [True] * len(held_out), drive, told)
     answer = plain(document(diagnosis))
@@ -55,5 +53,6 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
     if report is not None:
         from asi_analysis.gap.report import write_report
         told('report', None)
-        answer['report'] = str(write_report(diagnosis, answer, report))
+        answer['report'] = str(write_report(diagnosis, answer, report,
+                                            values if plant == 'actuator' else None))
     return answer

@@ -67,7 +67,7 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     has = {name: all(getattr(r, name) is not None for r in recordings)
            for name in ('command', 'force', 'valve_position', 'motion')}
     for run, recording in zip(runs, recordings, strict=True):
-        notes += quality.check_excitation(recording)
+        quality.check_excitation(recording)
         notes += quality.check_motion(recording, run.position_m)
     if has['command'] and has['valve_position']:
         groups.append(make_group(p, recordings, ('valve',), tolerance))
@@ -116,7 +116,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     for group in groups:
         found = candidates_of(group, tick)
         if plant == 'actuator':
-            notes += quality.check_against_model(group, found[()].fitted.record)
+            quality.check_against_model(group, found[()].fitted.record)
         weighed.append(weigh(group, found))
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
@@ -164,7 +164,8 @@ def _effect_values(diagnosis: Diagnosis, name: str) -> dict[str, float]:
             chosen = own if name in own.names else max(
                 holding, key=lambda c: weighed.probability.get(c.names, 0.0))
             effect = next(effect for effect in EFFECTS if effect.name == name)
-            fields = {free.field for variant in effect.variants for free in variant.free}
+            fields = {free.field for variant in effect.variants if variant in chosen.variants
+                      for free in variant.free}
             return {field: value for field, value in chosen.fitted.values.items()
                     if field in fields}
     return {}

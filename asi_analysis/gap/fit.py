@@ -55,7 +55,7 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
     """Return the plant's record of nominal actuator parameters, every effect null."""
     record = np.zeros(1, blocks.PLANT_DTYPE)[0]
     actuator = as_record(nominal)
-    for name in actuator.dtype.names:
+    for name in actuator.dtype.names or ():
         record[name] = actuator[name]
     for name, value in (('force_scale', 1.0), ('friction_bristle', 1e-4), ('supply_time', 0.3)):
         record[name] = value

@@ -5,11 +5,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from asi_actuator.parameters import as_record
 from asi_analysis.gap import blocks
 from asi_analysis.gap.fit import Group, Values, predict
-from asi_analysis.gap.prepare import Array, Recording, prepare
+from asi_analysis.gap.prepare import Recording, prepare
 from asi_analysis.gap.verdict import Names, Weighed
 from asi_analysis.run import Run
 from asi_controller.parameters import REFERENCE_PARAMETERS
@@ -23,7 +24,7 @@ class Experiment(NamedTuple):
 
     name: str
     reference: dict[str, str | float]
-    options: str     # of `asi run`; {force} and {half} stand for forces, N
+    options: str     # of `asi run`; {force}, {small}, {part}, {rest}: forces, N
 
 
 CATALOGUE = (
@@ -48,7 +49,7 @@ CATALOGUE = (
 )
 
 
-def played(experiment: Experiment, force: float) -> Array:
+def played(experiment: Experiment, force: float) -> npt.NDArray[np.float64]:
     """Return the desired force (N) of an experiment."""
     values = dict(experiment.reference)
     size, offset = float(values.pop('size', 1.0)), float(values.pop('offset', 0.0))
@@ -73,10 +74,10 @@ def separation(group: Group, recording: Recording, first: np.void, second: np.vo
 def imagined(experiment: Experiment, nominal: np.void, force: float) -> Recording:
     """Return what the nominal chain would record in an experiment, open loop, without noise."""
     gain = float(nominal['valve_characteristic_gain'])
-    command = played(experiment, force) / gain
+    command = np.divide(played(experiment, force), gain)
     valve = np.empty(command.size)
     blocks.valve(command, *blocks.parts(nominal), PERIOD_S, 10, valve)
-    time = np.arange(command.size) * PERIOD_S
+    time = np.arange(command.size, dtype=np.float64) * PERIOD_S
     static = (valve / nominal['valve_characteristic_full_opening']
               * nominal['valve_characteristic_maximum_force'])
     omega = 2.0 * np.pi * np.fft.rfftfreq(command.size, PERIOD_S)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from scipy.signal import coherence
 from asi_analysis.errors import InputError
 from asi_analysis.run import Run
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
@@ -38,8 +39,8 @@ class Motion:
     omega: Array                 # rad/s
     position: Array              # m, smoothed
     velocity: Array              # m/s, smoothed
-    position_spectrum: npt.NDArray[np.complex128]
-    velocity_spectrum: npt.NDArray[np.complex128]
+    position_spectrum: npt.NDArray[np.complexfloating[Any, Any]]
+    velocity_spectrum: npt.NDArray[np.complexfloating[Any, Any]]
     judge: Array
     band_hz: float
     pad: int                     # samples before the recording
@@ -225,7 +226,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
     read = [_signals(run, drive) for run in runs]
-    bands = [_band(moving.get('velocity', moving.get('position')), moving['force'], period)
+    bands = [_band(moving['velocity' if 'velocity' in moving else 'position'], moving['force'],
+                   period)
              for period, moving in read
              if 'force' in moving and ('velocity' in moving or 'position' in moving)]
     recordings = []

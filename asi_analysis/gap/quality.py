@@ -24,15 +24,14 @@ COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_po
             'load': ('force', 'velocity or position')}
 
 
-def check_excitation(recording: Recording) -> list[str]:
-    """Refuse a recording whose signals do not move; return warnings."""
+def check_excitation(recording: Recording) -> None:
+    """Refuse a recording whose signals do not move."""
     for name in ('command', 'force'):
         values = getattr(recording, name)
         if values is not None and np.std(values) < LEAST_SWING * recording.noise[name]:
             raise InputError(
                 f'{recording.source}: no excitation: {name} swings by {np.std(values):.3g} (rms), '
                 f'its noise is {recording.noise[name]:.3g}; record a run in which it moves')
-    return []
 
 
 def check_motion(recording: Recording, position: Array | None) -> list[str]:
@@ -53,9 +52,8 @@ def check_motion(recording: Recording, position: Array | None) -> list[str]:
     return []
 
 
-def check_against_model(group: Group, p: np.void) -> list[str]:
-    """Refuse what no effect could do to these channels; return warnings."""
-    warnings = []
+def check_against_model(group: Group, p: np.void) -> None:
+    """Refuse what no effect could do to these channels."""
     for recording in group.recordings:
         for channel in group.channels:
             real, model = measured(recording, channel), predict(recording, channel, p)
@@ -80,7 +78,6 @@ def check_against_model(group: Group, p: np.void) -> list[str]:
             if shifted < UNLIKE:
                 raise InputError(f'{where}: nothing in common (correlation {alike:.2f}): this is '
                                  'not the actuator of the model, or not the signal that it says')
-    return warnings
 
 
 def best_shift(real: Array, model: Array, period: float) -> tuple[float, float]:

@@ -62,7 +62,6 @@ def _jackknife(nominal: Array, after: Array) -> float:
     count = nominal.size
     if count < 2:
         return 1.0
-    without = [1.0 - math.sqrt((after.sum() - after[i]) / (nominal.sum() - nominal[i]))
-               for i in range(count) if nominal.sum() > nominal[i]]
-    spread = math.sqrt((count - 1) / count * float(np.sum((without - np.mean(without)) ** 2)))
+    without = 1.0 - np.sqrt((after.sum() - after) / np.maximum(nominal.sum() - nominal, 1e-300))
+    spread = math.sqrt((count - 1) / count * float(np.sum((without - without.mean()) ** 2)))
     return float(student.ppf(0.975, count - 1)) * spread

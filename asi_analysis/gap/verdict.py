@@ -49,7 +49,7 @@ CONSTANTS = Constants()
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
-SINGLES, FOLLOWED, PAIRS, FORMS = 9, 2, 4, 2
+SINGLES, FOLLOWED, PAIRS, FORMS = 9, 3, 4, 2
 WORTH = 0.8        # times the floor: what must be left for another effect to be tried
 
 
@@ -88,9 +88,10 @@ def candidates_of(group: Group, tick: Callable[[], None] = lambda: None) -> dict
     if excess(group, null.held_out) < WORTH:
         return found
     group.scale['residual_frequency'] = residual_frequency(group, null)
-    choices = {(effect.name,): [(variant,) for variant in effect.variants
-                                if _may_explain(variant, group, null) and not variant.joined]
-               for effect in EFFECTS}
+    choices: dict[Names, list[tuple[Variant, ...]]] = {
+        (effect.name,): [(variant,) for variant in effect.variants
+                         if _may_explain(variant, group, null) and not variant.joined]
+        for effect in EFFECTS}
     found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: -_log_evidence(group, c.fitted.held_out, CONSTANTS))

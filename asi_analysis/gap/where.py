@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 from asi_analysis.gap.blocks import impedance, load_constants
 from asi_analysis.gap.effects import BLOCK_OF, BLOCKS
 from asi_analysis.gap.fit import Group, measured, predict
-from asi_analysis.gap.prepare import Array, Recording, low_pass
+from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass
 from asi_analysis.gap.verdict import Weighed
 
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
@@ -106,9 +106,9 @@ def by_regime(group: Group, channel: str, p: np.void) -> list[Regime]:
     whole = float(np.sqrt(np.mean(left[kept] ** 2))) or 1.0
     found: list[Regime] = []
 
-    def add(kind: str, masks: Mapping[str, Array]) -> None:
+    def add(kind: str, masks: Mapping[str, Mask]) -> None:
         for name, mask in masks.items():
-            chosen = kept & np.asarray(mask, bool)
+            chosen = kept & mask
             if chosen.mean() > 0.01:
                 rms = float(np.sqrt(np.mean(left[chosen] ** 2)))
                 found.append(Regime(kind, name, rms / whole, float(chosen.sum() / kept.sum())))

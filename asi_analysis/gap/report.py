@@ -1,0 +1,99 @@
+"""The report of `asi gap`: one HTML file that needs nothing else, its pictures, a model file."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asi_actuator.parameters import Value
+from asi_analysis import figures
+from asi_analysis.experiment import versions
+from asi_analysis.gap import pictures
+from asi_analysis.gap.diagnose import Diagnosis, sentences, told
+from asi_analysis.gap.fit import measured, predict
+from asi_analysis.gap.model_file import write_model
+from asi_analysis.gap.verdict import Weighed
+from asi_analysis.report import environment
+
+STRETCH_S = 2.0     # of the overlay
+LABELS = {'valve': 'valve position (m)', 'force': 'force (N)', 'load': 'force (N)'}
+
+
+def write_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
+                 model: Mapping[str, Value] | None = None) -> Path:
+    """
+    Write report.html and its pictures into `out`; with a model, improved.yaml too.
+
+    answer: the document of the diagnosis; model: nominal parameters of the actuator.
+    Returns the path of report.html.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    channel = answer['gap']['channel']
+    weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
+    drawn = {'overlay': _overlay(diagnosis, weighed, channel),
+             'ranking': _ranking(weighed, channel, answer),
+             'plane': _plane(diagnosis, weighed, channel),
+             'regimes': pictures.regimes(answer['regimes'])}
+    described = {
+        'overlay': 'Real, nominal and improved, and what each model leaves',
+        'ranking': 'What each hypothesis leaves on held-out data',
+        'plane': 'What the model leaves, before and after, in the plane of the effect',
+        'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
+    for name, figure in drawn.items():
+        with figures.style():
+            figure.savefig(out / f'{name}.png')
+    missing = None
+    if model is not None and diagnosis.verdict:
+        missing = write_model(out / 'improved.yaml', model,
+                              [diagnosis.best(w).fitted.record for w in diagnosis.groups])
+    page = out / 'report.html'
+    page.write_text(environment().get_template('gap.html').render(
+        answer=answer, sentences=sentences(answer), versions=versions(), missing=missing,
+        described=described,
+        figures={name: figures.svg(figure, described[name]) for name, figure in drawn.items()}))
+    return page
+
+
+def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
+    recording = weighed.group.recordings[-1]
+    real = measured(recording, channel)
+    nominal = predict(recording, channel, weighed.group.nominal)
+    improved = predict(recording, channel, diagnosis.best(weighed).fitted.record)
+    count = int(STRETCH_S / recording.period_s)
+    # The stretch where the nominal model is worst, for that is where to look.
+    power = np.convolve((real - nominal) ** 2 * recording.held_out, np.ones(count), 'same')
+    middle = int(np.argmax(power))
+    chosen = slice(max(0, middle - count // 2), middle + count // 2)
+    return pictures.overlay(recording.time_s[chosen], real[chosen], nominal[chosen],
+                            improved[chosen], recording.held_out[chosen], LABELS[channel])
+
+
+def _ranking(weighed: Weighed, channel: str, answer: Mapping[str, Any]) -> Any:
+    size = math.sqrt(float(np.mean([np.mean(measured(r, channel)[r.held_out] ** 2)
+                                    for r in weighed.group.recordings])))
+    left = sorted((math.sqrt(c.fitted.held_out[channel]) / size, told(names))
+                  for names, c in weighed.candidates.items() if names)[:12]
+    null = math.sqrt(weighed.candidates[()].fitted.held_out[channel]) / size
+    return pictures.ranking([name for _, name in left], [error for error, _ in left], null,
+                            max(answer['gap']['noise_floor_nrmse'], 1e-6))
+
+
+def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
+    recording = weighed.group.recordings[-1]
+    real = measured(recording, channel)
+    if channel == 'valve':
+        x, label = recording.command, 'command'
+    else:
+        motion = recording.motion
+        if motion is not None:
+            x = motion.velocity[motion.pad:motion.pad + real.size]
+            label = 'velocity (m/s)'
+        else:
+            x, label = recording.valve_position, 'valve position (m)'
+    assert x is not None
+    kept = recording.held_out
+    before = real - predict(recording, channel, weighed.candidates[()].fitted.record)
+    after = real - predict(recording, channel, diagnosis.best(weighed).fitted.record)
+    return pictures.plane(x[kept], before[kept], after[kept], label)
