@@ -36,11 +36,11 @@ def test_signal_while_a_node_imports_ends_it_cleanly(number):
 
 @pytest.mark.parametrize('name, function', re.findall(
     r"'(\w+) = asi_actuator.executables:(\w+)'", (ROOT / 'setup.py').read_text()))
-def test_every_executable_ends_with_one_line_where_it_cannot_run(name, function):
+def test_every_executable_says_what_it_cannot_do(name, function):
     code = f'import sys; from asi_actuator import executables; sys.exit(executables.{function}())'
     result = subprocess.run(
         [sys.executable, '-c', code, '--ros-args', '--remap', 'no_rule'], capture_output=True,
         text=True, timeout=60, env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert name == function
-    assert result.returncode == 2
-    assert len(result.stderr.splitlines()) == 1, result.stderr
+    assert (result.returncode, 'Traceback' in result.stderr) == (2, False)
+    assert 'no_rule' in result.stderr or 'socketcan' in result.stderr
