@@ -364,3 +364,31 @@ def test_units_are_those_of_the_topics() -> None:
         frames_module.default_path()).messages for s in m.signals if s.scale != 1}
     assert units == {'valve_command': 'N', 'force': 'N', 'valve_position': 'm', 'position': 'm',
                      'velocity': 'm/s'}
+
+
+def test_command_that_is_no_number_is_a_fault_until_the_reset(
+        start_node: Callable, ros_node: Any, states: States, ask: Callable) -> None:
+    from geometry_msgs.msg import WrenchStamped
+    from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import JointState
+    commands = ros_node.create_publisher(WrenchStamped, 'valve_command', 10)
+    # This test is the controller: it answers every state, the tenth with nan.
+    ros_node.create_subscription(Clock, '/clock', lambda message: None, 10)
+    command = WrenchStamped()
+
+    def answer(state: JointState) -> None:
+        command.header.stamp = state.header.stamp
+        command.wrench.force.x = np.nan if state.header.stamp.nanosec == 2_000_000 else 500.0
+        commands.publish(command)
+
+    ros_node.create_subscription(JointState, 'joint_states', answer, 10)
+    actuator = start_node(ACTUATOR, give_up_after=60.0)
+    actuator.wait_for('fault, the valve command is 0: valve_command = nan N')
+    # In lock-step the ticks go on, with a valve that is shut.
+    states.wait(50)
+    applied = {m.header.stamp.nanosec: m.effort[1] for m in states.messages}
+    assert [applied[200_000 * k] for k in range(8, 14)] == [500.0, 500.0, 500.0, 0.0, 0.0, 0.0]
+    assert not any(m.effort[1] for m in states.messages[-20:])
+    assert ask('reset') == (True, 'reset: enabled')
+    states.wait_until(lambda state: state.effort[1] == 500.0, 'the command')
+    assert actuator.stop() == 0

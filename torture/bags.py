@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from asi_analysis.bag import read_bag, write_bag
+from asi_analysis.bag_writer import BagWriter, typestore
 from asi_analysis.errors import InputError
 from asi_analysis.run import Run
 from torture.rig import Rig, Tally
@@ -82,6 +83,8 @@ def _damaged(data: bytes, random: Random, every_boundary: bool) -> Iterator[tupl
     yield 'no metadata', data
     yield 'metadata of nothing', data
     yield 'metadata cut', data
+    yield 'metadata of another bag', data
+    yield 'messages of others', data
     yield 'empty', b''
     yield 'noise', random.randbytes(5000)
     yield 'metadata as bag', (b'rosbag2_bagfile_information:\n  version: 9\n')
@@ -96,13 +99,25 @@ def _put(bag: Path, what: str, content: bytes) -> None:
         metadata.write_text('[]')
     elif what == 'metadata cut':
         metadata.write_bytes(metadata.read_bytes()[:150])
+    elif what == 'metadata of another bag':
+        metadata.write_text(metadata.read_text().replace('joint_states', 'chatter')
+                            .replace(str(SAMPLES), '7'))
+    elif what == 'messages of others':
+        shutil.rmtree(bag)
+        writer = BagWriter(bag)
+        channel = writer.add_topic('/chatter', 'std_msgs/msg/String', [])
+        text = typestore().serialize_cdr(typestore().types['std_msgs/msg/String']('hello'),
+                                         'std_msgs/msg/String')
+        for k in range(100):
+            writer.write(channel, k, k, k, bytes(text))
+        writer.close()
 
 
 def _problem(run: Run, bag: Path, tally: Tally) -> str:
     """Return what is wrong with what is read from a damaged bag, '' if nothing."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore')
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter('always')
             read = read_bag(bag)
     except InputError as error:
         tally.notes['refused'] = tally.notes.get('refused', 0) + 1
@@ -111,6 +126,8 @@ def _problem(run: Run, bag: Path, tally: Tally) -> str:
         return f'{type(error).__name__}: {error}'
     tally.notes['recovered, at least in part'] = tally.notes.get(
         'recovered, at least in part', 0) + 1
+    if read.time_s.size < SAMPLES and not said:
+        return f'{SAMPLES - read.time_s.size} samples are missing and nothing says so'
     return _wrong(run, read)
 
 
