@@ -416,6 +416,8 @@ class RealTime:
             node.publish_rest()
             if node.statistics.ticks == node.last_tick:
                 raise RunFinished
+        elif node.measured is None:
+            node.get_logger().warning(self.health()[1], throttle_duration_sec=5.0)
 
 
 def main() -> int:

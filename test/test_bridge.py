@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import cantools
 import numpy as np
 import pytest
@@ -15,9 +16,12 @@ from hypothesis import strategies as st
 
 from asi_actuator.can_actuator import Firmware, physical_values
 from asi_actuator.driver import frames as frames_module
+from asi_actuator.driver.can_bus import CanActuator, received
 from asi_actuator.driver.frames import SIGNALS, Frames, checksum, longest_bits
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
-from asi_actuator.parameters import ParameterError
+from asi_actuator.model.actuator import Measurement
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
+from asi_actuator.parameters import ParameterError, completed
 from asi_analysis.bag import write_bag
 from asi_analysis.run import Run
 
@@ -159,6 +163,87 @@ def test_firmware_takes_no_frame_twice_nor_from_the_past_nor_damaged(wire: Wire)
         wire.send(old)
         wire.firmware.watch(wire.now)
     assert not wire.firmware.driving
+
+
+class Bus:
+    """The driver and a firmware on a bus within this process; time passes when it is told to."""
+
+    def __init__(self) -> None:
+        values = completed({'mode': 'realtime', 'driver': 'can', 'can.interface': 'virtual',
+                            'can.channel': 'test'}, ACTUATOR_NODE_PARAMETERS)
+        # A long period: what depends on the wall clock does not happen.
+        self.driver = CanActuator(values, 1.0)
+        self.driver.open()
+        self.bus = can.Bus(interface='virtual', channel='test')
+        self.firmware = Firmware(FRAMES, physical_values([]), 0.02, 0.0)
+        self.now = 0.0
+
+    def answers(self, command_n: float = 0.0, enable: bool = False) -> list[can.Message]:
+        """Have the driver send a command; return how the firmware answers."""
+        self.driver.exchange(command_n, enable, 1)
+        return self.frames()
+
+    def frames(self) -> list[can.Message]:
+        self.now += 0.001
+        taken = [self.firmware.receive(self.now, m.arbitration_id, bytes(m.data))
+                 for m in received(self.bus)]
+        return [can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+                for identifier, data in self.firmware.state(self.now)] if any(taken) else []
+
+    def take(self, frames: list[can.Message]) -> Measurement | None:
+        """Put frames on the bus and return the state that the driver makes of them."""
+        for frame in frames:
+            self.bus.send(frame)
+        return self.driver.exchange(0.0, False, 1)
+
+
+@pytest.fixture
+def bus() -> Iterator[Bus]:
+    bus = Bus()
+    yield bus
+    bus.driver.close()
+    bus.bus.shutdown()
+
+
+def test_driver_counts_lost_states_and_takes_each_only_once(bus: Bus) -> None:
+    first = bus.answers()
+    assert bus.take(first) is not None
+    assert bus.take(first) is None                      # the same again
+    for _ in range(3):
+        bus.answers()                                   # lost on the way
+    later = bus.answers()
+    assert bus.take(later) is not None
+    # Commands that were sent by take() were answered by nobody: they are lost states too.
+    assert bus.driver.health().lost_states == 5
+    assert bus.take(first) is None                      # from the past
+    assert bus.driver.health().bad_frames == 1
+
+
+def test_driver_takes_no_half_or_damaged_state(bus: Bus) -> None:
+    force, motion = bus.answers()
+    assert bus.take([force]) is None
+    assert bus.take([bus.answers()[1]]) is None         # motion of another state
+    damaged = can.Message(arbitration_id=motion.arbitration_id, is_extended_id=False,
+                          data=bytes(7) + b'x')
+    short = can.Message(arbitration_id=force.arbitration_id, is_extended_id=False, data=b'123')
+    remote = can.Message(arbitration_id=force.arbitration_id, is_extended_id=False,
+                         is_remote_frame=True)
+    assert bus.take([force, damaged, short, remote]) is None
+    assert bus.driver.health().bad_frames == 3
+    assert bus.take(bus.answers()) is not None
+
+
+def test_actuator_that_stays_closed_although_enabled_is_a_problem(bus: Bus) -> None:
+    for _ in range(21):
+        # The firmware was never told enable = 0 before: it does not drive.
+        assert bus.driver.health().problem == ''
+        for frame in bus.answers(100.0, enable=True):
+            bus.bus.send(frame)
+    bus.driver.exchange(100.0, True, 1)
+    assert 'keeps its valve closed' in bus.driver.health().problem
+    assert 'missed commands' in bus.driver.health().problem
+    bus.driver.reset()
+    assert bus.driver.health().problem == ''
 
 
 @pytest.fixture
@@ -313,6 +398,16 @@ def test_silent_actuator_is_a_fault_that_names_signal_value_and_limit(
     actuator.wait_for('fault, the valve command is 0: age of the newest state = 2.0')
     assert 'exceeds limit.state_age = 2 s' in actuator.text
     stopped.send(signal.SIGCONT)
+
+
+def test_bus_that_is_not_there_is_waited_for_and_named(
+        start_node: Callable, peer: Callable, states: States, tmp_path: Path) -> None:
+    link = tmp_path / 'adapter'
+    actuator = start_node(ACTUATOR, **PATIENT, **{'can.channel': str(link)})
+    actuator.wait_for(f'waiting for a state of the actuator; slcan {link}: ')
+    link.symlink_to(channel(peer()))
+    states.wait(10)
+    assert actuator.stop() == 0
 
 
 @pytest.mark.parametrize(('parameters', 'words'), [
