@@ -61,6 +61,22 @@ ANALYZE: Final = (
     Key('notes', '[text]', 'why a value is null or to be doubted'),
 )
 
+_CAUSE: Final = (
+    Key('nonlinearity', 'text', 'a nonlinearity of the model; or, by shape: stiction, '
+        'backlash, hysteresis, saturation, tight_tuning, disturbance'),
+    Key('necessary', 'boolean?', 'no cycle without it; null: judged by shape'),
+    Key('sufficient', 'boolean?', 'a cycle with it alone'),
+    Key('share', 'number?', 'Shapley value of the amplitude, over the amplitude'),
+    Key('probability', 'number', 'that it is the cause'),
+    *(Key(f'{prefix}_{name}', 'number?', meaning)
+      for prefix in ('alone', 'all_but') for name, meaning in (
+          ('frequency_hz', 'simulated cycle with it alone, or all but it'),
+          ('amplitude_n', 'its amplitude'),
+          ('predicted_frequency_hz', 'the same by harmonic balance'),
+          ('predicted_amplitude_n', 'its amplitude'),
+          ('onset_gain', 'least gain at which a step leaves a cycle'))),
+)
+
 SEGMENTS: Final = Key(
     'segments', '[object]', 'the stretches of each bag, in the order of time', (
         Key('source', 'text', 'bag'),
@@ -209,19 +225,7 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('frequency_hz', 'number?', 'cycle with all nonlinearities'),
         Key('amplitude_n', 'number?', 'its amplitude'),
         Key('causes', '[object]', 'the nonlinearities', (
-            Key('nonlinearity', 'text', 'a nonlinearity of the model; or, by shape: stiction, '
-                'backlash, hysteresis, saturation, tight_tuning, disturbance'),
-            Key('necessary', 'boolean?', 'no cycle without it; null: judged by shape'),
-            Key('sufficient', 'boolean?', 'a cycle with it alone'),
-            Key('share', 'number?', 'Shapley value of the amplitude, over the amplitude'),
-            Key('probability', 'number', 'that it is the cause'),
-            *(Key(f'{prefix}_{name}', 'number?', meaning)
-              for prefix in ('alone', 'all_but') for name, meaning in (
-                  ('frequency_hz', 'simulated cycle with it alone, or all but it'),
-                  ('amplitude_n', 'its amplitude'),
-                  ('predicted_frequency_hz', 'the same by harmonic balance'),
-                  ('predicted_amplitude_n', 'its amplitude'),
-                  ('onset_gain', 'least gain at which a step leaves a cycle'))))),
+            *_CAUSE,)),
         Key('verdict', 'text', 'what causes the cycle, with the numbers')),
     'asi attribute BAG': (
         Key('source', 'text', 'bag'),
@@ -230,17 +234,13 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('oscillation', 'text', 'verdict of `asi limit-cycle` on it'),
         Key('frequency_hz', 'number?', 'measured'),
         Key('amplitude_n', 'number?', 'measured'),
-        Key('causes', '[object]', 'the most probable first; for a bag that holds the '
-            'configuration of this actuator with the keys of `asi attribute` and the errors of '
-            'each predicted cycle', (
-            Key('nonlinearity', 'text', 'a nonlinearity of the model; or, by shape: stiction, '
-                'backlash, hysteresis, saturation, tight_tuning, disturbance'),
-            Key('necessary', 'boolean?', 'no cycle without it; null: judged by shape'),
-            Key('sufficient', 'boolean?', 'a cycle with it alone'),
-            Key('share', 'number?', 'Shapley value of the amplitude, over the amplitude'),
-            Key('probability', 'number', 'that it is the cause'),
+        Key('causes', '[object]', 'by shape, the most probable first; or, if the bag holds '
+            'the configuration of this actuator, by its model', (
+            *_CAUSE,
             Key('unexplained', 'number?', 'share of the output that this kind of valve, followed '
-                'by a linear process, leaves unexplained'))),
+                'by a linear process, leaves unexplained'),
+            Key('frequency_error', 'number?', 'cycle with it alone against the measured one'),
+            Key('amplitude_error', 'number?', 'the same for the amplitude'))),
         Key('verdict', 'text', 'the cause in words; cannot tell, and what would')),
     'asi quench': (
         Key('compensator', 'text', 'name of the compensator'),

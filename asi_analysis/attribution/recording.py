@@ -18,6 +18,11 @@ Report = Callable[[str, float | None], None]
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
 # Below this probability the most likely cause is not named as the cause.
 NAMED: Final = 0.7
+# What only one of the two ways knows is null by the other.
+EMPTY: Final[dict[str, Any]] = dict.fromkeys(
+    [f'{prefix}_{name}' for prefix in ('alone', 'all_but') for name in (
+        'frequency_hz', 'amplitude_n', 'predicted_frequency_hz', 'predicted_amplitude_n',
+        'onset_gain')] + ['unexplained', 'frequency_error', 'amplitude_error'])
 # How far a predicted cycle may be off by its method: in the logarithm of frequency, amplitude.
 SPREAD: Final = (0.03, 0.15)
 SEPARATE: Final = {
@@ -88,7 +93,8 @@ def attribute_run(run: Run, signal: str | None = None, report: Report = lambda *
     causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
                'probability': chance, 'unexplained': _unexplained(found, cause)}
               for cause, chance in chances.items()]
-    return document | {'causes': causes, 'verdict': _shape_verdict(chances, found, segment)}
+    return document | {'causes': [EMPTY | cause for cause in causes],
+                       'verdict': _shape_verdict(chances, found, segment)}
 
 
 def _unexplained(found: Shape, cause: str) -> float | None:
@@ -145,7 +151,7 @@ def _by_model(run: Run, segment: Segment, report: Report) -> dict[str, Any]:
         f'{segment.amplitude:.4g} {segment.unit}) but '
         + (f'{expected:.4g} Hz, {table["amplitude_n"]:.4g} N' if expected else 'none')
         + ': find the gap first (asi gap)')
-    return {'causes': table['causes'], 'verdict': verdict}
+    return {'causes': [EMPTY | cause for cause in table['causes']], 'verdict': verdict}
 
 
 def as_text(document: dict[str, Any]) -> str:
