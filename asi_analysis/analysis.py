@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from asi_analysis.errors import InputError
 from asi_analysis.frequency_response import actuator_bandwidth, loop_bandwidth
 from asi_analysis.oscillation import oscillation
 from asi_analysis.run import Run
@@ -26,8 +27,10 @@ def analyze(run: Run) -> dict[str, Any]:
     """
     Return all that `asi analyze --json` prints of a run; doc/json.md tells the keys.
 
-    What cannot be measured is None; `notes` says why.
+    What cannot be measured is None; `notes` says why. Raises InputError for a single sample.
     """
+    if len(run) < 2:
+        raise InputError(f'{run.source}: one sample is too little: at least 2 are needed')
     steps = step_responses(run)
     step = headline(steps)
     swing = oscillation(run)

@@ -71,7 +71,10 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     lengths = {name: len(values) for name, (values, _) in signals.items()}
     if len(set(lengths.values())) > 1:
         raise InputError(f'{path}: the columns differ in length: {lengths}')
-    time_s = _time(signals.pop('time', None), next(iter(lengths.values())), rate_hz, path)
+    length = next(iter(lengths.values()))
+    if length < 2:
+        raise InputError(f'{path} has a single sample: at least 2 are needed')
+    time_s = _time(signals.pop('time', None), length, rate_hz, path)
     units = {name: unit for name, (_, unit) in signals.items()}
     values = {name: column - _start(column, time_s, zero_s, name, path)
               for name, (column, _) in signals.items()}

@@ -104,6 +104,9 @@ def oscillation(run: Run) -> Oscillation:
     time, force = time[valid], force[valid]
     if time.size < 50:
         return Oscillation(None, None, None, 'the steady part is shorter than 50 samples')
+    least = LEAST_SHARE * np.ptp(run.force_n[np.isfinite(run.force_n)])
+    if least == 0.0:
+        return Oscillation(False, None, None, None)
     force = signal.detrend(force)
     if run.reference_n is not None:
         reference = held(run.reference_n)[part][valid]
@@ -115,7 +118,6 @@ def oscillation(run: Run) -> Oscillation:
     frequency = dominant_frequency(time, force)
     amplitude, left = fit_sine(time, force, frequency)
     explained = 1.0 - np.var(left) / max(float(np.var(force)), 1e-300)
-    least = LEAST_SHARE * np.ptp(run.force_n[np.isfinite(run.force_n)])
     if abs(amplitude) < least or explained < LEAST_EXPLAINED:
         return Oscillation(False, None, None, None)
     half = time.size // 2

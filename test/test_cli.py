@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader
 from asi_analysis import cli, json_keys
 from asi_analysis.analysis import analyze
 from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.errors import InputError
 from asi_analysis.run import Run
 
 ROOT = Path(__file__).parents[1]
@@ -78,6 +79,7 @@ def test_help_loads_nothing_heavy():
     (('limit-cycle', '--check', '0'), '--check'),
     (('import', 'nowhere.csv', '--out', 'new'), 'nowhere.csv'),
     (('import', 'table.csv', '--map', 'force=load', '--rate', '10', '--out', 'new'), 'load'),
+    (('import', 'short.csv', '--map', 'force=f', '--rate', '10', '--out', 'new'), 'short.csv'),
     (('import', 'table.csv', '--map', 'colour=t', '--rate', '10', '--out', 'new'), 'colour'),
     (('export', 'nowhere', '--out', 'new.csv'), 'nowhere'),
 ])
@@ -87,6 +89,7 @@ def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path, monkeypatch, 
     (tmp_path / 'broken.yaml').write_text('asi_controller: [')
     (tmp_path / 'wrong.yaml').write_text('asi_controller:\n  ros__parameters: {gian: 3.0}\n')
     (tmp_path / 'table.csv').write_text('t,f\n0,1\n1,2\n')
+    (tmp_path / 'short.csv').write_text('f\n1\n')
     (tmp_path / 'used').mkdir()
     (tmp_path / 'used' / 'thesis.tex').touch()
     monkeypatch.chdir(tmp_path)
@@ -118,6 +121,11 @@ def test_analysis_is_as_documented(controller):
     answer = analyze(Run(*simulate_loop({}, controller, 0.5), source='in process'))
     assert json_keys.problems(json.loads(json.dumps(answer, allow_nan=False)),
                               json_keys.ANALYZE) == []
+
+
+def test_one_sample_is_too_little_to_analyse():
+    with pytest.raises(InputError, match='one.mcap: one sample'):
+        analyze(Run(np.zeros(1), force_n=np.ones(1), source='one.mcap'))
 
 
 def test_documentation_check_can_fail():

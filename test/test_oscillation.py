@@ -36,6 +36,12 @@ def test_decaying_sine_is_not_sustained():
     assert found.frequency_hz == pytest.approx(91.37, abs=0.3)
 
 
+@pytest.mark.parametrize('force_n', [0.0, 42.1])
+def test_force_that_does_not_move_is_no_oscillation(force_n):
+    still = Run(T, reference_n=np.zeros(T.size), force_n=np.full(T.size, force_n))
+    assert oscillation(still) == (False, None, None, None)
+
+
 def test_noise_alone_is_no_oscillation():
     assert swing(STEP) == (False, None, None, None)
 

@@ -77,3 +77,10 @@ def test_less_than_is_a_bound_on_the_size():
     entry = Published('steady-state error', 'steady_state_error_n', 'N', 1.0, '< 2', 2.0)
     assert compare({'steady_state_error_n': -1.9}, entry).alike
     assert not compare({'steady_state_error_n': -2.1}, entry).alike
+
+
+@pytest.mark.parametrize('error_n, verdict', [
+    (-0.19, 'as published'), (0.8, 'below, not far below'), (-2.1, 'larger')])
+def test_much_less_than_is_more_than_less_than(error_n, verdict):
+    entry = Published('steady-state error', 'steady_state_error_n', 'N', 1.0, '≪ 2', 2.0)
+    assert compare({'steady_state_error_n': error_n}, entry).verdict == verdict
