@@ -11,7 +11,7 @@ setup(
     version='0.1.0',
     packages=find_packages(include=['asi_actuator*', 'asi_controller*', 'asi_analysis*',
                                     'asi_examiner*']),
-    package_data={'asi_analysis': ['templates/*', 'py.typed'],
+    package_data={'asi_analysis': ['templates/*', '*/*.json', 'py.typed'],
                   'asi_actuator': ['py.typed', 'fastdds.xml'],
                   'asi_controller': ['py.typed']},
     data_files=[
