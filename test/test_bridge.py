@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from asi_actuator.can_actuator import Firmware, physical_values
 from asi_actuator.driver import frames as frames_module
-from asi_actuator.driver.can_bus import CanActuator, received
+from asi_actuator.driver.can_bus import CanActuator, close_bus, open_bus, received
 from asi_actuator.driver.frames import SIGNALS, Frames, checksum, longest_bits
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.model.actuator import Measurement
@@ -229,8 +229,32 @@ def test_driver_takes_no_half_or_damaged_state(bus: Bus) -> None:
     remote = can.Message(arbitration_id=force.arbitration_id, is_extended_id=False,
                          is_remote_frame=True)
     assert bus.take([force, damaged, short, remote]) is None
-    assert bus.driver.health().bad_frames == 3
+    assert bus.driver.health().bad_frames == 2
     assert bus.take(bus.answers()) is not None
+
+
+def test_driver_sees_its_states_among_those_of_others(bus: Bus) -> None:
+    foreign = can.Message(arbitration_id=0x123, data=b'12345678', is_extended_id=False)
+    extended = can.Message(arbitration_id=0x101, data=b'12345678', is_extended_id=True)
+    force, motion = bus.answers()
+    assert bus.take([foreign, force, extended, foreign, motion, foreign]) is not None
+    assert bus.driver.health().bad_frames == 0
+
+
+def test_answers_of_an_adapter_hide_no_frame() -> None:
+    """An slcan adapter says z, or only ends a line, when it has sent; a bell if it has not."""
+    link = LinkedTerminals()
+    bus = open_bus('slcan', link.second, 1_000_000)
+    with open(link.first, 'wb', buffering=0) as adapter:
+        adapter.write(b'z\rt10121122\r\r\r\at10123344\rz\rt1012')
+        frames: list[can.Message] = []
+        wait_until(lambda: frames.extend(received(bus)) or len(frames) == 2, 'two frames')
+        assert [bytes(frame.data) for frame in frames] == [b'\x11\x22', b'\x33\x44']
+        adapter.write(b'5566\r')
+        last, = wait_until(lambda: list(received(bus)), 'the last frame')
+    assert (last.arbitration_id, bytes(last.data)) == (0x101, b'\x55\x66')
+    close_bus(bus)
+    link.close()
 
 
 def test_actuator_that_stays_closed_although_enabled_is_a_problem(bus: Bus) -> None:

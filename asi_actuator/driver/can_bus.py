@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import can
 from can.interfaces.slcan import slcanBus
@@ -16,6 +16,8 @@ from asi_actuator.parameters import ParameterError, Value
 
 # How long an slcan adapter takes to start, s.
 ADAPTER_START_S: Final = 2.0
+# What a line of slcan begins with if it is a frame.
+FRAME_LETTERS: Final = b'tTrRdDbB'
 # How often a bus that is gone is looked for, s.
 RETRY_S: Final = 0.5
 # A bus that brings more than this many frames in a period must not hold up the loop for ever.
@@ -35,31 +37,28 @@ class SlcanBus(slcanBus):
     """
 
     def _read(self, timeout: float | None) -> str | None:
-        end = self._buffer.find(self.LINE_TERMINATOR)
-        if end < 0:
+        if self.LINE_TERMINATOR not in self._buffer:
             with can.exceptions.error_check('cannot be read'):
                 if waiting := self.serialPortOrig.in_waiting:
                     self._buffer += self.serialPortOrig.read(waiting)
-            end = self._buffer.find(self.LINE_TERMINATOR)
-        if end < 0:
-            return None
-        line = self._buffer[:end + 1]
-        del self._buffer[:end + 1]
-        return line.decode()
+        while (end := self._buffer.find(self.LINE_TERMINATOR)) >= 0:
+            line = bytes(self._buffer[:end + 1]).lstrip(self._ERROR)
+            del self._buffer[:end + 1]
+            if line[:1] in FRAME_LETTERS:
+                return line.decode()
+            # Else an adapter's "done" (or, before it, "not done"): it answers every command. To
+            # return it would look as if there were nothing more to read.
+        return None
 
 
-def open_bus(interface: str, channel: str, bitrate: int, **options: Any) -> can.BusABC:
-    """
-    Return an open bus; raises can.CanError, OSError or ValueError if that is not possible.
-
-    options: those of python-can's interface.
-    """
+def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
+    """Return an open bus; raises can.CanError, OSError or ValueError if that is not possible."""
     if interface == 'slcan':
         # An adapter may start anew when it is opened; a terminal does not.
         terminal = Path(channel).resolve().parent == Path('/dev/pts')
         return SlcanBus(channel=channel, bitrate=bitrate, timeout=0.0,
-                        sleep_after_open=0.0 if terminal else ADAPTER_START_S, **options)
-    return can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
+                        sleep_after_open=0.0 if terminal else ADAPTER_START_S)
+    return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
 
 
 def close_bus(bus: can.BusABC) -> None:
@@ -117,10 +116,8 @@ class CanActuator:
     def open(self) -> None:
         self._retry_at = time.monotonic() + RETRY_S
         try:
-            self._bus = open_bus(
-                self._interface, self._channel, self._bitrate, can_filters=[
-                    {'can_id': identifier, 'can_mask': 0x7FF, 'extended': False}
-                    for identifier in self._frames.identifiers.values()])
+            # Without python-can's filters: recv(0.0) takes a frame that they drop for the last.
+            self._bus = open_bus(self._interface, self._channel, self._bitrate)
             for _ in range(MOST_FRAMES):
                 if not any(received(self._bus)):  # from before anybody listened
                     break
@@ -195,9 +192,11 @@ class CanActuator:
 
     def _take(self, message: can.Message) -> Measurement | None:
         """Take a frame; return the state if this completes one that is new."""
+        if message.is_remote_frame or message.is_extended_id:
+            return None  # somebody else's
         try:
-            if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
-                raise ValueError('not a data frame')
+            if message.is_error_frame:
+                raise ValueError('an error frame')
             decoded = self._frames.decode(message.arbitration_id, bytes(message.data))
         except ValueError:
             self._bad_frames += 1
