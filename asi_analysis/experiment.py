@@ -6,6 +6,7 @@ happens, Ctrl-C and errors included, no process is left behind and the bag so fa
 """
 
 import ctypes
+import fcntl
 import importlib.metadata
 import json
 import os
@@ -14,12 +15,13 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import yaml
 
@@ -50,6 +52,8 @@ MODULES: Final = {'controller': 'asi_controller.controller_node',
 # Not /diagnostics, which goes by the wall clock: the same experiment gives the same file.
 LOCKSTEP_TOPICS: Final = ('joint_states', 'force', 'valve_position', 'velocity',
                           'force_reference', 'valve_command', '/clock')
+# The ports of these domains are clear of those that Linux hands out.
+DOMAINS: Final = range(42, 102)
 # A node that is asked to end and does not within this time is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
@@ -245,10 +249,9 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambd
     run, RunFailedError if a node fails. Its ROS domain is ROS_DOMAIN_ID, or one of its own.
     """
     experiment = checked(experiment)
-    environment = _environment()
     bag = out / 'bag'
-    _prepare(experiment, out)
-    with _nodes(experiment, out, environment) as nodes, _watched(environment) as ticks:
+    with (_environment() as environment,
+          _nodes(experiment, out, environment) as nodes, _watched(environment) as ticks):
         progress('starting the nodes', None)
         while nodes['actuator'].poll() is None:
             _complain_of_dead(nodes, out)
@@ -285,16 +288,40 @@ def _write_parameters(out: Path, which: str, values: Mapping[str, Value]) -> Non
         {f'asi_{which}': {'ros__parameters': dict(values)}}, sort_keys=False))
 
 
-def _environment() -> dict[str, str]:
-    """Return the environment of the nodes: by default alone on this machine, in a free domain."""
-    # Up to 101 the ports of a domain are clear of those that Linux hands out.
-    environment = {'ROS_DOMAIN_ID': str(42 + os.getpid() % 60),
-                   'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
-    domain = environment['ROS_DOMAIN_ID']
-    if not (domain.isascii() and domain.isdigit() and int(domain) <= 232):
-        raise InputError(f'ROS_DOMAIN_ID = {domain!r} is not allowed: it takes a whole number '
+@contextmanager
+def _environment() -> Iterator[dict[str, str]]:
+    """
+    Give the environment of the nodes: by default alone on this machine, in a free domain.
+
+    No other `asi run` uses that domain meanwhile: its nodes would answer ours, and be recorded.
+    """
+    given = os.environ.get('ROS_DOMAIN_ID')
+    if given is not None and not (given.isascii() and given.isdigit() and int(given) <= 232):
+        raise InputError(f'ROS_DOMAIN_ID = {given!r} is not allowed: it takes a whole number '
                          'from 0 to 232')
-    return environment
+    domains = DOMAINS if given is None else [int(given)]
+    taken = next((each for each in map(_take_domain, domains) if each), None)
+    if taken is None:
+        raise InputError('another asi run is using ' + (
+            'every ROS domain' if given is None else f'ROS_DOMAIN_ID = {given}: unset it'))
+    domain, lock = taken
+    with lock:
+        yield {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ,
+               'ROS_DOMAIN_ID': str(domain)}
+
+
+def _take_domain(domain: int) -> tuple[int, IO[str]] | None:
+    """Return a domain and the open file that keeps it ours; None if another process has it."""
+    try:
+        lock = open(Path(tempfile.gettempdir()) / f'asi_run_domain_{domain}', 'w')
+    except OSError:  # of another user
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        return None
+    return domain, lock
 
 
 def _end_with_parent() -> None:
@@ -307,6 +334,7 @@ def _end_with_parent() -> None:
 def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
            ) -> Iterator[dict[str, subprocess.Popen]]:
     """Start the nodes; at the end, whatever happened, ask them to end and see that they do."""
+    _prepare(experiment, out)
     arguments = {
         'recorder': ['-p', f'output:={out / "bag"}',
                      '-p', f'configuration:={out / "experiment.json"}'],

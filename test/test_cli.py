@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from asi_analysis import cli, json_keys
+from asi_analysis import cli, experiment, json_keys
 from asi_analysis.analysis import analyze
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.errors import InputError
@@ -108,6 +108,18 @@ def test_bad_domain_is_told_in_one_line(monkeypatch, tmp_path):
     result = asi('run', '--out', 'new', cwd=tmp_path)
     assert result.returncode == 2
     assert 'ROS_DOMAIN_ID' in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+def test_two_runs_never_share_a_domain(monkeypatch):
+    """The one's controller would answer the other's actuator, and neither would notice."""
+    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+    with experiment._environment() as first, experiment._environment() as second:
+        assert first['ROS_DOMAIN_ID'] != second['ROS_DOMAIN_ID']
+        monkeypatch.setenv('ROS_DOMAIN_ID', first['ROS_DOMAIN_ID'])
+        with pytest.raises(InputError, match='another asi run'), experiment._environment():
+            pass
+    with experiment._environment() as again:
+        assert again['ROS_DOMAIN_ID'] == first['ROS_DOMAIN_ID']
 
 
 def test_json_page_is_up_to_date():
