@@ -256,6 +256,7 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambd
         while nodes['actuator'].poll() is None:
             _complain_of_dead(nodes, out)
             done, text = ticks()
+            _complain_of_fault(text, bag)
             if done:
                 progress(f'{experiment.mode}: {done} of {experiment.ticks} ticks',
                          done / experiment.ticks)
@@ -263,8 +264,15 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambd
                 progress(text, None)
         if nodes['actuator'].returncode:
             raise RunFailedError(_last_words('actuator', nodes['actuator'], out))
+        _complain_of_fault(ticks()[1], bag)
         progress('finishing the bag', 1.0)
     return bag
+
+
+def _complain_of_fault(text: str, bag: Path) -> None:
+    """Raise if the actuator says that it is in fault: from there on the valve was shut."""
+    if text.startswith('fault'):
+        raise RunFailedError(f'the actuator ended in a {text}; the bag so far: {bag}')
 
 
 def _prepare(experiment: Experiment, out: Path) -> None:

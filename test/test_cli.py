@@ -279,3 +279,13 @@ def test_dead_node_is_named(ros_environment, tmp_path):
     assert processes_of(out) == []
     from asi_analysis.bag import read_bag
     assert len(read_bag(out / 'bag')) > 100
+
+
+def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(tmp_path / 'run'),
+         '--duration', '0.2', '--set', 'actuator.force_sensor.offset=3000'],
+        env=ros_environment, capture_output=True, text=True, timeout=100)
+    assert result.returncode == 1
+    assert 'limit.force = 2500 N' in result.stderr and 'Traceback' not in result.stderr
+    assert str(tmp_path / 'run' / 'bag') in result.stderr.replace('\n', '')
