@@ -72,3 +72,9 @@ def test_many_frequencies_in_the_reference_leave_it_open():
 def test_the_loop_itself(gain, sustained):
     run = simulate_loop({}, {'gain': gain, 'reference.shape': 'step'}, 1.0)
     assert oscillation(Run(*run)).sustained is sustained
+
+
+def test_reference_of_two_sines_forces_what_cannot_be_told():
+    reference = 50.0 * np.sin(2 * np.pi * 10.0 * T) + 25.0 * np.sin(2 * np.pi * 27.0 * T)
+    found = swing(0.9 * reference, reference)
+    assert found.sustained is None and 'many frequencies' in found.reason
