@@ -455,6 +455,42 @@ def gap(
     answer(document, as_json, show)
 
 
+@gap_app.command('check', epilog='Example: `asi gap check --cases 60 --seed 20000`')
+def gap_check(
+    directory: Annotated[Path | None, typer.Argument(
+        help='Blind cases of any examiner (doc/gap.md); default: new ones are written')] = None,
+    cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
+    seed: Annotated[int, typer.Option(
+        help='First seed of the new cases; those below 10000 were developed on')] = 20000,
+    world: Annotated[str, typer.Option(
+        help='Nominal model of new cases: textbook (every effect off) or full')] = 'textbook',
+    load: Annotated[str, typer.Option(help='Load of new cases: spring or locked')] = 'spring',
+    signals: Annotated[str, typer.Option(
+        help='Of new cases: all, no_valve, no_velocity or force_only')] = 'all',
+    workers: Annotated[int, typer.Option(help='Processes', min=1)] = 2,
+    out: Annotated[Path, typer.Option(
+        help='Directory for new cases; it must not exist')] = Path('runs/gap_check'),
+    as_json: Json = False,
+) -> None:
+    """Diagnose blind cases, then open the sealed answers and say how often it was right."""
+    from asi_analysis.gap.check import check, show
+    for name, value, allowed in (
+            ('--world', world, ('textbook', 'full')), ('--load', load, ('spring', 'locked')),
+            ('--signals', signals, ('all', 'no_valve', 'no_velocity', 'force_only'))):
+        if value not in allowed:
+            raise InputError(f'{name} {value!r} is not allowed: one of {", ".join(allowed)}')
+    with progress() as told:
+        if directory is None:
+            from asi_examiner.bags import write_cases
+            if out.exists():
+                raise InputError(f'{out} exists already: give another --out, or that directory '
+                                 'as an argument to check it again')
+            for done in write_cases(out, cases, seed, world, load, signals, workers):
+                told(f'{done} of {cases} cases written', done / cases)
+        document = check(directory or out, told, workers)
+    answer(document, as_json, show)
+
+
 def _figure(value: float | None, unit: str, scale: float = 1.0, digits: int = 4) -> str:
     return '-' if value is None else f'{value * scale:.{digits}g} {unit}'
 

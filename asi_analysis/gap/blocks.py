@@ -40,7 +40,8 @@ EFFECT_FIELDS = (
     'loop_share',               # share of the command that goes through the plays
     'loop_spread',              # 0: all plays equally wide, 1: from nothing to loop_width
     'command_deadband',         # N, half width
-    'valve_lag',                # s
+    'valve_lag',                # s, of two lags one after the other
+    'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
     'orifice_deadband',         # m, half width
     'force_limit',              # N, 0: none
@@ -68,6 +69,7 @@ EFFECT_FIELDS = (
     'backlash_memory',          # 1: the load stays where it was left, 0: springs back
     'compliance',               # m/N
     'compliance_damping',       # s
+    'piston_share',             # share of the mass before the compliance
     'disturbance',              # N
     'disturbance_cosine',       # N
     'disturbance_sine',         # N
@@ -77,7 +79,8 @@ EFFECT_FIELDS = (
     'disturbance_end',          # s
     'sensor_offset',            # N
     'sensor_gain_error',        # N/N
-    'sensor_lag',               # s
+    'sensor_lag',               # s, of two lags one after the other
+    'sensor_lag_split',         # share of the second
     'sensor_drift',             # N/s
     'sensor_drift_curve',       # N/s2
     'load_offset',              # N, a constant that a joint's nominal model declares
@@ -158,12 +161,13 @@ def valve(command, p, e, period, count, out):
     decay = rate_decay(p, h)
     coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
     flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
-    keep, old, new = lag_weights(e.valve_lag, h)
+    keep, old, new = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
+    keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
     start = command[0] + e.command_bias
     plays = np.full(PLAYS, start)
     filtered, flux = start, start
     before = dead_zone(start, e.command_deadband)
-    lagged, coil, pipe, pipe_rate = before, before, before, 0.0
+    first, lagged, coil, pipe, pipe_rate = before, before, before, before, 0.0
     for k in range(out.shape[0]):
         position = valve_position(pipe, p)
         if e.valve_limit > 0.0:
@@ -181,7 +185,9 @@ def valve(command, p, e, period, count, out):
             drive = loop(plays, saturated(flux, p), e)
             after = dead_zone(drive, e.command_deadband)
             lagged_before = lagged
-            lagged = keep * lagged + old * before + new * after
+            first_before = first
+            first = keep * first + old * before + new * after
+            lagged = keep_2 * lagged + old_2 * first_before + new_2 * first
             before = after
             if p.valve_flexure_model == FULL:
                 mean = 0.5 * (lagged_before + lagged) if e.valve_lag > 0.0 else lagged
@@ -272,7 +278,8 @@ def force(position, velocity, p, e, period, count, out):
     sensor_gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
 
     keep, old, new = lag_weights(fluid_time, h)
-    sensor_keep, sensor_old, sensor_new = lag_weights(e.sensor_lag, h)
+    slow = lag_weights(e.sensor_lag * (1.0 - e.sensor_lag_split), h)
+    slower = lag_weights(e.sensor_lag * e.sensor_lag_split, h)
     steady = (e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0)
     opening_keep = math.exp(-h / e.supply_time)
 
@@ -281,7 +288,8 @@ def force(position, velocity, p, e, period, count, out):
     hydraulic = target
     seal, extra, rub = inner_friction(seal, extra, velocity[0], velocity[0], p, e, h)
     transmitted = hydraulic - rub
-    sensor, sensor_rate, sensed, lagged = transmitted, 0.0, transmitted, transmitted
+    sensor, sensor_rate, sensed = transmitted, 0.0, transmitted
+    first, lagged = transmitted, transmitted
     ring[:] = transmitted
     index = 0
     for k in range(out.shape[0]):
@@ -313,7 +321,9 @@ def force(position, velocity, p, e, period, count, out):
                 sensed = delay(ring, index, sensor, wait)
             else:
                 sensed = sensor_gain * transmitted
-            lagged = sensor_keep * lagged + sensor_old * sensed_before + sensor_new * sensed
+            first_before = first
+            first = slow[0] * first + slow[1] * sensed_before + slow[2] * sensed
+            lagged = slower[0] * lagged + slower[1] * first_before + slower[2] * first
 
 
 @jit
@@ -407,7 +417,9 @@ def load_constants(p: np.void) -> tuple[float, float, float]:
 def sensor_response(omega: Array, p: np.void) -> Complex:
     """Return the frequency response of the sensor, gain and lag included; omega in rad/s."""
     s = 1j * omega
-    response = 1.0 / (1.0 + s * p['sensor_lag'])
+    split = p['sensor_lag_split']
+    response = 1.0 / ((1.0 + s * p['sensor_lag'] * (1.0 - split))
+                      * (1.0 + s * p['sensor_lag'] * split))
     if p['force_sensor_model'] == FULL:
         w = 2.0 * math.pi * p['force_sensor_natural_frequency']
         response = response * np.exp(-s * p['force_sensor_delay']) / (
@@ -425,10 +437,17 @@ def impedance(omega: Array, p: np.void) -> Complex:
     return mass * 1j * omega + damping
 
 
-def compliance_response(omega: Array, p: np.void) -> Complex:
-    """Return what a compliance between piston and load leaves of the load's force."""
+def compliant(omega: Array, velocity: Complex, position: Complex, p: np.void) -> Complex:
+    """
+    Return the spectrum of the force that a load behind a compliance takes.
+
+    velocity, position: spectra of the piston's motion.
+    """
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega
-    rigid = mass * s * s + damping * s + stiffness
+    before = mass * p['piston_share']
+    behind = mass - before
     soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
-    return 1.0 / (1.0 + soft * rigid)
+    left = 1.0 / (1.0 + soft * (behind * s * s + damping * s + stiffness))
+    return (before * s * velocity
+            + left * ((behind * s + damping) * velocity + stiffness * position))

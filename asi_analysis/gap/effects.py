@@ -122,7 +122,8 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
     )),
     Effect('valve_lag', VALVE, 'the valve follows later, the faster the less', (
-        Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
+        Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
+                 Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE),
         Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
                 needs=('valve_flexure_model',)),
     )),
@@ -167,8 +168,9 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('backlash', 0.0, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
                 (('backlash_memory', memory),)) for memory in (0.0, 1.0))),
     Effect('load_compliance', MECHANICS, 'the load gives way between piston and mass', (
-        Variant((Free('compliance', 0.0, 2.0, (0.05, 0.3), 'compliance', 'm/N'),
-                 Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's')), LOAD_SIDE),
+        Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),
+                 Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's'),
+                 Free('piston_share', 0.0, 0.8, (0.1, 0.5))), LOAD_SIDE),
     )),
     Effect('disturbance_force', MECHANICS, 'something else pushes the load', (
         Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
@@ -187,7 +189,8 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('sensor_gain_error', -0.7, 1.0, (0.05, -0.05)),), BOTH),
     )),
     Effect('sensor_lag', SENSOR, 'the force sensor follows late', (
-        Variant((Free('sensor_lag', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),), BOTH),
+        Variant((Free('sensor_lag', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
+                 Free('sensor_lag_split', 0.0, 0.5, (0.1,))), BOTH),
     )),
     Effect('sensor_drift', SENSOR, 'the zero of the force sensor wanders', (
         Variant((Free('sensor_drift', -1.0, 1.0, (0.02, -0.02), 'drift', 'N/s'),

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 from scipy.signal import welch
 
 from asi_actuator.model.jit import FULL
@@ -32,6 +32,7 @@ STEP_S = 2.5e-4
 HYSTERESIS_STEP_S = 1e-4
 PULL = 1.0           # of the start, on a parameter that is a whole range away
 ROUNDS = 15          # of the optimiser
+LARGEST = 3.0        # times a start that an effect is taken to be
 STARTS = 2           # of the best starting points that are followed
 
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
@@ -161,7 +162,8 @@ def _load(recording: Recording, p: np.void) -> Array:
                           blocks.parts(p)[1], recording.period_s,
                           -motion.pad * recording.period_s, extra)
     if p['compliance'] > 0.0:
-        linear = linear * blocks.compliance_response(motion.omega, p)
+        linear = blocks.compliant(motion.omega, motion.velocity_spectrum,
+                                  motion.position_spectrum, p)
     total = (linear + np.fft.rfft(extra)) * blocks.sensor_response(motion.omega, p) * motion.judge
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
@@ -350,7 +352,8 @@ def shows_in(field: str, channel: str, group: Group) -> bool:
 
 
 def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
-        fixed: Sequence[tuple[str, float]] = ()) -> Fitted:
+        fixed: Sequence[tuple[str, float]] = (), method: str = 'dogbox',
+        rounds: int = ROUNDS) -> Fitted:
     """
     Return the best fit of the free parameters, from the best few of the starts.
 
@@ -370,8 +373,8 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
             return np.vstack([problem.jacobian(theta), pull])
 
         # dogbox: it lets parameters rest on their bounds, where trf creeps along them.
-        solution = least_squares(residual, start, jacobian, bounds=(0.0, 1.0), method='dogbox',
-                                 x_scale='jac', max_nfev=ROUNDS, ftol=1e-4, xtol=1e-5, gtol=1e-9)
+        solution = least_squares(residual, start, jacobian, bounds=(0.0, 1.0), method=method,
+                                 x_scale='jac', max_nfev=rounds, ftol=1e-4, xtol=1e-5, gtol=1e-9)
         if solution.cost < best_cost:
             best_cost, best_theta = float(solution.cost), solution.x
     record = problem.record(best_theta)
@@ -442,10 +445,27 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
 
 
 def fit_null(group: Group) -> Fitted:
-    """Return the nominal model with its uncertain parameters refitted."""
+    """
+    Return the nominal model with its uncertain parameters refitted.
+
+    By two optimisers: one that is stuck here would make any effect look like an explanation.
+    """
     theta = np.array([_share(_start(free, group), *_bounds(free, group))
                       for free in group.nuisance])
-    return fit(group, group.nuisance, [theta])
+    quick = fit(group, group.nuisance, [theta])
+    slow = fit(group, group.nuisance, [theta], method='trf', rounds=3 * ROUNDS)
+    return min(quick, slow, key=lambda fitted: fitted.cost)
+
+
+def refit_null(group: Group, null: Fitted, others: Sequence[Fitted]) -> Fitted:
+    """Return the null refit, tried again from where other hypotheses took its parameters."""
+    best = null
+    for other in others:
+        theta = np.array([_share(float(other.record[free.field]), *_bounds(free, group))
+                          for free in group.nuisance])
+        again = fit(group, group.nuisance, [theta])
+        best = min(best, again, key=lambda fitted: fitted.cost)
+    return best
 
 
 def _start(free: Free, group: Group, index: int = 0) -> float:
@@ -509,33 +529,36 @@ class Promise:
     """
     How much an effect on top of a fit could explain, from a few simulations of it.
 
-    At each of its starts the change that it makes is freed of what the parameters already fitted
-    could do as well (projection), and taken at its best size.
+    At each of its starts: the least squares of what is left over the change that the effect
+    makes, at any size up to LARGEST times, and over the parameters that are fitted already, all
+    of it linear and within the bounds.
     """
 
     def __init__(self, base: Fitted) -> None:
         self._base = base
         self._left = base.problem.residual(base.theta)
-        basis, triangle = np.linalg.qr(base.problem.jacobian(base.theta))
-        size = np.abs(np.diag(triangle))
-        self._basis = basis[:, size > 1e-6 * size.max()]
-        self._left_over = self._clear(self._left)
-
-    def _clear(self, values: Array) -> Array:
-        return values - self._basis @ (self._basis.T @ values)
+        self._jacobian = base.problem.jacobian(base.theta)
+        self._square = self._jacobian.T @ self._jacobian
+        self._right = self._jacobian.T @ self._left
 
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
         """Return the cost that a fit of these variants may be expected to reach."""
         problem, starts = _added(group, self._base, variants)
-        least = whole = float(self._left_over @ self._left_over)
-        for start in starts:
-            there = self._clear(problem.residual(start))
-            change = there - self._left_over
-            size = float(change @ change)
-            along = max(-float(change @ self._left_over), 0.0)
-            least = min(least, float(there @ there),
-                        whole - along * along / size if size > 0.0 else whole)
-        return 0.5 * least
+        return min(self._linear(problem.residual(start) - self._left) for start in starts)
+
+    def _linear(self, change: Array) -> float:
+        cross = self._jacobian.T @ change
+        gram = np.block([[self._square, cross[:, None]], [cross[None], change @ change]])
+        size = np.sqrt(np.diag(gram)) + 1e-30
+        # The same small problem by its triangle: |triangle x + right| up to a constant.
+        triangle = np.linalg.cholesky(gram / np.outer(size, size)
+                                      + 1e-9 * np.eye(len(size))).T
+        slope = np.append(self._right, change @ self._left) / size
+        right = -np.linalg.solve(triangle.T, slope)
+        low = np.append(-self._base.theta, 0.0) * size
+        high = np.append(1.0 - self._base.theta, LARGEST) * size
+        solution = lsq_linear(triangle, right, (low - 1e-12, high + 1e-12), 'bvls')
+        return 0.5 * (float(self._left @ self._left) - float(right @ right)) + solution.cost
 
 
 def residual_frequency(group: Group, fitted: Fitted) -> float:

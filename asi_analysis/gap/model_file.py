@@ -17,7 +17,7 @@ HELD = ('command_delay', 'loop_width', 'valve_lag', 'damping_viscous', 'supply_d
         'viscous', 'disturbance', 'sensor_offset', 'sensor_gain_error', 'sensor_lag')
 SHAPE = ('loop_share', 'loop_spread', 'friction_bristle', 'friction_inside', 'force_scale',
          'supply_time', 'corner', 'air_stiffening', 'damping_opening', 'damping_quadratic',
-         'supply_sag')
+         'supply_sag', 'valve_lag_split', 'sensor_lag_split', 'piston_share')
 
 
 def slower(corner_hz: float, lag_s: float) -> float:

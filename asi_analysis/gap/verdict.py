@@ -19,6 +19,7 @@ from asi_analysis.gap.fit import (
     channels_of,
     fit_null,
     fit_variants,
+    refit_null,
     residual_frequency,
 )
 
@@ -49,7 +50,9 @@ CONSTANTS = Constants()
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
-SINGLES, FOLLOWED, PAIRS, FORMS = 9, 3, 4, 2
+SINGLES, FOLLOWED, PAIRS, FORMS = 8, 3, 4, 2
+LEAST_PROMISE = 0.02   # of the cost: what promises less is not fitted
+RETRIED = 3        # hypotheses from whose parameters the null refit is tried again
 WORTH = 0.8        # times the floor: what must be left for another effect to be tried
 
 
@@ -95,6 +98,10 @@ def candidates_of(group: Group, tick: Callable[[], None] = lambda: None) -> dict
     found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: -_log_evidence(group, c.fitted.held_out, CONSTANTS))
+    null = refit_null(group, null, [single.fitted for single in singles[:RETRIED]])
+    found[()] = Candidate((), (), null)
+    if excess(group, null.held_out) < WORTH:
+        return {(): found[()]}
     for first in singles[:FOLLOWED]:
         pairs = {tuple(sorted({*first.names, effect.name})): list(_second(group, first, effect))
                  for effect in EFFECTS if effect.name not in first.names}
@@ -112,7 +119,8 @@ def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[
     for names, forms in choices.items():
         costs = [(promise.cost(group, variants), number)
                  for number, variants in enumerate(forms)]
-        promised += [(cost, names, forms[number]) for cost, number in sorted(costs)[:FORMS]]
+        promised += [(cost, names, forms[number]) for cost, number in sorted(costs)[:FORMS]
+                     if cost < (1.0 - LEAST_PROMISE) * base.cost]
         tick()
     promised.sort(key=lambda entry: entry[0])
     chosen = list(dict.fromkeys(names for _, names, _ in promised))[:most]
