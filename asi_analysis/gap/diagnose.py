@@ -11,7 +11,7 @@ from asi_actuator.parameters import Value
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap import next_experiment, quality, where
 from asi_analysis.gap.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
-from asi_analysis.gap.fit import TOLERANCE, Group, make_group, plant_record
+from asi_analysis.gap.fit import TOLERANCE, Group, fit_null, make_group, plant_record
 from asi_analysis.gap.joint import drive_of, joint_groups
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.shrink import Shrink, shrink_of
@@ -114,10 +114,9 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
 
     weighed = []
     for group in groups:
-        found = candidates_of(group, tick)
         if plant == 'actuator':
-            quality.check_against_model(group, found[()].fitted.record)
-        weighed.append(weigh(group, found))
+            quality.check_against_model(group)
+        weighed.append(weigh(group, candidates_of(group, fit_null(group), tick)))
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     for note in notes:

@@ -457,14 +457,14 @@ def fit_null(group: Group) -> Fitted:
     return min(quick, slow, key=lambda fitted: fitted.cost)
 
 
-def refit_null(group: Group, null: Fitted, others: Sequence[Fitted]) -> Fitted:
-    """Return the null refit, tried again from where other hypotheses took its parameters."""
-    best = null
+def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
+    """Return a fit, tried again from where richer hypotheses took its parameters."""
+    best = fitted
     for other in others:
         theta = np.array([_share(float(other.record[free.field]), *_bounds(free, group))
-                          for free in group.nuisance])
-        again = fit(group, group.nuisance, [theta])
-        best = min(best, again, key=lambda fitted: fitted.cost)
+                          for free in fitted.free])
+        again = fit(group, fitted.free, [theta], fitted.problem.fixed)
+        best = min(best, again, key=lambda each: each.cost)
     return best
 
 

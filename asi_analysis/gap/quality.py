@@ -52,11 +52,11 @@ def check_motion(recording: Recording, position: Array | None) -> list[str]:
     return []
 
 
-def check_against_model(group: Group, p: np.void) -> None:
+def check_against_model(group: Group) -> None:
     """Refuse what no effect could do to these channels."""
     for recording in group.recordings:
         for channel in group.channels:
-            real, model = measured(recording, channel), predict(recording, channel, p)
+            real, model = measured(recording, channel), predict(recording, channel, group.nominal)
             kept = recording.fit | recording.held_out
             output, driven = COMPARED[channel]
             where = f'{recording.source}: {output} against what the model makes of {driven}'
@@ -71,13 +71,13 @@ def check_against_model(group: Group, p: np.void) -> None:
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
                                  f'and of {driven}, or the model')
             shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
+            if shifted < UNLIKE:
+                raise InputError(f'{where}: nothing in common (correlation {alike:.2f}): this is '
+                                 'not the actuator of the model, or not the signal that it says')
             if shifted > alike + IMPROVED and not -EARLY_S <= shift <= LATE_S:
                 raise InputError(f'{where}: {"late" if shift > 0.0 else "early"} by '
                                  f'{abs(shift) * 1e3:.0f} ms (correlation {alike:.2f}, shifted '
                                  f'{shifted:.2f}): the clocks of {output} and {driven} differ')
-            if shifted < UNLIKE:
-                raise InputError(f'{where}: nothing in common (correlation {alike:.2f}): this is '
-                                 'not the actuator of the model, or not the signal that it says')
 
 
 def best_shift(real: Array, model: Array, period: float) -> tuple[float, float]:

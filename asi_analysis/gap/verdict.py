@@ -17,9 +17,8 @@ from asi_analysis.gap.fit import (
     Promise,
     Values,
     channels_of,
-    fit_null,
     fit_variants,
-    refit_null,
+    refit,
     residual_frequency,
 )
 
@@ -52,7 +51,7 @@ USUAL_S = 5.0
 # of how many; and in how many of its forms each is fitted.
 SINGLES, FOLLOWED, PAIRS, FORMS = 8, 3, 4, 2
 LEAST_PROMISE = 0.02   # of the cost: what promises less is not fitted
-RETRIED = 3        # hypotheses from whose parameters the null refit is tried again
+RETRIED = 3        # hypotheses from whose parameters the null fit is tried again
 WORTH = 0.8        # times the floor: what must be left for another effect to be tried
 
 
@@ -84,9 +83,9 @@ def _log_evidence(group: Group, left: Values, c: Constants) -> float:
                for channel in group.channels)
 
 
-def candidates_of(group: Group, tick: Callable[[], None] = lambda: None) -> dict[Names, Candidate]:
-    """Fit the nominal model, every effect, and pairs of the best with every other."""
-    null = fit_null(group)
+def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda: None
+                  ) -> dict[Names, Candidate]:
+    """Fit every effect on top of the nominal model's fit, and pairs of the best with others."""
     found: dict[Names, Candidate] = {(): Candidate((), (), null)}
     if excess(group, null.held_out) < WORTH:
         return found
@@ -98,7 +97,7 @@ def candidates_of(group: Group, tick: Callable[[], None] = lambda: None) -> dict
     found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: -_log_evidence(group, c.fitted.held_out, CONSTANTS))
-    null = refit_null(group, null, [single.fitted for single in singles[:RETRIED]])
+    null = refit(group, null, [single.fitted for single in singles[:RETRIED]])
     found[()] = Candidate((), (), null)
     if excess(group, null.held_out) < WORTH:
         return {(): found[()]}
@@ -108,6 +107,12 @@ def candidates_of(group: Group, tick: Callable[[], None] = lambda: None) -> dict
         found |= _most_promising(group, first.fitted, {
             names: variants for names, variants in pairs.items() if names not in found}, PAIRS,
             tick)
+    for first in singles[:FOLLOWED]:
+        richer = sorted((c.fitted for names, c in found.items()
+                         if len(names) == 2 and set(first.variants) <= set(c.variants)),
+                        key=lambda fitted: fitted.cost)
+        better = [fitted for fitted in richer[:1] if fitted.cost < 0.98 * first.fitted.cost]
+        found[first.names] = first._replace(fitted=refit(group, first.fitted, better))
     return found
 
 

@@ -1,0 +1,125 @@
+"""The diagnosis of the gap: what it finds, what it refuses, how it is scored."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import asi_analysis.gap
+from asi_actuator.model.actuator import simulate
+from asi_actuator.parameters import as_record
+from asi_analysis import json_keys
+from asi_analysis.errors import InputError
+from asi_analysis.gap.check import score
+from asi_analysis.gap.diagnose import diagnose, document, plain
+from asi_analysis.run import Run
+
+TEXTBOOK = {'load.type': 'spring', 'valve_hysteresis.model': 'off',
+            'valve_characteristic.model': 'off', 'hydraulic_damping.model': 'linear',
+            'friction.model': 'off', 'force_sensor.model': 'off'}
+# The real machine differs from its model by a tenth in what is uncertain.
+REAL = {**TEXTBOOK, 'load.stiffness': 2.2e5, 'load.mass': 0.45,
+        'hydraulic_damping.linear_gain': 1100.0, 'valve_characteristic.gain': 0.5}
+
+
+def recorded(**changed: object) -> Run:
+    """Return 6 s of a machine under steps and sines, with noise."""
+    rng = np.random.default_rng(5)
+    time = np.arange(6000) * 1e-3
+    steps = np.repeat(rng.uniform(-1.0, 1.0, 30), 200)
+    sines = sum(np.sin(2.0 * np.pi * f * time) for f in (2.3, 11.0, 31.0))
+    command = 500.0 * steps + 120.0 * sines
+    values = {**REAL, **{name.replace('__', '.'): value for name, value in changed.items()}}
+    run = simulate(as_record(values), command, 1e-3)
+    return Run(time, command_n=command, force_n=run.force_n + rng.normal(0.0, 1.0, 6000),
+               valve_position_m=run.valve_position_m + rng.normal(0.0, 2e-8, 6000),
+               position_m=run.position_m + rng.normal(0.0, 1e-6, 6000),
+               velocity_m_s=run.velocity_m_s + rng.normal(0.0, 5e-4, 6000), source='real')
+
+
+def test_errors_within_the_tolerance_are_no_gap():
+    answer = plain(document(diagnose([recorded()], TEXTBOOK)))
+    assert answer['verdict'] == 'no_gap'
+    assert answer['probability'] > 0.9
+    # Refitting alone mends it.
+    assert answer['gap']['after_nrmse'] < 1.2 * answer['gap']['refitted_nrmse']
+    answer['report'] = None
+    assert json_keys.problems(answer, json_keys.DOCUMENTS['asi gap']) == []
+
+
+@pytest.mark.parametrize(('changed', 'effect', 'field', 'value'), [
+    ({'valve_flexure__delay': 4.003e-3}, 'transport_delay', 'command_delay', 3e-3),
+    ({'valve_hysteresis__model': 'full', 'valve_hysteresis__radius': 60.0,
+      'valve_hysteresis__lag_time': 0.0}, 'valve_hysteresis', None, None),
+    ({'force_sensor__offset': 25.0}, 'sensor_offset', 'sensor_offset', 25.0),
+    ({'load__external_force': 40.0}, 'disturbance_force', 'disturbance', 40.0),
+])
+def test_effect_is_named(changed, effect, field, value):
+    answer = document(diagnose([recorded(**changed)], TEXTBOOK))
+    assert answer['verdict'] == effect
+    first = answer['which'][0]
+    assert (first['effect'], answer['where'][0]['block']) == (effect, first['block'])
+    if field:
+        assert first['parameters'][field] == pytest.approx(value, rel=0.15)
+    assert answer['gap']['after_nrmse'] < 0.03
+    assert answer['gap']['shrink_low'] <= answer['gap']['shrink'] <= answer['gap']['shrink_high']
+
+
+def _late(run: Run, samples: int) -> Run:
+    return dataclasses.replace(run, force_n=np.roll(run.force_n, samples))
+
+
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (lambda r: dataclasses.replace(r, force_n=-r.force_n), 'force.*sign is reversed'),
+    (lambda r: dataclasses.replace(r, valve_position_m=1e3 * r.valve_position_m),
+     'valve_position.*factor of (9|1)'),
+    (lambda r: dataclasses.replace(r, force_n=np.where(r.time_s > 3.0, np.nan, r.force_n)),
+     'force misses 50 %'),
+    (lambda r: r[:500], 'too short'),
+    (lambda r: dataclasses.replace(
+        r, command_n=np.random.default_rng(1).normal(0.0, 1.0, len(r))), 'no excitation: command'),
+    (lambda r: _late(r, 150), 'force.*late by 1[45]'),
+    (lambda r: _late(r, -50), 'force.*early by (49|50)'),
+    (lambda r: dataclasses.replace(r, valve_position_m=1e-5 * np.sin(
+        np.cumsum(np.random.default_rng(2).normal(0.0, 0.1, len(r))))),
+     'valve_position.*nothing in common'),
+])
+def test_recording_that_would_mislead_is_refused(spoil, words):
+    with pytest.raises(InputError, match=words):
+        diagnose([spoil(recorded())], TEXTBOOK)
+
+
+def test_velocity_in_another_unit_is_said():
+    run = recorded()
+    with pytest.warns(UserWarning, match='velocity is not the derivative of position'):
+        diagnosis = diagnose([dataclasses.replace(run, velocity_m_s=-run.velocity_m_s)], TEXTBOOK)
+    assert any('velocity' in note for note in diagnosis.notes)
+
+
+def test_diagnosis_does_not_know_the_examiner():
+    for path in Path(asi_analysis.gap.__file__).parent.glob('*.py'):
+        assert 'asi_examiner' not in path.read_text(), path
+
+
+def _said(verdict: str, probability: float, effect: str, block: str) -> dict[str, object]:
+    return {'verdict': verdict, 'probability': probability, 'ambiguity_set': [verdict],
+            'which': [{'effect': effect, 'block': block, 'probability': probability}],
+            'where': [{'block': block, 'share': 1.0}], 'seconds': 1.0,
+            'gap': {'shrink': 0.9, 'shrink_low': 0.8, 'shrink_high': 0.95}, 'fresh_shrink': 0.7}
+
+
+def test_score_counts_what_was_said_against_the_truth():
+    lag = {'kind': 'effect', 'effects': ['valve_lag'], 'blocks': ['valve'], 'excitation': 'loop'}
+    none = {'kind': 'none', 'effects': [], 'blocks': [], 'excitation': 'loop'}
+    rows = [{'bag': 'a', **_said('valve_lag', 0.95, 'valve_lag', 'valve')},
+            {'bag': 'b', **_said('valve_bias', 0.95, 'valve_bias', 'valve')},
+            {'bag': 'c', **_said('stiction', 0.6, 'stiction', 'mechanics')}]
+    figures = score(rows, {'a': lag, 'b': lag, 'c': none})
+    assert figures['effect_accuracy'] == 0.5
+    assert figures['block_accuracy'] == 1.0
+    assert figures['ambiguity_coverage'] == 0.5
+    assert figures['false_alarm_rate'] == 1.0
+    assert figures['confidently_wrong_rate'] == pytest.approx(1 / 3)
+    assert figures['interval_coverage'] == 0.0
+    assert figures['unknown_rate'] is None
