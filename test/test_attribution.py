@@ -1,9 +1,21 @@
 """Which nonlinearity: the paper's argument as a table, and the shape of foreign oscillations."""
 
+import json
+
+import numpy as np
 import pytest
 
 from asi_analysis import json_keys
+from asi_analysis.attribution import valves
 from asi_analysis.attribution.ablation import NONLINEARITIES, attribute, shapley
+from asi_analysis.attribution.calibration import WEIGHTS, examples, judged
+from asi_analysis.attribution.loops import loop
+from asi_analysis.attribution.recording import attribute_run
+from asi_analysis.attribution.shape import FEATURES, shape
+from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.errors import InputError
+from asi_analysis.experiment import Experiment, checked, information
+from asi_analysis.run import Run
 
 
 def test_shapley_values_add_up_and_share_what_only_a_pair_does():
@@ -51,3 +63,61 @@ def test_balance_meets_each_simulated_cycle_of_the_table(table):
 def test_linear_instability_is_not_blamed_on_a_nonlinearity():
     found = attribute({}, {'reference.amplitude': 100.0}, 5000.0, gain=14.0)
     assert 'linear instability' in found['verdict']
+
+
+def test_play_and_stiction_do_what_their_words_say():
+    up_and_down = np.concatenate([np.linspace(0, 1, 101), np.linspace(1, 0, 101)[1:]])
+    play = valves.stick(up_and_down, 0.2, 0.2, 1)
+    assert play[100] == pytest.approx(0.8) and play[120] == pytest.approx(0.8)
+    assert play[-1] == pytest.approx(0.2)
+    jumps = np.abs(np.diff(valves.stick(up_and_down, 0.3, 0.0, 1)))
+    assert jumps[jumps > 0].min() == pytest.approx(0.3, abs=0.02)
+
+
+def test_saturation_and_tight_tuning_are_told_by_shape():
+    random = np.random.default_rng(77)
+    for cause in ('saturation', 'tight_tuning'):
+        run = None
+        while run is None:
+            run = loop(cause, random)
+        found = attribute_run(run)
+        assert found['causes'][0]['nonlinearity'] == cause
+        assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
+
+
+def test_weights_are_right_on_loops_that_they_have_not_seen():
+    features, causes = examples(4, seed=99)
+    judged_ = judged(features, causes, json.loads(WEIGHTS.read_text()))
+    assert judged_['right'] > 0.6      # six causes: chance is 0.17
+    assert judged_['right_when_sure'] in (None, 1.0) or judged_['right_when_sure'] > 0.8
+
+
+def test_units_sign_and_time_scale_of_the_output_change_nothing():
+    random = np.random.default_rng(5)
+    run = None
+    while run is None:
+        run = loop('stiction', random)
+    plain = shape(run.time_s, run.command_n, run.force_n).features
+    other = shape(60.0 * run.time_s, 5.0 + 0.01 * run.command_n,
+                  100.0 - 30.0 * run.force_n).features
+    third = [k for k, name in enumerate(FEATURES) if 'gain' not in name and 'over' not in name]
+    assert other[third] == pytest.approx(plain[third], abs=0.05)
+
+
+def test_bag_of_this_actuator_is_judged_by_its_model():
+    experiment = checked(Experiment({}, {'compensator': 'proportional', 'gain': 10.0,
+                                         'reference.shape': 'step',
+                                         'reference.amplitude': 100.0}, 0.8))
+    made = simulate_loop(experiment.actuator, experiment.controller, 0.8)
+    found = attribute_run(Run(made.time_s, made.reference_n, made.command_n, made.force_n,
+                              source='bag', information=information(experiment)))
+    best = max(found['causes'], key=lambda cause: cause['probability'])
+    assert best['nonlinearity'] == 'valve_hysteresis' and best['probability'] > 0.9
+    assert 'valve hysteresis causes the cycle' in found['verdict']
+    assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
+
+
+def test_output_without_command_is_refused():
+    t = np.arange(1000) / 100.0
+    with pytest.raises(InputError, match='command and output'):
+        attribute_run(Run(t, force_n=np.sin(t)))

@@ -19,7 +19,12 @@ Array = npt.NDArray[np.float64]
 
 KINDS: Final = ('linear', 'stiction', 'backlash', 'hysteresis', 'saturation')
 WIDTHS: Final = (0.08, 0.16, 0.26, 0.38, 0.5, 0.62, 0.74, 0.84, 0.92)
-SLIPS: Final = (0.0, 0.25, 0.5, 0.75)
+# A valve that slips to `slip` times its width passes a swing of (1 + slip) widths or more: these
+# are shares of the largest width that the swing of the command moves.
+STUCK: Final = (0.3, 0.5, 0.65, 0.78, 0.88, 0.95)
+SLIPS: Final = (0.0, 0.2, 0.4, 0.6, 0.75)
+# Cycles at the begin that do not count: the valve's position there is not known.
+UNKNOWN: Final = 1.3
 CLIPS: Final = (0.85, 0.7, 0.5, 0.3)
 # Lags in cycles; the last is an integrator in all but name.
 LAGS: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 1.0, 5.0)
@@ -52,16 +57,19 @@ def around(values: Array, cycle: float) -> Array:
     return signal.sosfiltfilt(sections, values, axis=-1, padlen=pad)
 
 
-def _candidates(command: Array) -> list[tuple[str, float, float, Array]]:
-    half = 0.5 * float(np.ptp(command))
+def _candidates(command: Array, first: int) -> list[tuple[str, float, float, Array]]:
+    # Without the extremes of noise.
+    half = 0.5 * float(np.subtract(*np.percentile(command, [98.5, 1.5])))
     found = [('linear', 0.0, 1.0, command)]
-    for width in WIDTHS:
-        found += [('stiction', width * half, slip,
-                   valves.stick(command, width * half, slip * width * half)) for slip in SLIPS]
-        found.append(('backlash', width * half, 1.0,
-                      valves.stick(command, width * half, width * half)))
-        found.append(('hysteresis', width * half, 1.0,
-                      valves.hysteresis(command, width * half)))
+    for slip in SLIPS:
+        for share in STUCK:
+            width = share * 2.0 * half / (1.0 + slip)
+            found.append(('stiction', width, slip,
+                          valves.stick(command, width, slip * width, first)))
+    for share in WIDTHS:
+        width = share * half
+        found.append(('backlash', width, 1.0, valves.stick(command, width, width, first)))
+        found.append(('hysteresis', width, 1.0, valves.hysteresis(command, width, first)))
     found += [('saturation', share * half, 1.0, valves.clip(command, share)) for share in CLIPS]
     return found
 
@@ -73,10 +81,10 @@ def explain(command: Array, output: Array, cycle: float) -> dict[str, Explanatio
     A slow trend of either signal does not count.
     """
     target = around(output, cycle)
-    skip = int(cycle)
+    skip = int(UNKNOWN * cycle)
     shifts = np.unique(np.round(np.linspace(0.0, LONGEST_DELAY * cycle, DELAYS)).astype(int))
     best: dict[str, Explanation] = {}
-    for kind, width, slip, valve in _candidates(command):
+    for kind, width, slip, valve in _candidates(command, skip):
         if np.ptp(valve[skip:]) == 0.0:
             continue
         lagged = np.array([_lag(valve - valve.mean(), lag * cycle) for lag in LAGS])

@@ -102,7 +102,7 @@ def loop(cause: str, random: Random) -> Run | None:
     noise = 10.0 ** random.uniform(-2.3, -0.9)
     plant = _plant(random, aggressive)
     if cause == 'stiction':
-        static, slip = np.ones(1), random.uniform(0.0, 0.7)
+        static, slip = np.ones(1), random.uniform(0.0, 0.4)
     elif cause in ('backlash', 'hysteresis'):
         # Either lags only, so it cycles with two integrations in the loop, or nearly so.
         static = np.ones(1) if cause == 'backlash' else np.linspace(1.0, 11.0, 6) / 6.0

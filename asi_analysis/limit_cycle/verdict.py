@@ -43,6 +43,10 @@ CLAIM: Final = 0.9
 # far passes with 0.96 of its fundamental.
 STOPPED: Final = 0.25
 SURROGATES: Final = 200
+# Standard deviations of the surrogates by which an envelope must stand out.
+TELLING: Final = 4.0
+# Share of the scatter of an envelope's logarithm that a straight line must explain to be a decay.
+STRAIGHT: Final = 0.85
 
 
 class Segment(NamedTuple):
@@ -287,12 +291,24 @@ def _judge_line(run: Run, piece: _Piece, came_from: str) -> tuple[str, float, st
         return 'limit_cycle', limit_cycle, (
             f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
             + (evidence or 'a decay smaller than any linear loop would have by chance'))
-    fall, trend = _surrogate_scores(piece.time_s, piece.values, steady.frequency_hz)[1:]
-    if abs(trend) > 3.0:
-        return _trend_verdict(fall, trend)
+    if change > 0.5 and _straight(piece):
+        # Its frequency follows its amplitude, so that no one sine fits it; the envelope is plain.
+        verdict = 'decaying' if moving.rate < 0.0 else 'growing'
+        return verdict, CLAIM, (f'the envelope changes by a factor '
+                                f'{np.exp(np.copysign(change, moving.rate)):.3g}, evenly')
     return 'unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing), (
         f'steady as far as {steady.cycles:.3g} cycles show, but so might a linear loop close to '
         'its stability limit be: a longer or cleaner record would tell')
+
+
+def _straight(piece: _Piece) -> bool:
+    """Return whether the envelope of a piece is a straight line in its logarithm."""
+    assert piece.steady is not None
+    level = np.log(np.maximum(env.envelope(piece.time_s, piece.values,
+                                           piece.steady.frequency_hz).amplitude, 1e-300))
+    if len(level) < 6:
+        return False
+    return float(np.corrcoef(np.arange(len(level)), level)[0, 1] ** 2) > STRAIGHT
 
 
 def _harmonics(run: Run, piece: _Piece) -> str:
@@ -418,14 +434,14 @@ def _judge_noise(t: Array, y: Array, frequency: float
     """
     piece = _describe(t, y, frequency, 0.0)
     steadiness, fall, trend = _surrogate_scores(t, y, frequency)
-    if steadiness > 3.0 and piece.steady is not None:
+    if steadiness > TELLING and piece.steady is not None:
         confidence = float(np.clip(stats.norm.cdf(steadiness - 2.0), 0.5, 0.99))
         verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
         figures = _figures(piece) | _cycle_figures(piece, frequency)
         return verdict, confidence, (
             f'out of step from cycle to cycle, but its envelope is {steadiness:.1f} standard '
             'deviations steadier than that of noise with the same spectrum'), figures
-    if abs(trend) > 3.0 and piece.moving is not None:
+    if abs(trend) > TELLING and piece.moving is not None:
         return *_trend_verdict(fall, trend), _figures(piece)
     return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadiness)), 0.5, 0.99)), (
         'coloured noise with a resonance describes it in fewer bits than any oscillation'), {}
@@ -440,8 +456,11 @@ def _surrogate_scores(t: Array, y: Array, frequency: float) -> tuple[float, floa
     """
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
-    records = np.vstack([even, surrogates(model, len(even), SURROGATES, len(even))])
-    power = _envelope_power(records, period, frequency)
+    skip = min(int(0.5 / (frequency * period)), len(even) // 8)
+    # Each at its own highest peak: that of a record stands out where a burst happens to be.
+    power = np.array([_envelope_power(even, period, frequency)] + [
+        _envelope_power(row, period, _highest_peak(row, period))
+        for row in surrogates(model, len(even), SURROGATES, len(even))])[:, skip:len(even) - skip]
     return _score(-np.log(power.var(1) / power.mean(1) ** 2)), *_trend(power)
 
 
@@ -470,24 +489,28 @@ def _trend(power: Array) -> tuple[float, float]:
     return -2.0 * float(slope[0]), -float(np.sign(slope[0])) * _score(size)
 
 
-def _envelope_power(records: Array, period: float, frequency: float) -> Array:
-    """Return the squared envelope of each record about a frequency, without the ends."""
-    analytic = signal.hilbert(_around(records, period, frequency), axis=1)
-    skip = min(int(0.5 / (frequency * period)), records.shape[1] // 8)
-    return np.abs(analytic[:, skip:records.shape[1] - skip]) ** 2
+def _highest_peak(values: Array, period: float) -> float:
+    """Return the frequency (Hz) of the highest peak of the spectrum above 1.5 cycles."""
+    power = np.abs(np.fft.rfft(values - values.mean()))
+    return float(2 + np.argmax(power[2:])) / (len(values) * period)
 
 
-def _around(records: Array, period: float, frequency: float) -> Array:
-    """Return what the records (rows) hold about a frequency."""
+def _envelope_power(values: Array, period: float, frequency: float) -> Array:
+    """Return the squared envelope about a frequency."""
+    return np.abs(signal.hilbert(_around(values, period, frequency))) ** 2
+
+
+def _around(values: Array, period: float, frequency: float) -> Array:
+    """Return what a signal holds about a frequency."""
     band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), 1e-3, 0.98)
     return signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
-                              records - records.mean(1, keepdims=True), axis=1)
+                              values - values.mean())
 
 
 def _cycle_figures(piece: _Piece, frequency: float) -> dict[str, Any]:
     """Return frequency and amplitude with intervals from the scatter of the cycles."""
     even, period = on_grid(piece.time_s, piece.values)
-    analytic = signal.hilbert(_around(even[None, :], period, frequency)[0])
+    analytic = signal.hilbert(_around(even, period, frequency))
     size = max(int(round(1.0 / (frequency * period))), 1)
     phase = np.unwrap(np.angle(analytic))[size:-size:size] / (2.0 * np.pi)
     amplitude = np.abs(analytic)[size:-size:size]
