@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from asi_actuator.parameters import Value
 from asi_analysis.bag import read_bag
 from asi_analysis.experiment import Experiment, checked, run_experiment
 from asi_analysis.limit_cycle.answer import limit_cycle
@@ -29,7 +30,7 @@ def isolation(experiment: Experiment, out: Path, report: Progress = lambda *_: N
     experiment: its reference is a step, whose size is the force held in both runs.
     """
     held = float(experiment.controller.get('reference.amplitude', 100.0))
-    chirp = {'reference.shape': 'chirp', 'reference.amplitude': CHIRP_N,
+    chirp: dict[str, Value] = {'reference.shape': 'chirp', 'reference.amplitude': CHIRP_N,
              'reference.offset': held, 'reference.frequency': CHIRP_HZ[0],
              'reference.end_frequency': CHIRP_HZ[1], 'reference.duration': CHIRP_S}
     runs = {'inside': experiment,

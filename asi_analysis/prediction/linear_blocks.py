@@ -53,8 +53,8 @@ def impedance(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return velocity (m/s) of the load to the force (N) that it takes; no frequency may be 0."""
     s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     stiffness, damper = load_spring(p)
-    answer: Complex = p['load_mass'] * s + damper + stiffness / s
-    return answer
+    mass = complex(p['load_mass'])
+    return mass * s + damper + stiffness / s
 
 
 def hold(frequency_hz: npt.ArrayLike, period_s: float) -> Complex:
