@@ -66,12 +66,13 @@ FREE: Final = (
     Free('hydraulic_damping.viscous', 20.0, 1500.0),
     Free('friction.presliding_stiffness', 3e4, 5e5),
     Free('friction.presliding_damping', 10.0, 300.0),
-    Free('load.mass', 0.2, 2.0),
+    Free('load.mass', 0.2, 4.0),
     Free('load.locked_stiffness', 2e5, 2e7),
     Free('load.locked_damping', 10.0, 1500.0),
     Free('load.stiffness', 8e3, 5e5),
     Free('load.damping', 1.0, 1500.0),
     Free('conditions.proportional.amplitude_n', 150.0, 830.0),
+    Free('conditions.proportional.load.mass', 0.2, 0.6),
     Free('conditions.lead_lag.gain', 3.0, 45.0),
     Free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, False),
     Free('conditions.lead_lag.amplitude_n', 50.0, 700.0),
@@ -86,9 +87,11 @@ SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.004
 # Share of a row's half width, from the middle, that costs nothing.
-INNER: Final = 0.7
+INNER: Final = 0.8
 # Cost of a row that does not exist: the force does not settle, there is no cycle.
 WORST: Final = 4.0
+# Cost of a waveform that is not one rise.
+WRONG_SHAPE: Final = 1.5
 POPULATION: Final = 24
 POLISH_STEP: Final = 0.02
 MOST_REJECTED: Final = 6
@@ -129,32 +132,45 @@ def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions) 
             actuator[name] = value
             continue
         which, _, parameter = rest.partition('.')
-        tests[which] = (tests[which]._replace(amplitude_n=value) if parameter == 'amplitude_n'
-                        else tests[which]._replace(
-                            controller={**tests[which].controller, parameter: value}))
+        test = tests[which]
+        if parameter == 'amplitude_n':
+            tests[which] = test._replace(amplitude_n=value)
+        elif parameter.startswith('load.'):
+            tests[which] = test._replace(load={**test.load, parameter: value})
+        else:
+            tests[which] = test._replace(controller={**test.controller, parameter: value})
     return Candidate(actuator, base._replace(
         proportional=tests['proportional'], lead_lag=tests['lead_lag'], lead4=tests['lead4']))
 
 
-def miss(fact: Fact, value: float) -> float:
-    """
-    Return how far a value is outside the inner part of a fact's limits, with its sign.
+def one_sided(fact: Fact) -> bool:
+    """Return whether a fact only has a limit: at least, or at most from a published 0."""
+    return math.isinf(fact.high) or fact.low == 0.0
 
-    In half widths of the limits; of a limit on one side, in fifths of it (as it is, if it is 0).
+
+def position(fact: Fact, value: float) -> float:
     """
+    Return where a value is: beyond -1 to 1 it misses the fact; above 1 if the limit is one-sided.
+
+    In half widths of the limits from their middle; of a single limit, in fifths of it (as it is,
+    if it is 0), 1 at the limit.
+    """
+    if not one_sided(fact):
+        return (value - 0.5 * (fact.low + fact.high)) / (0.5 * (fact.high - fact.low))
+    limit = fact.low if math.isinf(fact.high) else fact.high
+    beyond = limit - value if math.isinf(fact.high) else value - limit
+    return 1.0 + beyond / (0.2 * abs(limit) or 1.0)
+
+
+def miss(fact: Fact, value: float) -> float:
+    """Return how far a value is outside the inner part of a fact's limits, with its sign."""
     if fact.low == fact.high:
-        return 0.0 if value == fact.low else 1.5
+        return 0.0 if value == fact.low else WRONG_SHAPE
     if not math.isfinite(value):
         return WORST
-    if math.isinf(fact.high) or (math.isinf(fact.low) or fact.low == 0.0 == fact.published):
-        limit = fact.low if math.isinf(fact.high) else fact.high
-        scale = 0.2 * abs(limit) or 1.0
-        beyond = limit - value if math.isinf(fact.high) else value - limit
-        distance = max(0.0, beyond / scale + 0.2)
-        return WORST * math.tanh(distance / WORST)
-    distance = (value - 0.5 * (fact.low + fact.high)) / (0.5 * (fact.high - fact.low))
-    outside = math.copysign(max(0.0, abs(distance) - INNER), distance)
-    return WORST * math.tanh(outside / WORST)
+    where = position(fact, value)
+    size = where if one_sided(fact) else abs(where)
+    return math.copysign(WORST * math.tanh(max(0.0, size - INNER) / WORST), where)
 
 
 AIMS: Final = tuple(fact for fact in FACTS if fact.role == FITTED)
@@ -400,9 +416,9 @@ def quantities(one: Candidate) -> dict[str, float]:
             continue
         which, _, parameter = rest.partition('.')
         test: StepTest = getattr(one.conditions, which)
-        own = {**controller, 'gain': OWN_GAIN[which], **test.controller}
-        found[free.name] = float(
-            test.amplitude_n if parameter == 'amplitude_n' else own[parameter])
+        own = {**actuator, **controller, 'gain': OWN_GAIN[which], **test.controller, **test.load,
+               'amplitude_n': test.amplitude_n}
+        found[free.name] = float(own[parameter])
     return found
 
 

@@ -1,0 +1,182 @@
+"""
+What the paper does not determine: parameter sets that meet its facts about equally well.
+
+Members are drawn about the best set along the directions to which the facts are blind, as the
+slopes of all rows tell (the sloppy directions of Gutenkunst and others, "Universally sloppy
+parameter sensitivities", PLoS Computational Biology 3, 2007), measured in full, and kept if they
+meet nearly as many rows and differ clearly from all that were kept before.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.calibration import (
+    AIMS,
+    FREE,
+    SEARCH,
+    Candidate,
+    Problem,
+    candidate,
+    decode,
+    encode,
+    position,
+    quantities,
+)
+from asi_analysis.facts.measures import Measured
+
+Array = npt.NDArray[np.float64]
+Report = Callable[[str, float | None], None]
+
+SLOPE_STEP: Final = 0.02
+# Members differ from each other by at least this share of the range of some parameter.
+LEAST_DISTANCE: Final = 0.1
+# Rows that a member may miss beside those that the best set misses.
+MAY_MISS: Final = 2
+# First reach of the draws, in half widths of the rows; it follows the share that is kept.
+FIRST_REACH: Final = 0.5
+# The actuator's parameters: the conditions of the experiments stay.
+PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
+                        if not free.name.startswith('conditions'))
+
+
+class Sensitivity(NamedTuple):
+    """How the rows move: rows x parameters, half widths of the row for 10 % of the parameter."""
+
+    rows: tuple[str, ...]
+    parameters: tuple[str, ...]
+    slopes: Array
+
+
+class Member(NamedTuple):
+    """A parameter set of the ensemble, and how many of the rows aimed at it meets."""
+
+    quantities: dict[str, float]
+    met: int
+
+
+def problem_of(best: Candidate) -> Problem:
+    """Return the problem whose start is a candidate and whose physical parameters are free."""
+    known = quantities(best)
+    fixed = {name: value for name, value in best.actuator.items() if name not in known}
+    return Problem({**fixed, **SEARCH}, best.conditions, PHYSICAL, encode(known))
+
+
+def _positions(measured: Measured) -> Array:
+    return np.array([np.clip(position(fact, measured[fact.value]), -10.0, 10.0)
+                     if fact.low != fact.high and math.isfinite(measured[fact.value]) else 0.0
+                     for fact in AIMS])
+
+
+def _met(measured: Measured) -> int:
+    return sum(fact.met(measured[fact.value]) for fact in AIMS)
+
+
+def slopes(problem: Problem, report: Report = lambda text, share: None) -> Array:
+    """Return the slope of each row's position over the unit cube: rows x free quantities."""
+    point = problem.start[list(problem.free)]
+    columns = []
+    for k in range(point.size):
+        report('sensitivity', k / point.size)
+        ends = []
+        for step in (-SLOPE_STEP, SLOPE_STEP):
+            moved = point.copy()
+            moved[k] = np.clip(point[k] + step, 0.0, 1.0)
+            ends.append((moved[k], _positions(problem.measure(moved)[1])))
+        (low, before), (high, after) = ends
+        columns.append((after - before) / (high - low))
+    return np.array(columns).T
+
+
+def sensitivity(problem: Problem, found: Array) -> Sensitivity:
+    """Return slopes over the unit cube as those for 10 % of each parameter."""
+    scale = []
+    for k in problem.free:
+        free = FREE[k]
+        value = decode(problem.start)[free.name]
+        scale.append(math.log(1.1) / math.log(free.high / free.low) if free.logarithmic
+                     else 0.1 * abs(value) / (free.high - free.low))
+    return Sensitivity(tuple(fact.value for fact in AIMS),
+                       tuple(FREE[k].name for k in problem.free), found * np.array(scale))
+
+
+def members(problem: Problem, found: Array, count: int, seed: int, most: int,
+            report: Report = lambda text, share: None) -> tuple[list[Member], int]:
+    """
+    Return so many members (fewer, if `most` evaluations do not find them), and the evaluations.
+
+    found: the slopes.
+    """
+    random = np.random.default_rng(seed)
+    point = problem.start[list(problem.free)]
+    _, sizes, directions = np.linalg.svd(found)
+    stiffness = np.zeros(point.size)
+    stiffness[:sizes.size] = sizes
+    needed = _met(problem.measure(point)[1]) - MAY_MISS
+    kept: list[tuple[Array, Member]] = []
+    reach, tried = FIRST_REACH, 0
+    while len(kept) < count and tried < most:
+        report(f'{len(kept)} of {count} members', tried / most)
+        # A direction of stiffness s moves some row by s; none moves by more than the box allows.
+        along = random.normal(size=point.size) / np.hypot(stiffness / reach, 1.0 / 0.3)
+        drawn = np.clip(point + along @ directions, 0.0, 1.0)
+        tried += 1
+        if any(np.abs(drawn - other).max() < LEAST_DISTANCE for other, _ in kept):
+            continue
+        met = _met(problem.measure(drawn)[1])
+        reach *= 1.1 if met >= needed else 0.97
+        if met >= needed:
+            whole = decode(problem.whole(drawn))
+            kept.append((drawn, Member({FREE[k].name: whole[FREE[k].name]
+                                        for k in problem.free}, met)))
+    return [member for _, member in kept], tried
+
+
+def write_members(found: Sequence[Member], out: Path) -> None:
+    """Write each member as a ROS parameter file of the actuator: what differs from defaults."""
+    out.mkdir(parents=True, exist_ok=True)
+    for number, member in enumerate(found, 1):
+        lines = [f'# Ensemble, member {number}: meets {member.met} of the {len(AIMS)} rows that '
+                 'the calibration aims at.', '# Written by `asi ensemble`.', '/**/asi_actuator:',
+                 '  ros__parameters:']
+        block = ''
+        for name, value in member.quantities.items():
+            first, _, rest = name.partition('.')
+            if first != block:
+                lines.append(f'    {first}:')
+                block = first
+            lines.append(f'      {rest}: {_yaml_number(value)}')
+        (out / f'member_{number:02d}.yaml').write_text('\n'.join(lines) + '\n')
+
+
+def _yaml_number(value: float) -> str:
+    # YAML 1.1 takes 1e-05 for a text: it wants a point.
+    text = repr(float(f'{value:.6g}'))
+    return text if '.' in text else text.replace('e', '.0e')
+
+
+def sensitivity_table(found: Sensitivity) -> str:
+    """Return which fact pins which parameter, as a table in Markdown."""
+    lines = ['| parameter | 10 % of it moves most | half widths | then | half widths |',
+             '|---|---|---|---|---|']
+    for k, name in enumerate(found.parameters):
+        order = np.argsort(-np.abs(found.slopes[:, k]))[:2]
+        cells = ' | '.join(f'{found.rows[row]} | {found.slopes[row, k]:+.2f}' for row in order)
+        lines.append(f'| `{name}` | {cells} |')
+    return '\n'.join(lines) + '\n'
+
+
+def best_as_member(best: Candidate) -> Member:
+    """Return the best set as a member, for pictures."""
+    problem = problem_of(best)
+    measured = problem.measure(problem.start[list(problem.free)])[1]
+    known = quantities(best)
+    return Member({FREE[k].name: known[FREE[k].name] for k in PHYSICAL}, _met(measured))
+
+
+__all__ = ['Member', 'Sensitivity', 'best_as_member', 'candidate', 'members', 'problem_of',
+           'sensitivity', 'sensitivity_table', 'slopes', 'write_members']
