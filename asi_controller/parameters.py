@@ -19,9 +19,9 @@ COMPENSATOR_PARAMETERS: tuple[Parameter, ...] = (
               'Gain of the compensator in use (lead2, lead4: above the corner of their lag); '
               '0: its own (proportional 3, lead_lag 20, lead2 1.5, lead4 1.5, custom 1)',
               0.0, 1e4),
-    Parameter('feedforward', 1.869, 'N/N', 'Share of the reference that goes straight to the '
+    Parameter('feedforward', 1.0, 'N/N', 'Share of the reference that goes straight to the '
               "valve: the inverse of the actuator's static gain", 0.0, 100.0,
-              source='study: 6 N at Kp = 3 need it'),
+              source='6 N at Kp = 3 (Table 1) need it'),
     Parameter('saturation', 4000.0, 'N', 'Largest valve command', 1.0, 1e5, source='assumed'),
     Parameter('transfer_time', 0.02, 's',
               'Time constant with which the step of the command that a change of gain or '

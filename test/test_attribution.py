@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from study import STUDY, STUDY_CONTROLLER
 
 from asi_analysis import json_keys
 from asi_analysis.attribution import valves
@@ -31,7 +32,7 @@ def test_shapley_values_add_up_and_share_what_only_a_pair_does():
 
 @pytest.fixture(scope='module')
 def table():
-    return attribute({}, {'reference.amplitude': 100.0}, 5000.0)
+    return attribute(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0)
 
 
 def test_hysteresis_alone_is_necessary_and_sufficient_as_the_paper_concludes(table):
@@ -61,7 +62,7 @@ def test_balance_meets_each_simulated_cycle_of_the_table(table):
 
 
 def test_linear_instability_is_not_blamed_on_a_nonlinearity():
-    found = attribute({}, {'reference.amplitude': 100.0}, 5000.0, gain=14.0)
+    found = attribute(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0, gain=14.0)
     assert 'linear instability' in found['verdict']
 
 

@@ -21,7 +21,7 @@ from asi_actuator.driver.frames import SIGNALS, Frames, checksum, longest_bits
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.model.actuator import Measurement
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
-from asi_actuator.parameters import ParameterError, completed
+from asi_actuator.parameters import ParameterError, as_record, completed
 from asi_analysis.bag import write_bag
 from asi_analysis.run import Run
 
@@ -130,7 +130,9 @@ def test_firmware_drives_the_valve_only_after_a_command_that_does_not(wire: Wire
         assert wire.send(wire.frame(500.0, enable=True))
     assert wire.state()['enabled'] == 1
     # Gain * (command - half width of the hysteresis), of the maximum force at full opening.
-    opening = 0.535 * (500.0 - 14.0) / 1000.0
+    p = as_record()
+    opening = p['valve_characteristic_gain'] * (
+        500.0 - p['valve_hysteresis_radius']) / p['valve_characteristic_maximum_force']
     assert wire.state()['valve_position'] == pytest.approx(opening * 2e-5, rel=0.02)
     assert wire.state()['counter'] == wire.counter
 

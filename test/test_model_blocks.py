@@ -4,11 +4,13 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy import signal
+from study import STUDY
 
 from asi_actuator.model.actuator import measure, rest, simulate, simulate_many, step
 from asi_actuator.model.delay import delay, delay_steps
@@ -17,13 +19,21 @@ from asi_actuator.model.hydraulic_damping import damping_curve, damping_force, t
 from asi_actuator.model.jit import jit
 from asi_actuator.model.valve_characteristic import valve_characteristic, valve_position
 from asi_actuator.model.valve_hysteresis import half_width, magnetise, rate_decay
-from asi_actuator.parameters import ParameterError, Value, as_record
+from asi_actuator.parameters import ParameterError, Value
+from asi_actuator.parameters import as_record as record_of
 from asi_analysis.closed_loop import simulate_loop
 from asi_controller.compensator import compensate, compensator
 
 PERIOD = 2e-4
 BLOCKS = ('valve_hysteresis', 'valve_flexure', 'valve_characteristic', 'hydraulic_damping',
           'fluid_dynamics', 'friction', 'force_sensor')
+
+
+def as_record(values: Mapping[str, Value] | None = None) -> np.void:
+    """Return the record of the study's parameters, which the closed forms below know."""
+    return record_of(STUDY | dict(values or {}))
+
+
 # Every block replaced by its unit gain, the piston held still: force = 0.535 times the command.
 NOTHING: dict[str, Value] = {f'{block}.model': 'off' for block in BLOCKS} | {
     'load.type': 'prescribed', 'load.velocity': 0.0}
@@ -371,7 +381,7 @@ def test_step_by_step_simulate_and_simulate_many_agree_to_the_bit() -> None:
 
 
 def test_loop_in_one_process_is_measure_compensate_and_step() -> None:
-    actuator: dict[str, Value] = {'load.type': 'spring', 'force_sensor.noise': 0.5}
+    actuator: dict[str, Value] = STUDY | {'load.type': 'spring', 'force_sensor.noise': 0.5}
     gains: dict[str, Value] = {'compensator': 'lead_lag', 'gain': 18.0}
     whole = simulate_loop(
         actuator, gains | {'reference.shape': 'sine', 'reference.frequency': 15.0}, 0.2)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from study import STUDY
 
 from asi_actuator.model.actuator import rest, simulate
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
@@ -20,11 +21,18 @@ from asi_actuator.parameters import (
     Parameter,
     ParameterError,
     Value,
-    as_record,
 )
+from asi_actuator.parameters import as_record as record_of
 from asi_analysis.closed_loop import simulate_loop
 
 PERIOD = 2e-4
+
+
+def as_record(values):
+    """Return the record of the study's parameters: the references below know their numbers."""
+    return record_of(STUDY | values)
+
+
 DEFAULT = 25e-6
 SMOOTH: dict[str, Value] = {'valve_hysteresis.model': 'off', 'friction.model': 'off'}
 TIME = np.arange(600) * PERIOD

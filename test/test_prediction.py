@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from study import STUDY, STUDY_CONTROLLER
 
 from asi_actuator.parameters import as_record
 from asi_analysis.prediction import describing_functions as describing
@@ -17,7 +18,7 @@ RATE_HZ = 5000.0
 
 @pytest.mark.parametrize('amplitude', [15.0, 20.0, 100.0, 1000.0])
 def test_play_is_its_closed_form_and_python_controls(amplitude):
-    p = as_record({'valve_hysteresis.lag_time': 0.0})
+    p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
     closed = describing.play_closed_form(amplitude, 14.0)
     assert describing.hysteresis(amplitude, 50.0, 0.0, p) == pytest.approx(closed, abs=2e-3)
     # python-control's backlash: b is the whole width. One amplitude at a time: it forgets.
@@ -26,7 +27,7 @@ def test_play_is_its_closed_form_and_python_controls(amplitude):
 
 
 def test_play_passes_nothing_of_a_sine_within_it():
-    p = as_record({'valve_hysteresis.lag_time': 0.0})
+    p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
     assert abs(describing.hysteresis(10.0, 50.0, 0.0, p)) < 1e-12
 
 
@@ -47,7 +48,7 @@ def test_fast_sliding_is_coulomb_friction():
 
 
 def test_damping_of_a_small_motion_is_its_slope():
-    p = as_record({})
+    p = as_record(STUDY)
     assert describing.damping(1e-4, 0.0, p).real == pytest.approx(
         p['hydraulic_damping_viscous'], rel=0.03)
 
@@ -67,7 +68,8 @@ def test_linear_loop_is_what_the_simulator_passes():
 
 
 def test_describing_function_first_meets_the_loop_where_the_paper_says():
-    locus = hysteresis_alone(loop_of({}, {'gain': 1.0}, RATE_HZ), np.geomspace(500.0, 1.6e4, 12))
+    locus = hysteresis_alone(
+        loop_of(STUDY, {'gain': 1.0}, RATE_HZ), np.geomspace(500.0, 1.6e4, 12))
     first = int(np.argmin(locus.gain))
     assert locus.gain[first] == pytest.approx(8.0, rel=0.15)            # paper: 8
     assert locus.frequency_hz[first] == pytest.approx(130.0, rel=0.15)  # paper: 130 Hz
@@ -90,9 +92,9 @@ def test_balance_is_the_simulated_cycle(step, gain):
 
 
 def test_branch_folds_where_the_simulated_cycle_is_born():
-    settings = {'reference.amplitude': 300.0}
-    gain, frequency, _ = simulated_onset({}, settings, RATE_HZ, 8.0)
-    points = branch({}, settings, RATE_HZ, 1.02 * gain, onset_only=True)
+    settings = STUDY_CONTROLLER | {'reference.amplitude': 300.0}
+    gain, frequency, _ = simulated_onset(STUDY, settings, RATE_HZ, 8.0)
+    points = branch(STUDY, settings, RATE_HZ, 1.02 * gain, onset_only=True)
     onset, at_hz, _ = hb.fold(points)
     assert points[-1].gain > 1.02 * onset, 'the branch goes round the fold'
     # The step may be too weak a kick just above the fold, never strong enough below it.
@@ -101,7 +103,8 @@ def test_branch_folds_where_the_simulated_cycle_is_born():
 
 
 def test_cycle_attracts_by_its_multipliers_and_ever_less_towards_the_fold():
-    near, far = (multipliers({}, {'gain': gain, 'reference.amplitude': 100.0}, RATE_HZ, hz)
+    near, far = (multipliers(
+        STUDY, STUDY_CONTROLLER | {'gain': gain, 'reference.amplitude': 100.0}, RATE_HZ, hz)
                  for gain, hz in ((9.4, 92.5), (10.5, 90.0)))
     for found in (near, far):
         assert found[0] == pytest.approx(1.0, abs=0.02)

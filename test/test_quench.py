@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from study import STUDY, STUDY_CONTROLLER
 
 from asi_analysis import json_keys
 from asi_analysis.prediction.predict import simulated_onset
@@ -49,9 +50,9 @@ def test_attack_is_the_same_again():
 
 
 def test_dither_quenches_a_cycle_that_is_barely_there_and_costs_valve_travel():
-    settings = {'reference.amplitude': 100.0}
-    gain = simulated_onset({}, settings, RATE_HZ, 8.0)[0]
-    rows = dither({}, {**settings, 'gain': 1.01 * gain}, RATE_HZ, (500.0,))
+    settings = STUDY_CONTROLLER | {'reference.amplitude': 100.0}
+    gain = simulated_onset(STUDY, settings, RATE_HZ, 8.0)[0]
+    rows = dither(STUDY, {**settings, 'gain': 1.01 * gain}, RATE_HZ, (500.0,))
     assert rows[0]['amplitude_n'] is not None
     assert rows[0]['valve_travel_m_s'] > 0.0 and rows[0]['force_ripple_n'] > 0.1
 

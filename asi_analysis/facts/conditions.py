@@ -26,10 +26,16 @@ class StepTest(NamedTuple):
 class Conditions(NamedTuple):
     """Everything about the experiments that is not the actuator."""
 
-    proportional: StepTest = StepTest({'compensator': 'proportional', 'gain': 3.0}, 150.0,
-                                      SPRING)
-    lead_lag: StepTest = StepTest({'compensator': 'lead_lag'}, 150.0, LOCKED)
-    lead4: StepTest = StepTest({'compensator': 'lead4'}, 150.0, LOCKED)
+    proportional: StepTest = StepTest(
+        {'compensator': 'proportional', 'gain': 3.0}, 649.6,
+        {**SPRING, 'load.mass': 0.3756, 'load.stiffness': 25470.0,
+         'load.damping': 1.69})
+    lead_lag: StepTest = StepTest(
+        {'compensator': 'lead_lag', 'gain': 25.58,
+         'lead_lag.centre_frequency': 94.03}, 693.3, LOCKED)
+    lead4: StepTest = StepTest(
+        {'compensator': 'lead4', 'gain': 8.908, 'lead4.zero_frequency': 204.2,
+         'lead4.ratio': 13.8, 'lead4.lag_ratio': 11.64}, 673.2, LOCKED)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0
