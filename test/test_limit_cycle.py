@@ -112,7 +112,7 @@ def test_command_prints_what_is_documented(tmp_path):
 def test_isolation_experiment_shows_the_orbit_from_both_sides(tmp_path, ros_environment):
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'run', '--experiment', 'isolation', '--gain',
-         '10', '--step', '100', '--duration', '0.7', '--out', str(tmp_path / 'out'), '--json'],
+         '8', '--step', '100', '--duration', '0.7', '--out', str(tmp_path / 'out'), '--json'],
         capture_output=True, text=True, timeout=170)
     assert result.returncode == 0, result.stderr
     document = json.loads(result.stdout)
