@@ -2,7 +2,7 @@
 The weights of the attribution by shape, from simulated loops, and how well they do on others.
 
 `python -m asi_analysis.attribution.calibration COUNT` makes shape_weights.json anew: COUNT loops
-of each cause to learn from, a quarter as many to judge by.
+of each cause to learn from, two fifths as many to judge by.
 """
 
 import json
@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
 # Strength of the prior that keeps weights small, in loops.
 RIDGE: Final = 2.0
+# Percentile of the distance from the centre of all examples beyond which a record is strange.
+USUAL: Final = 95.0
 
 
 def examples(count: int, seed: int) -> tuple[Array, npt.NDArray[np.int64]]:
@@ -74,15 +76,24 @@ def learn(features: Array, causes: npt.NDArray[np.int64]) -> dict[str, Any]:
 
     found = optimize.minimize(loss, np.zeros(x.shape[1] * len(CAUSES)), jac=True,
                               method='L-BFGS-B', options={'maxiter': 2000})
+    relative = (features - centre) / scale
     return {'features': list(FEATURES), 'causes': list(CAUSES), 'centre': centre.tolist(),
             'scale': scale.tolist(),
+            'usual_size': float(np.percentile(np.linalg.norm(relative, axis=1), USUAL)),
             'weights': found.x.reshape(x.shape[1], len(CAUSES)).tolist()}
 
 
 def probabilities(features: Array, learnt: dict[str, Any]) -> Array:
-    """Return the probability of each of CAUSES, row by row."""
-    x = expanded(features, np.array(learnt['centre']), np.array(learnt['scale']))
-    return softmax(x @ np.array(learnt['weights']))
+    """
+    Return the probability of each of CAUSES, row by row.
+
+    The further a record is from all that was learnt from, the more even they become.
+    """
+    centre, scale = np.array(learnt['centre']), np.array(learnt['scale'])
+    known = softmax(expanded(features, centre, scale) @ np.array(learnt['weights']))
+    size = np.linalg.norm((np.atleast_2d(features) - centre) / scale, axis=1, keepdims=True)
+    strange = np.clip(size / learnt['usual_size'] - 1.0, 0.0, 1.0)
+    return (1.0 - strange) * known + strange / len(CAUSES)
 
 
 def judged(features: Array, causes: npt.NDArray[np.int64], learnt: dict[str, Any]
@@ -101,9 +112,9 @@ def judged(features: Array, causes: npt.NDArray[np.int64], learnt: dict[str, Any
 
 def main() -> None:
     """Learn, judge, write."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     learnt = learn(*examples(count, 1))
-    learnt['judged_on_others'] = judged(*examples(max(count // 4, 10), 2), learnt)
+    learnt['judged_on_others'] = judged(*examples(max(2 * count // 5, 10), 2), learnt)
     WEIGHTS.write_text(json.dumps(learnt, indent=1) + '\n')
     print(json.dumps(learnt['judged_on_others'], indent=1))
 

@@ -17,7 +17,7 @@ Report = Callable[[str, float | None], None]
 
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
 # Below this probability the most likely cause is not named as the cause.
-NAMED: Final = 0.7
+NAMED: Final = 0.8
 # What only one of the two ways knows is null by the other.
 EMPTY: Final[dict[str, Any]] = dict.fromkeys(
     [f'{prefix}_{name}' for prefix in ('alone', 'all_but') for name in (

@@ -30,9 +30,10 @@ def isolation(experiment: Experiment, out: Path, report: Progress = lambda *_: N
     experiment: its reference is a step, whose size is the force held in both runs.
     """
     held = float(experiment.controller.get('reference.amplitude', 100.0))
-    chirp: dict[str, Value] = {'reference.shape': 'chirp', 'reference.amplitude': CHIRP_N,
-             'reference.offset': held, 'reference.frequency': CHIRP_HZ[0],
-             'reference.end_frequency': CHIRP_HZ[1], 'reference.duration': CHIRP_S}
+    chirp: dict[str, Value] = {
+        'reference.shape': 'chirp', 'reference.amplitude': CHIRP_N, 'reference.offset': held,
+        'reference.frequency': CHIRP_HZ[0], 'reference.end_frequency': CHIRP_HZ[1],
+        'reference.duration': CHIRP_S}
     runs = {'inside': experiment,
             'outside': replace(experiment, controller={**experiment.controller, **chirp},
                                duration_s=experiment.duration_s + CHIRP_S)}

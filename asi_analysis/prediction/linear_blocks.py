@@ -53,11 +53,14 @@ def impedance(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     """Return velocity (m/s) of the load to the force (N) that it takes; no frequency may be 0."""
     s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     stiffness, damper = load_spring(p)
-    mass = complex(p['load_mass'])
-    return mass * s + damper + stiffness / s
+    needed: Complex = p['load_mass'] * s
+    needed += damper
+    needed += stiffness / s
+    return needed
 
 
 def hold(frequency_hz: npt.ArrayLike, period_s: float) -> Complex:
     """Return the response of a zero-order hold of `period_s` s (its fundamental, no images)."""
     f = np.asarray(frequency_hz, float)
-    return np.sinc(f * period_s) * np.exp(-1j * np.pi * f * period_s)
+    turn: Complex = np.exp(-1j * np.pi * f * period_s)
+    return turn * np.sinc(f * period_s)
