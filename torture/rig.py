@@ -74,8 +74,7 @@ class Rig:
         self.folder, self.random = folder, random
         self._started: list[NodeProcess] = []
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        # The name of a recorder, so that nodes with await_recorder wait for it.
-        self.node: Node = rclpy.create_node('asi_recorder')
+        self.node: Node = rclpy.create_node('torture')
         self._executor = LoopExecutor()
         self._executor.add_node(self.node)
         self.diagnostics: dict[str, Any] = {}
