@@ -12,6 +12,7 @@ import numpy as np
 
 from asi_actuator.parameters import as_record
 from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.facts.conditions import Conditions
 from asi_analysis.prediction.simulation import Values, loop_of
 from asi_analysis.quench.margin import (
     FREQUENCIES_HZ,
@@ -26,16 +27,15 @@ from asi_controller.compensator import frequency_response
 
 Report = Callable[[str, float | None], None]
 
-# Table 1's conditions: spring load, and this step.
-LOAD: Final = {'load.type': 'spring'}
-STEP_N: Final = 150.0
+# Table 1's conditions for the fourth-order lead: its load, its step, its settings.
+TABLE_1: Final = Conditions().lead4
 DURATION_S: Final = 0.35
 # The drive may be used so far by that step.
 HEADROOM: Final = 0.9
 RANDOM_SHARE: Final = 0.4
 # name: (least, most), searched evenly in the logarithm
 RANGES: Final = {
-    'gain': (0.4, 8.0), 'ratio': (1.2, 12.0), 'zero_frequency': (60.0, 800.0),
+    'gain': (0.4, 16.0), 'ratio': (1.2, 24.0), 'zero_frequency': (60.0, 800.0),
     'lag_ratio': (3.0, 200.0), 'lag_time': (0.05, 3.0)}
 
 
@@ -72,9 +72,9 @@ class Judge:
         loop = loop_of(self.actuator, settings, self.rate_hz)
         response = frequency_response(loop.compensator, FREQUENCIES_HZ, self.rate_hz)
         found = margin_of(response, self.cases, self.table)
-        run = simulate_loop({**self.actuator, **LOAD},
+        run = simulate_loop({**self.actuator, **TABLE_1.load},
                             {**settings, 'reference.shape': 'step', 'reference.start': 0.01,
-                             'reference.amplitude': STEP_N}, DURATION_S, self.rate_hz)
+                             'reference.amplitude': TABLE_1.amplitude_n}, DURATION_S, self.rate_hz)
         if not np.isfinite(run.force_n).all():
             return None
         step = headline(step_responses(Run(run.time_s, run.reference_n, run.command_n,
@@ -119,8 +119,9 @@ def worse_by(found: Candidate, rival: Candidate, noise_limit: float) -> float:
     broken = (max(0.0, np.log(max(rival.margin.distance, 1e-3)
                               / max(found.margin.distance, 1e-3)))
               + max(0.0, np.log(found.noise_gain / noise_limit))
-              + max(0.0, np.log(found.peak_command_n / (
-                  HEADROOM * float(found.controller.get('saturation', 4000.0))))))
+              + max(0.0, np.log(found.peak_command_n / max(
+                  HEADROOM * float(found.controller.get('saturation', 4000.0)),
+                  rival.peak_command_n))))
     excess = float(np.maximum(ratios, 0.0).sum()) + 3.0 * float(broken)
     if excess > 0.0:
         return excess
@@ -132,8 +133,11 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
     """
     Return the best design found in `count` candidates, its rival, and the trade-off curve.
 
-    rival_controller: the compensator to beat, at the same margin.
+    rival_controller: the compensator to beat, at the same margin; a lead4 has the settings of
+    Table 1 unless it says otherwise.
     """
+    if rival_controller.get('compensator') == 'lead4':
+        rival_controller = {**TABLE_1.controller, **rival_controller}
     judge = Judge(actuator, rate_hz)
     rival = judge.candidate(rival_controller)
     if rival is None:
