@@ -17,7 +17,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config', glob('config/*')),
+        ('share/' + package_name + '/config', glob('config/*.*')),
+        ('share/' + package_name + '/config/ensemble', glob('config/ensemble/*')),
         ('share/' + package_name + '/launch', glob('launch/*')),
     ],
     python_requires='>=3.11',
@@ -39,6 +40,7 @@ setup(
         'jinja2',
         'typer',
         'rich',
+        'cma',
     ],
     extras_require={
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',

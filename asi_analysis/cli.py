@@ -227,6 +227,8 @@ def demo(
 @command('reproduce', 'asi reproduce --report runs/reproduction')
 def reproduce(
     actuator: Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')] = None,
+    candidate: Annotated[Path | None, typer.Option(
+        help='best.json of a calibration: parameters and conditions')] = None,
     report: Annotated[Path | None, typer.Option(
         help='Directory for an HTML report with our version of Figs. 3 to 12')] = None,
     over_ros: Annotated[Path | None, typer.Option(
@@ -241,9 +243,13 @@ def reproduce(
     """
     from asi_analysis import reproduction
     from asi_analysis.experiment import read_parameters
-    values = read_parameters(actuator, 'actuator') if actuator else {}
+    values: Mapping[str, Any] = read_parameters(actuator, 'actuator') if actuator else {}
+    conditions = None
+    if candidate:
+        from asi_analysis.calibration import read_best
+        values, conditions = read_best(candidate)
     with progress() as told:
-        result = reproduction.reproduce(values, report=told)
+        result = reproduction.reproduce(values, conditions, told)
         document = reproduction.as_document(result)
         if report:
             from asi_analysis.reproduction_report import write_report
@@ -489,6 +495,23 @@ def gap_check(
                 told(f'{done} of {cases} cases written', done / cases)
         document = check(directory or out, told, workers)
     answer(document, as_json, show)
+
+
+@command('ensemble', 'asi ensemble --count 20')
+def ensemble(
+    count: Annotated[int, typer.Option(help='Members wanted')] = 20,
+    most: Annotated[int, typer.Option(help='Candidates to try at most')] = 400,
+    seed: Annotated[int, typer.Option(help='Seed of the draws')] = 1,
+    out: Annotated[Path, typer.Option(help='Directory of the members')] = Path('config/ensemble'),
+    pictures: Annotated[Path, typer.Option(
+        help='Directory of the pictures and the sensitivity table')] = Path('doc/reproduction'),
+    as_json: Json = False,
+) -> None:
+    """Find parameter sets about the defaults that meet the paper's facts about equally well."""
+    from asi_analysis import ensemble as ensemble_
+    with progress() as told:
+        document = ensemble_.run(out, pictures, count, most, seed, told)
+    answer(document, as_json, ensemble_.show)
 
 
 def _figure(value: float | None, unit: str, scale: float = 1.0, digits: int = 4) -> str:

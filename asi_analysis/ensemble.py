@@ -8,9 +8,9 @@ meet nearly as many rows and differ clearly from all that were kept before.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,12 @@ from asi_analysis.calibration import (
     SEARCH,
     Candidate,
     Problem,
-    candidate,
     decode,
     encode,
     position,
     quantities,
 )
+from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
 
 Array = npt.NDArray[np.float64]
@@ -178,5 +178,31 @@ def best_as_member(best: Candidate) -> Member:
     return Member({FREE[k].name: known[FREE[k].name] for k in PHYSICAL}, _met(measured))
 
 
-__all__ = ['Member', 'Sensitivity', 'best_as_member', 'candidate', 'members', 'problem_of',
-           'sensitivity', 'sensitivity_table', 'slopes', 'write_members']
+def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Report
+        ) -> dict[str, Any]:
+    """
+    Do what `asi ensemble` is asked to, about the defaults; return its document.
+
+    out: directory of the members; pictures: directory of the pictures and the sensitivity table.
+    """
+    from asi_analysis import ensemble_figures, figures
+    best = Candidate({}, Conditions())
+    problem = problem_of(best)
+    found = slopes(problem, report)
+    kept, tried = members(problem, found, count, seed, most, report)
+    write_members(kept, out)
+    pictures.mkdir(parents=True, exist_ok=True)
+    (pictures / 'sensitivity.md').write_text(sensitivity_table(sensitivity(problem, found)))
+    for name, draw in (('ensemble_spread', ensemble_figures.spread),
+                       ('ensemble_pairs', ensemble_figures.pairs)):
+        with figures.style():
+            draw(kept, best_as_member(best)).savefig(pictures / f'{name}.png', dpi=110.0)
+    return {'members': len(kept), 'evaluations': tried, 'out': str(out),
+            'met': [member.met for member in kept], 'total': len(AIMS)}
+
+
+def show(document: Mapping[str, Any]) -> None:
+    """Print what came out."""
+    print(f'{document["members"]} members of {document["evaluations"]} tried, in '
+          f'{document["out"]}: they meet {min(document["met"], default=0)} to '
+          f'{max(document["met"], default=0)} of {document["total"]} rows')

@@ -349,6 +349,12 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('verdict', 'text', 'what was said'),
             Key('probability', 'number', 'and how surely'))),
         Key('directory', 'text', 'of the cases, with rows.json, confusion.png, reliability.png')),
+    'asi ensemble': (
+        Key('members', 'integer', 'parameter sets found'),
+        Key('evaluations', 'integer', 'candidates tried'),
+        Key('out', 'text', 'directory of their files'),
+        Key('met', '[integer]', 'rows that each meets, of those that the calibration aims at'),
+        Key('total', 'integer', 'those rows')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

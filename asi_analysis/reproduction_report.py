@@ -1,6 +1,8 @@
 """The report of `asi reproduce`: one HTML file with Figs. 3 to 12 as we see them, and PNGs."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,4 +38,20 @@ def write_report(result: Reproduction, out: Path) -> Path:
         held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
         linear=linear_model(result.actuator), versions=versions(),
         figures=[figures.svg(figure, name) for name, figure in drawn.items()]))
+    (out / 'table.md').write_text(_table(document))
     return page
+
+
+def _table(document: Mapping[str, Any]) -> str:
+    """Return the table in Markdown, for doc/reproduction."""
+    lines = ['| fact | quantity | paper | published | simulated | met if | | role |',
+             '|---|---|---|---|---|---|---|---|']
+    for fact in document['facts']:
+        simulated = '-' if fact['simulated'] is None else f'{fact["simulated"]:.4g}'
+        lines.append(f'| {fact["id"]} | {fact["quantity"]} | {fact["section"]} | '
+                     f'{fact["published"]:.4g} | {simulated} {fact["unit"]} | '
+                     f'{fact["tolerance"]} | {"met" if fact["met"] else "**not met**"} | '
+                     f'{fact["role"]} |')
+    lines += ['', f'{document["met"]} of {document["total"]} rows met; '
+              f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole.']
+    return '\n'.join(lines) + '\n'

@@ -56,7 +56,7 @@ def test_bad_value_is_refused_with_a_reason_and_changes_nothing(
         assert not result.successful
         assert name in result.reason and word in result.reason
     # A good value in the same set does not get in either.
-    good = ('friction.coulomb', 3.0) if node == 'asi_actuator' else ('feedforward', 1.0)
+    good = ('friction.coulomb', 3.0) if node == 'asi_actuator' else ('feedforward', 2.0)
     bad = REFUSED[node][0]
     answer = call(SetParametersAtomically, f'/{node}/set_parameters_atomically',
                   SetParametersAtomically.Request(parameters=[
