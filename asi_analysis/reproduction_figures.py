@@ -127,7 +127,7 @@ def nyquist_of_hysteresis(actuator: Values) -> Figure:
         at = FIG_9_GAIN * np.exp(log_response(marked, plant))
         axes.annotate(f'{marked:.0f} Hz', (at.real, at.imag), fontsize=7.5)
         axes.plot(at.real, at.imag, '.', color=BLUE)
-    axes.set(xlabel='real', ylabel='imaginary', xlim=(-6.0, 1.0), ylim=(-4.0, 2.0))
+    axes.set(xlabel='real', ylabel='imaginary', xlim=(-2.5, 0.5), ylim=(-4.0, 0.5))
     axes.legend()
     return figure
 
