@@ -355,6 +355,8 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('out', 'text', 'directory of their files'),
         Key('met', '[integer]', 'rows that each meets, of those that the calibration aims at'),
         Key('total', 'integer', 'those rows')),
+        Key('directory', 'text', 'of the cases; now with rows.jsonl, answers.json, confusion.png, '
+            'reliability.png')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),

@@ -69,18 +69,27 @@ def examine(folder: Path, entry: Mapping[str, str]) -> Row:
 
 
 def run_cases(folder: Path, told: Told, workers: int = 2) -> list[Row]:
-    """Return what the diagnosis says of every case of a directory."""
+    """
+    Return what the diagnosis says of every case of a directory.
+
+    Each is kept in rows.jsonl as it is done, so that a check which was stopped goes on there.
+    """
     try:
         index = json.loads((folder / 'cases.json').read_text())
     except (OSError, ValueError) as error:
         raise InputError(f'{folder / "cases.json"} cannot be read: {error}') from None
-    rows = []
+    kept = folder / 'rows.jsonl'
+    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    done = {row['bag'] for row in rows}
     # Not forked: that would copy the threads of whoever calls.
-    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
-        jobs = [pool.submit(examine, folder, entry) for entry in index]
-        for done in as_completed(jobs):
-            rows.append(done.result())
-            told(f'{len(rows)} of {len(jobs)} cases', len(rows) / len(jobs))
+    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool, \
+            kept.open('a') as file:
+        jobs = [pool.submit(examine, folder, entry) for entry in index if entry['bag'] not in done]
+        for job in as_completed(jobs):
+            rows.append(job.result())
+            file.write(json.dumps(rows[-1]) + '\n')
+            file.flush()
+            told(f'{len(rows)} of {len(index)} cases', len(rows) / len(index))
     return sorted(rows, key=lambda row: row['bag'])
 
 
@@ -182,7 +191,7 @@ def check(folder: Path, told: Told, workers: int = 2) -> dict[str, Any]:
     if absent:
         raise InputError(f'{folder / "answers.sealed"} has no answer for {absent[0]}')
     result = score(rows, answers)
-    (folder / 'rows.json').write_text(json.dumps({'rows': rows, 'answers': answers}, indent=1))
+    (folder / 'answers.json').write_text(json.dumps(answers, indent=1))
     draw(rows, answers, result, folder)
     return {**result, 'directory': str(folder)}
 

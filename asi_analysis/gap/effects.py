@@ -122,8 +122,10 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
     )),
     Effect('valve_lag', VALVE, 'the valve follows later, the faster the less', (
+        Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
+        # Of a servo without a load of its own, what is beyond one lag is called dead time.
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
-                 Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE),
+                 Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE, needs=('load_mass',)),
         Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
                 needs=('valve_flexure_model',)),
     )),

@@ -56,6 +56,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if drive == 'position':
         nominal = plant_record(IDEAL)
         nominal['valve_characteristic_full_opening'] = 1.0
+        nominal['load_mass'] = 0.0
         gain = Free('valve_characteristic_gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,),
                     'nominal')
         return [make_group(nominal, recordings, ('valve',), nuisance=(gain,))]
