@@ -348,15 +348,14 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('bag', 'text', 'which'), Key('truth', 'text', 'what was right'),
             Key('verdict', 'text', 'what was said'),
             Key('probability', 'number', 'and how surely'))),
-        Key('directory', 'text', 'of the cases, with rows.json, confusion.png, reliability.png')),
+        Key('directory', 'text', 'of the cases; now with rows.jsonl, answers.json, confusion.png, '
+            'reliability.png')),
     'asi ensemble': (
         Key('members', 'integer', 'parameter sets found'),
         Key('evaluations', 'integer', 'candidates tried'),
         Key('out', 'text', 'directory of their files'),
         Key('met', '[integer]', 'rows that each meets, of those that the calibration aims at'),
         Key('total', 'integer', 'those rows')),
-        Key('directory', 'text', 'of the cases; now with rows.jsonl, answers.json, confusion.png, '
-            'reliability.png')),
     'asi import': (
         Key('bag', 'text', 'path of the bag'),
         Key('samples', 'integer', 'samples imported'),
