@@ -50,6 +50,14 @@ FULL = {
     'sensor_corner': ('force_sensor.natural_frequency', 800.0),
     'sensor_delay': ('force_sensor.delay', 0.1e-3),
 }
+# What the full plant has built in (plant.py), so that the user's model says the same.
+FULL_MODEL = {
+    'hydraulic_damping.centre_share': 0.021, 'hydraulic_damping.saturation_shift': 0.112,
+    'hydraulic_damping.saturation_narrowing': 0.422, 'hydraulic_damping.velocity_width': 0.198,
+    'hydraulic_damping.width_growth': 0.217, 'friction.stribeck_velocity': 0.005,
+    'friction.presliding_stiffness': 2e5, 'force_sensor.damping_ratio': 0.7,
+    'valve_hysteresis.rate_exponent': 0.0,
+}
 TEXTBOOK_MODEL = {
     'valve_hysteresis.model': 'off', 'valve_characteristic.model': 'off',
     'hydraulic_damping.model': 'linear', 'friction.model': 'off', 'force_sensor.model': 'off',
@@ -225,7 +233,8 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
     names = {**NOMINAL, **(SPRING if load == 'spring' else LOCKED),
              **(TEXTBOOK if world == 'textbook' else FULL)}
     nominal: dict[str, Any] = dict(names.values())
-    nominal |= {'load.type': load} | (TEXTBOOK_MODEL if world == 'textbook' else {})
+    nominal |= {'load.type': load} | (
+        TEXTBOOK_MODEL if world == 'textbook' else FULL_MODEL)
     true = {key: value * (1.0 + ERROR * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
     # The flow that opens the valve fully and the thrust are known together: the gain is what errs.
     true['friction_inside'] = float(rng.random() < 0.5) if world == 'textbook' else 1.0

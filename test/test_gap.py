@@ -17,7 +17,12 @@ from asi_analysis.run import Run
 
 TEXTBOOK = {'load.type': 'spring', 'valve_hysteresis.model': 'off',
             'valve_characteristic.model': 'off', 'hydraulic_damping.model': 'linear',
-            'friction.model': 'off', 'force_sensor.model': 'off'}
+            'friction.model': 'off', 'force_sensor.model': 'off',
+            'valve_characteristic.gain': 0.535, 'valve_flexure.coil_frequency': 26.1,
+            'valve_flexure.natural_frequency': 890.0, 'valve_flexure.delay': 1.003e-3,
+            'hydraulic_damping.linear_gain': 1000.0, 'load.mass': 0.5, 'load.stiffness': 2e5,
+            'load.damping': 20.0, 'valve_characteristic.full_opening': 2e-5,
+            'valve_characteristic.maximum_force': 1000.0}
 # The real machine differs from its model by a tenth in what is uncertain.
 REAL = {**TEXTBOOK, 'load.stiffness': 2.2e5, 'load.mass': 0.45,
         'hydraulic_damping.linear_gain': 1100.0, 'valve_characteristic.gain': 0.5}
