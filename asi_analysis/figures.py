@@ -51,26 +51,25 @@ def svg(figure: Figure, description: str) -> str:
     return element.replace('<svg', f'<svg role="img" aria-label="{html.escape(description)}"', 1)
 
 
-def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], step_n: float,
-                   end_s: float) -> Figure:
+def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], end_s: float) -> Figure:
     """
-    Draw force and valve command after a step.
+    Draw force and valve command after a step, so that steps of different size compare.
 
-    runs: label -> time since the step (s), force (N), command (N); drawn to end_s.
+    runs: label -> time since the step (s), force and command (% of the step); drawn to end_s.
     """
     with style():
         figure = _figure(4.6)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        above.step([-0.01e3, 0.0, 1e3 * end_s], [0.0, 0.0, step_n], color='black',
+        above.step([-0.01e3, 0.0, 1e3 * end_s], [0.0, 0.0, 100.0], color='black',
                    linewidth=0.9, linestyle='--', where='pre', label='reference')
         for colour, (label, (time, force, command)) in zip(COLOURS, runs.items(), strict=False):
             shown = (time >= -0.01) & (time <= end_s)
             above.plot(1e3 * time[shown], force[shown], color=colour, label=label)
             below.plot(1e3 * time[shown], command[shown], color=colour, linewidth=1.1)
-        above.set(ylabel='force (N)', xlim=(-10.0, 1e3 * end_s))
+        above.set(ylabel='force (% of the step)', xlim=(-10.0, 1e3 * end_s))
         above.set_title('Force')
         above.legend(loc='lower right')
-        below.set(ylabel='command (N)', xlabel='time after the step (ms)')
+        below.set(ylabel='command (% of the step)', xlabel='time after the step (ms)')
         below.set_title('Valve command')
         return figure
 

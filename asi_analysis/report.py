@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from asi_analysis import figures
 from asi_analysis.demo import (
-    STEP_N,
     Loop,
     Published,
     Recorded,
@@ -67,7 +66,9 @@ def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
         quantities=[f'{entry.quantity} ({entry.unit})' for entry in recorded[0].plan.published],
         shapes=[(each.plan.title, each.analysis['rise_shape']) for each in recorded
                 if each.analysis['monotone_rise'] is False and each.plan.published],
-        step_n=STEP_N, actuator=recorded[0].experiment.actuator, cycle=cycle, swing=swing,
+        steps=[(each.plan.title, float(each.experiment.controller['reference.amplitude']),
+                _load(each)) for each in recorded if each.plan.published],
+        cycle=cycle, swing=swing,
         cycle_run=cycle_run, loop=loop, loop_run=loop_run, recorded=recorded,
         gains={each.plan.name: _gain(each) for each in recorded},
         delay_ms=_delay_ms(recorded[0]), versions=versions(),
@@ -80,10 +81,12 @@ def _steps(recorded: list[Recorded]) -> Figure:
     curves = {}
     for each in recorded:
         if each.plan.published:
-            start = each.analysis['steps'][0]['time_s']
-            curves[each.plan.title] = (each.run.time_s - start, each.run.signal('force'),
-                                       each.run.signal('command'))
-    return figures.step_responses(curves, STEP_N, 0.25)
+            step = each.analysis['steps'][0]
+            share = 100.0 / (step['final_n'] - step['initial_n'])
+            curves[each.plan.title] = (each.run.time_s - step['time_s'],
+                                       share * each.run.signal('force'),
+                                       share * each.run.signal('command'))
+    return figures.step_responses(curves, 0.25)
 
 
 def _hysteresis(loop: Loop) -> Figure:
@@ -117,6 +120,15 @@ def _gain(recorded: Recorded) -> float:
     """Return the gain that was in use."""
     values = recorded.experiment.controller
     return float(values['gain']) or OWN_GAIN[str(values['compensator'])]
+
+
+def _load(recorded: Recorded) -> str:
+    """Say what the piston pushes against."""
+    values = recorded.experiment.actuator
+    if values['load.type'] == 'locked':
+        return 'piston locked'
+    return (f'spring of {float(values["load.stiffness"]) / 1e3:.3g} kN/m, '
+            f'{float(values["load.mass"]):.3g} kg, {float(values["load.damping"]):.3g} N s/m')
 
 
 def _delay_ms(recorded: Recorded) -> float:

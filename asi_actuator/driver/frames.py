@@ -139,9 +139,10 @@ def default_path() -> Path:
     Beside the package in a source tree (also if that is what is installed, editable); else where
     setup.py has put it, under the prefix that holds lib/python3.x/site-packages.
     """
-    module = Path(__file__).resolve()
-    places = (module.parents[2] / 'config' / FILE,
-              module.parents[5] / 'share' / 'asi_actuator' / 'config' / FILE)
+    root = Path(__file__).resolve().parents[2]
+    # From <prefix>/lib/python3.x/site-packages; a source tree may lie too shallow to have one.
+    prefix = root.joinpath('..', '..', '..').resolve()
+    places = (root / 'config' / FILE, prefix / 'share' / 'asi_actuator' / 'config' / FILE)
     for place in places:
         if place.is_file():
             return place
