@@ -33,9 +33,11 @@ class Conditions(NamedTuple):
     lead_lag: StepTest = StepTest(
         {'compensator': 'lead_lag', 'gain': 25.58,
          'lead_lag.centre_frequency': 94.03}, 693.3, LOCKED)
+    # A higher gain and ratio (8.9, 13.8) settle in Table 1's 0.04 s, but only because the command
+    # chatters between its limits all that time: not a step response to be proud of.
     lead4: StepTest = StepTest(
-        {'compensator': 'lead4', 'gain': 8.908, 'lead4.zero_frequency': 204.2,
-         'lead4.ratio': 13.8, 'lead4.lag_ratio': 11.64}, 673.2, LOCKED)
+        {'compensator': 'lead4', 'gain': 2.235, 'lead4.zero_frequency': 228.6,
+         'lead4.ratio': 2.849, 'lead4.lag_ratio': 392.0}, 653.0, LOCKED)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0
