@@ -497,6 +497,34 @@ def gap_check(
     answer(document, as_json, show)
 
 
+@command('calibrate', 'asi calibrate --evaluations 2000 --jobs 2 --out runs/calibration')
+def calibrate(
+    evaluations: Annotated[int, typer.Option(
+        help='Candidates of the global search, with those of an earlier call', min=1)] = 2000,
+    polish: Annotated[int, typer.Option(
+        help='Rounds of damped least squares from the best', min=0)] = 3,
+    seed: Annotated[int, typer.Option(help='Seed of the search')] = 1,
+    spread: Annotated[float, typer.Option(
+        help='First spread of the search, share of the range of each parameter')] = 0.1,
+    start: Annotated[Path | None, typer.Option(
+        help='best.json of an earlier calibration to start from; default: the defaults')] = None,
+    only: Annotated[list[str] | None, typer.Option(
+        help='Leave free only this quantity; may be repeated')] = None,
+    jobs: Annotated[int, typer.Option(
+        help='Processes; the result is the same', min=1)] = 1,
+    out: Annotated[Path, typer.Option(
+        help='Directory of state and result; a search that is there is gone on with')
+    ] = Path('runs/calibration'),
+    as_json: Json = False,
+) -> None:
+    """Fit the model's free parameters to the facts that the paper publishes."""
+    from asi_analysis import calibration
+    with progress() as told:
+        document = calibration.run(out, evaluations, polish, seed, spread, start, only or [],
+                                   jobs, told)
+    answer(document, as_json, calibration.show)
+
+
 @command('ensemble', 'asi ensemble --count 20')
 def ensemble(
     count: Annotated[int, typer.Option(help='Members wanted')] = 20,

@@ -29,3 +29,13 @@ def test_architecture_names_every_module_and_nothing_else() -> None:
                if path.suffix == '.py' or (path / '__init__.py').exists()]
     assert [str(path.relative_to(ROOT)) for path in sources if path.name != '__init__.py'
             and not any(path.match(name) for name in named)] == []
+
+
+def test_every_command_with_documented_json_is_there() -> None:
+    from typer.main import get_command
+
+    from asi_analysis.cli import app
+    from asi_analysis.json_keys import DOCUMENTS
+
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    assert {name.split()[1] for name in DOCUMENTS} <= set(commands)
