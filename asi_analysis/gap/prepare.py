@@ -99,7 +99,7 @@ def _bridged(name: str, values: Array, source: str) -> Array:
 def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
     """Return the period (s) and the signals at equal distances in time."""
     time = run.time_s
-    if len(run) < 2 or time[-1] - time[0] < SHORTEST_S:
+    if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
         raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, it '
                          f'takes at least {SHORTEST_S:g} s')
     steps = round((time[-1] - time[0]) / run.period_s)
