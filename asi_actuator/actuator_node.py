@@ -405,7 +405,8 @@ class RealTime:
             self.start, self.done = now, 0
         if self.commanded_at is not None:
             node.safety.watch_command(now - self.commanded_at)
-        due = round((now - self.start) * node.rate_hz) - self.done
+        # At least one: where jitter rounds a tick down and the next one up, nothing is lost.
+        due = max(1, round((now - self.start) * node.rate_hz) - self.done)
         self.done += due
         # A timer that fires late has missed samples; the actuator catches up within bounds.
         self.overruns += due > 1
