@@ -9,8 +9,8 @@ from scipy.stats import t as student
 from asi_analysis.gap.fit import Group, measured, predict
 from asi_analysis.gap.prepare import PARTS, Array
 
-# How much a fresh recording differs beyond what the parts of this one tell, fitted to blind cases
-# with seeds below 10 000: the interval is to cover the shrink on a fresh recording.
+# How much a fresh recording differs beyond what the parts of this one tell, set by hand on blind
+# cases with seeds below 10 000: the interval is to cover the shrink on a fresh recording.
 WIDENED, LEAST = 1.5, 0.01
 
 

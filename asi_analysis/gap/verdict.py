@@ -27,7 +27,7 @@ Names = tuple[str, ...]
 
 class Constants(NamedTuple):
     """
-    The constants of the weighing, fitted to blind cases with seeds below 10 000 (doc/gap.md).
+    The constants of the weighing, set by hand on blind cases with seeds below 10 000 (doc/gap.md).
 
     samples: independent samples that a channel is counted as if USUAL_S are held out; price: log
     prior of an effect against none; second: that of one more; parameter: that of a parameter more
