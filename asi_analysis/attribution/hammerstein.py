@@ -17,7 +17,6 @@ from asi_analysis.attribution import valves
 
 Array = npt.NDArray[np.float64]
 
-KINDS: Final = ('linear', 'stiction', 'backlash', 'hysteresis', 'saturation')
 WIDTHS: Final = (0.08, 0.16, 0.26, 0.38, 0.5, 0.62, 0.74, 0.84, 0.92)
 # A valve that slips to `slip` times its width passes a swing of (1 + slip) widths or more: these
 # are shares of the largest width that the swing of the command moves.

@@ -89,7 +89,6 @@ EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
 
 PLAYS = 4
-ROUNDEST = 0.25   # of the reciprocal exponent: 0 is a hard corner
 
 
 @jit

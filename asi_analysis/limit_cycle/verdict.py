@@ -22,8 +22,6 @@ from asi_analysis.run import Run
 
 Array = npt.NDArray[np.float64]
 
-VERDICTS: Final = ('limit_cycle', 'decaying', 'growing', 'forced', 'saturating', 'noise',
-                   'unsteady')
 RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
 FEWEST_CYCLES: Final = 3.0
 SAMPLES_A_CYCLE: Final = 32
