@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from typing import Final, Protocol
+from typing import Final, NoReturn, Protocol
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
@@ -142,6 +142,12 @@ class ActuatorNode(Node):
         """Close the valve, then end."""
         self.driver.close()
         super().destroy_node()
+
+    def finish(self) -> NoReturn:
+        """End the run that `duration` bounds: one that ended in a fault has failed."""
+        if self.safety.state is State.FAULT:
+            raise RunError(f'the run ended in a fault: {self.safety.reason}')
+        raise RunFinished
 
     def _last_tick(self) -> int | None:
         """Return the number of ticks after which the run has ended, None for no end."""
@@ -305,7 +311,7 @@ class LockStep:
 
     def _advance(self, command_n: float) -> None:
         if self.tick == self.node.last_tick:
-            raise RunFinished
+            self.node.finish()
         self.node.exchange(command_n, 1)
         self._publish_next()
 
@@ -416,7 +422,7 @@ class RealTime:
             node.states.publish(node.state)
             node.publish_rest()
             if node.statistics.ticks == node.last_tick:
-                raise RunFinished
+                node.finish()
         elif node.measured is None:
             node.get_logger().warning(self.health()[1], throttle_duration_sec=5.0)
 

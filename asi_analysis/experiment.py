@@ -263,8 +263,8 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambd
             else:
                 progress(text, None)
         if nodes['actuator'].returncode:
-            raise RunFailedError(_last_words('actuator', nodes['actuator'], out))
-        _complain_of_fault(ticks()[1], bag)
+            raise RunFailedError(_last_words('actuator', nodes['actuator'], out)
+                                 + f'; the bag so far: {bag}')
         progress('finishing the bag', 1.0)
     return bag
 
