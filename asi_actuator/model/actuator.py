@@ -16,7 +16,7 @@ from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain
 from asi_actuator.model.force_sensor import SensorStep, force_sensor, reading, sensor_step
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
-from asi_actuator.model.jit import FULL, jit, jit_parallel
+from asi_actuator.model.jit import FULL, inlined, jit, jit_parallel
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
@@ -128,7 +128,7 @@ def jump(state, command, p):
             valve_characteristic(state.valve_position, p) - state.damping_force)
 
 
-@jit
+@inlined
 def substep(state, command, p, steady):
     """Advance `state` by a sub-step at a constant valve command (N)."""
     # The drive bends too much within a sub-step for a straight line: its mean by Simpson's rule.

@@ -10,7 +10,7 @@ that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends
 import math
 from typing import Final, NamedTuple
 
-from asi_actuator.model.jit import FULL, LINEAR, jit
+from asi_actuator.model.jit import FULL, LINEAR, inlined, jit
 
 # Share of the breakaway deflection below which the seals deform without any sliding.
 ELASTIC_SHARE: Final = 0.7
@@ -81,7 +81,7 @@ def deflect(before, velocity, p, h):
     return after, h * (1.0 + x) / fall * max(0.0, 1.0 - loss * abs(after))
 
 
-@jit
+@inlined
 def friction(before, mean_velocity, velocity, p, h):
     """
     Return seals and friction after a sub-step of `h` s that ends at `velocity` (m/s).

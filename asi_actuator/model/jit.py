@@ -40,4 +40,7 @@ setattr(numba.config, 'CACHE_DIR', str(_cache_folder()))  # noqa: B010 (numba ad
 # Without fast-math LLVM may not reorder sums: the loop over ROS and the loop in process, which
 # inline these functions differently, agree to the last bit.
 jit = numba.njit(cache=True, error_model='numpy', nogil=True)
+# For what a sub-step calls: LLVM's own guess leaves these out of line, and passing their many
+# arguments took a tenth of the time.
+inlined = numba.njit(cache=True, error_model='numpy', nogil=True, forceinline=True)
 jit_parallel = numba.njit(cache=True, error_model='numpy', parallel=True)

@@ -10,7 +10,7 @@ from typing import Final
 
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
-from asi_actuator.model.jit import jit
+from asi_actuator.model.jit import inlined, jit
 
 LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
@@ -39,7 +39,7 @@ def prescribed_velocity(time_s, p):
     return p.load_velocity * math.sin(2.0 * math.pi * p.load_frequency * time_s)
 
 
-@jit
+@inlined
 def load(state, static_before, static_after, opening, fluid, p, h):
     """
     Advance piston, seals and hydraulic force by a sub-step of `h` s.
