@@ -5,7 +5,6 @@ import sys
 import time
 from typing import Final, NoReturn, Protocol
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -15,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from asi_actuator import calibration
+from asi_actuator import calibration, wire
 from asi_actuator.calibration import Rest
 from asi_actuator.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
 from asi_actuator.discovery import not_recorded
@@ -27,7 +26,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.ros_parameters import RosParameters
 from asi_actuator.safety import Safety, State
 from asi_actuator.spin import RunError, RunFinished, run_node
-from asi_actuator.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS, nanoseconds, set_time
+from asi_actuator.topics import CONTROL_QOS, STREAM_QOS
 
 # How often the lock-step looks whether it must send again, s.
 WATCH_PERIOD_S: Final = 0.005
@@ -63,7 +62,9 @@ class ActuatorNode(Node):
         self.health = Health()
         self.unseen = 0
 
-        self._create_messages()
+        self._valve_m = 0.0
+        self.stamp_ns = 0
+        self.state = b''
         self.states = self.create_publisher(JointState, 'joint_states', STREAM_QOS)
         self.forces = self.create_publisher(WrenchStamped, 'force', STREAM_QOS)
         self.valve_positions = self.create_publisher(Float64, 'valve_position', STREAM_QOS)
@@ -71,7 +72,7 @@ class ActuatorNode(Node):
         self.topics = [self.states, self.forces, self.valve_positions, self.velocities]
         self.loop: Loop = (LockStep if values['mode'] == 'lockstep' else RealTime)(self)
         self.commands = self.create_subscription(
-            WrenchStamped, 'valve_command', self._on_command, CONTROL_QOS)
+            WrenchStamped, 'valve_command', self._on_command, CONTROL_QOS, raw=True)
         self.create_service(SetBool, '~/enable', self._enable)
         self.create_service(Trigger, '~/calibrate', self._calibrate)
         self.create_service(Trigger, '~/reset', self._reset)
@@ -79,17 +80,6 @@ class ActuatorNode(Node):
         self.diagnostics = Diagnostics(self, self._describe)
         self.get_logger().info(f'{values["driver"]}, {values["mode"]} at {self.rate_hz:g} Hz, '
                                f'{self.safety.state}')
-
-    def _create_messages(self) -> None:
-        """Make each message once; a tick only changes the numbers."""
-        self.stamp = Time()
-        self.state = JointState(name=list(JOINTS), position=[0.0, 0.0], velocity=[0.0, 0.0],
-                                effort=[0.0, 0.0])
-        self.force = WrenchStamped()
-        for message in (self.state, self.force):
-            message.header.frame_id = FRAME
-            message.header.stamp = self.stamp
-        self.valve_position, self.velocity = Float64(), Float64()
 
     def missing(self) -> list[str]:
         """Return the recorders that the first state still waits for."""
@@ -118,25 +108,22 @@ class ActuatorNode(Node):
         return reading is not None
 
     def sense(self, stamp_ns: int) -> None:
-        """Put what was measured last into the messages."""
+        """Make the message of what was measured last, and count the tick."""
         assert self.measured is not None
         force, valve, position, velocity = self.measured
-        set_time(self.stamp, stamp_ns)
-        state = self.state
-        state.velocity[1] = (valve - state.position[1]) * self.rate_hz
-        state.position[0], state.position[1] = position, valve
-        state.velocity[0] = velocity
-        state.effort[0], state.effort[1] = force, self.applied_n
-        self.force.wrench.force.x = force
-        self.valve_position.data = valve
-        self.velocity.data = velocity
+        valve_velocity = (valve - self._valve_m) * self.rate_hz
+        self._valve_m = valve
+        self.stamp_ns = stamp_ns
+        self.state = wire.state(stamp_ns, (position, valve), (velocity, valve_velocity),
+                                (force, self.applied_n))
         self.statistics.tick(self.health.saturated)
 
     def publish_rest(self) -> None:
         """Publish what is not `joint_states`."""
-        self.forces.publish(self.force)
-        self.valve_positions.publish(self.valve_position)
-        self.velocities.publish(self.velocity)
+        assert self.measured is not None
+        self.forces.publish(wire.wrench(self.stamp_ns, self.measured.force_n))
+        self.valve_positions.publish(wire.number(self.measured.valve_position_m))
+        self.velocities.publish(wire.number(self.measured.velocity_m_s))
 
     def destroy_node(self) -> None:
         """Close the valve, then end."""
@@ -168,8 +155,8 @@ class ActuatorNode(Node):
             self.get_logger().info(self.safety.state)
         self.diagnostics.publish()
 
-    def _on_command(self, message: WrenchStamped) -> None:
-        self.loop.on_command(nanoseconds(message.header.stamp), message.wrench.force.x)
+    def _on_command(self, message: bytes) -> None:
+        self.loop.on_command(*wire.force(message))
 
     def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         if not request.data:
@@ -274,7 +261,6 @@ class LockStep:
         self.resent = 0
         self.begun = False
         self.silent_since = self.sent_at = time.monotonic()
-        self.clock = ClockMessage(clock=node.stamp)
         self.clocks = node.create_publisher(ClockMessage, '/clock', STREAM_QOS)
         node.topics.append(self.clocks)
         node.create_timer(WATCH_PERIOD_S, self._watch,
@@ -333,7 +319,7 @@ class LockStep:
 
     def _publish(self) -> None:
         self.node.states.publish(self.node.state)
-        self.clocks.publish(self.clock)
+        self.clocks.publish(wire.clock(self.stamp_ns))
 
     def _watch(self) -> None:
         """Publish the first state when all are there; later, see to it that it is answered."""

@@ -5,22 +5,22 @@ import sys
 import time
 from typing import Final, Protocol
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
+from asi_actuator import wire
 from asi_actuator.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
 from asi_actuator.discovery import not_recorded
 from asi_actuator.node_parameters import control_rate
 from asi_actuator.ros_parameters import RosParameters
 from asi_actuator.spin import RunError, run_node
-from asi_actuator.topics import CONTROL_QOS, FRAME, PISTON, STREAM_QOS, nanoseconds, set_time
+from asi_actuator.topics import CONTROL_QOS, PISTON, STREAM_QOS
 from asi_controller.controller import Controller
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
@@ -54,16 +54,12 @@ class ControllerNode(Node):
         self.ignored = 0
         self.recorded = not values['await_recorder']
 
-        # Made once; an answer only changes the numbers.
-        self.stamp = Time()
-        self.command, self.reference = WrenchStamped(), WrenchStamped()
-        for message in (self.command, self.reference):
-            message.header.frame_id = FRAME
-            message.header.stamp = self.stamp
+        self.command = b''
         self.commands = self.create_publisher(WrenchStamped, 'valve_command', STREAM_QOS)
         self.references = self.create_publisher(WrenchStamped, 'force_reference', STREAM_QOS)
         self.loop: Loop = (LockStep if lockstep else RealTime)(self)
-        self.create_subscription(JointState, 'joint_states', self._on_state, CONTROL_QOS)
+        self.create_subscription(JointState, 'joint_states', self._on_state, CONTROL_QOS,
+                                 raw=True)
         self.wanted: Subscription | None = None
         self._listen()
         self.create_service(SetBool, '~/enable', self._enable)
@@ -74,12 +70,11 @@ class ControllerNode(Node):
     def answer(self, stamp_ns: int, force_n: float) -> None:
         """Publish the answer to the state of a stamp."""
         reference, command = self.controller.answer(stamp_ns, force_n)
-        set_time(self.stamp, stamp_ns)
-        if self.controller.generates:
-            self.reference.wrench.force.x = reference
-            self.references.publish(self.reference)
-        self.command.wrench.force.x = command
+        # First what the actuator waits for.
+        self.command = wire.wrench(stamp_ns, command)
         self.commands.publish(self.command)
+        if self.controller.generates:
+            self.references.publish(wire.wrench(stamp_ns, reference))
         self.statistics.tick(self.controller.saturated)
 
     def ready(self) -> bool:
@@ -87,27 +82,24 @@ class ControllerNode(Node):
         self.recorded = self.recorded or not not_recorded(self, [self.commands, self.references])
         return self.recorded
 
-    def _on_state(self, message: JointState) -> None:
-        try:
-            force = message.effort[message.name.index(PISTON)]
-        except (ValueError, IndexError):
-            force = math.nan
-        if math.isfinite(force):
-            self.loop.on_state(nanoseconds(message.header.stamp), force)
+    def _on_state(self, message: bytes) -> None:
+        stamp_ns, force_n = wire.piston_effort(message)
+        if math.isfinite(force_n):
+            self.loop.on_state(stamp_ns, force_n)
         else:
             self.ignored += 1
             self.get_logger().error(
                 f'joint_states without a finite effort of the joint {PISTON}: ignored',
                 throttle_duration_sec=1.0)
 
-    def _on_reference(self, message: WrenchStamped) -> None:
-        if math.isfinite(message.wrench.force.x):
-            self.controller.topic_n = message.wrench.force.x
+    def _on_reference(self, message: bytes) -> None:
+        force_n = wire.force(message).value
+        if math.isfinite(force_n):
+            self.controller.topic_n = force_n
         else:
             self.ignored += 1
-            self.get_logger().error(
-                f'force_reference: {message.wrench.force.x} N is not a force: ignored',
-                throttle_duration_sec=1.0)
+            self.get_logger().error(f'force_reference: {force_n} N is not a force: ignored',
+                                    throttle_duration_sec=1.0)
 
     def _change(self, changed: set[str]) -> None:
         self.controller.change(self.parameters.values, changed)
@@ -121,7 +113,7 @@ class ControllerNode(Node):
         elif not self.controller.generates and self.wanted is None:
             self.controller.topic_n = 0.0
             self.wanted = self.create_subscription(
-                WrenchStamped, 'force_reference', self._on_reference, CONTROL_QOS)
+                WrenchStamped, 'force_reference', self._on_reference, CONTROL_QOS, raw=True)
 
     def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         self.controller.enable(request.data, self.parameters.values)
@@ -171,8 +163,9 @@ class LockStep:
         self.straggler_ns: int | None = None
         self.repeats = 0
         self.resent = 0
-        node.set_parameters([RosParameter('use_sim_time', value=True)])
-        node.create_timer(1.0 / node.rate_hz, self._answer_if_due)
+        self.clock_ns = 0
+        # Not by use_sim_time: rclpy's own way takes ten times as long (bench/loop_rate.py).
+        node.create_subscription(ClockMessage, '/clock', self._on_clock, CONTROL_QOS, raw=True)
         if not node.recorded:
             node.create_timer(WATCH_PERIOD_S, self._answer_if_due,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -190,6 +183,10 @@ class LockStep:
         self.last_ns = stamp_ns
         self.straggler_ns = None
         self.pending = stamp_ns, force_n
+        self._answer_if_due()
+
+    def _on_clock(self, message: bytes) -> None:
+        self.clock_ns = wire.time(message)
         self._answer_if_due()
 
     def health(self) -> tuple[bytes, str]:
@@ -227,8 +224,7 @@ class LockStep:
                 'does a second controller answer?')
 
     def _answer_if_due(self) -> None:
-        if (self.pending is None or not self.node.ready()
-                or self.node.get_clock().now().nanoseconds < self.pending[0]):
+        if self.pending is None or self.clock_ns < self.pending[0] or not self.node.ready():
             return
         stamp_ns, force_n = self.pending
         self.pending = None

@@ -1,12 +1,12 @@
 """The driver when there is no hardware: the compiled model."""
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from asi_actuator.driver import Health
 from asi_actuator.model.actuator import Measurement, measure, rest, step
+from asi_actuator.model.jit import jit
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record
 
 NAMES = frozenset(parameter.name for parameter in ACTUATOR_PARAMETERS)
@@ -19,6 +19,19 @@ def physical(values: Mapping[str, Value]) -> np.void:
     Raises ParameterError if they do not go together.
     """
     return as_record({name: value for name, value in values.items() if name in NAMES})
+
+
+@jit
+def _exchange(states, parameters, command, period, periods):
+    """
+    Advance by control periods, and return what is measured then.
+
+    states, parameters: arrays of one record, which compiled code takes in a tenth of the time
+    that it takes a record: of that numpy spells out every field, each time.
+    """
+    for _ in range(periods):
+        step(states[0], command, parameters[0], period)
+    return measure(states[0], parameters[0])
 
 
 class SimulatedActuator:
@@ -40,25 +53,26 @@ class SimulatedActuator:
 
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement:
         """Advance by control periods at a valve command (N); return what the sensors tell then."""
-        for _ in range(periods):
-            step(self._state, command_n, self._p, self.period_s)
-        limit = float(self._p['command_limit'])
-        self.applied_n = math.copysign(min(abs(command_n), limit), command_n)
-        return Measurement(*measure(self._state, self._p))
+        self._drive_n = abs(command_n)
+        self._measured = Measurement(*_exchange(
+            self._states, self._parameters, command_n, self.period_s, periods))
+        return self._measured
 
     def health(self) -> Health:
-        full = self._p['valve_characteristic_full_opening']
-        return Health(saturated=bool(abs(self._state['valve_position']) >= full
-                                     or abs(self.applied_n) >= self._p['command_limit']))
+        return Health(saturated=abs(self._measured.valve_position_m) >= self._full_opening_m
+                      or self._drive_n >= self._drive_limit_n)
 
     def configure(self, values: Mapping[str, Value]) -> None:
         """Take new physical parameters from the next tick on; the state stays."""
-        self._p = physical(values)
+        self._parameters = np.array([physical(values)])
+        self._full_opening_m = float(values['valve_characteristic.full_opening'])
+        self._drive_limit_n = float(values['command_limit'])
 
     def reset(self) -> None:
         """Return to rest."""
-        self._state = rest()
-        self.applied_n = 0.0
+        self._states = np.array([rest()])
+        self._measured = Measurement(0.0, 0.0, 0.0, 0.0)
+        self._drive_n = 0.0
 
     def close(self) -> None:
         pass
