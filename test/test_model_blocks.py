@@ -12,7 +12,7 @@ import pytest
 from scipy import signal
 from study import STUDY
 
-from asi_actuator.model.actuator import measure, rest, simulate, simulate_many, step
+from asi_actuator.model.actuator import measure, rest, simulate, step
 from asi_actuator.model.delay import delay, delay_steps
 from asi_actuator.model.friction import friction, sliding_friction
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force, tanh
@@ -21,7 +21,7 @@ from asi_actuator.model.valve_characteristic import valve_characteristic, valve_
 from asi_actuator.model.valve_hysteresis import half_width, magnetise, rate_decay
 from asi_actuator.parameters import ParameterError, Value
 from asi_actuator.parameters import as_record as record_of
-from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.closed_loop import close_many, loops_of, simulate_loop, simulate_loops
 from asi_controller.compensator import compensate, compensator
 
 PERIOD = 2e-4
@@ -365,19 +365,18 @@ def test_linear_damping_and_friction_are_viscous(block: str) -> None:
 # --- ways to run the same code
 
 
-def test_step_by_step_simulate_and_simulate_many_agree_to_the_bit() -> None:
+def test_step_by_step_and_simulate_agree_to_the_bit() -> None:
     commands = np.random.default_rng(3).normal(0, 800, 400)
-    sets = [as_record(values) for values in (
-        {}, {'load.type': 'spring', 'force_sensor.noise': 1.0}, {'valve_flexure.model': 'off'})]
-    many = simulate_many(np.array(sets), commands, PERIOD, every=3)
-    for p, forces in zip(sets, many.force_n, strict=True):
+    values: dict[str, Value]
+    for values in ({}, {'load.type': 'spring', 'force_sensor.noise': 1.0},
+                   {'valve_flexure.model': 'off'}):
+        p = as_record(values)
         whole = simulate(p, commands, PERIOD)
         state, stepped = rest(), []
         for command in commands:
             stepped.append(measure(state, p))
             step(state, command, p, PERIOD)
         assert np.array_equal(np.array(stepped), np.stack(whole[2:]).T)
-        assert np.array_equal(whole.force_n[::3], forces)
 
 
 def test_loop_in_one_process_is_measure_compensate_and_step() -> None:
@@ -391,6 +390,22 @@ def test_loop_in_one_process_is_measure_compensate_and_step() -> None:
         command = compensate(c, reference, force_n)
         assert (force_n, command) == (whole.force_n[k], whole.command_n[k])
         step(state, command, p, 1.0 / 5000.0)
+
+
+def test_loops_side_by_side_do_what_each_does_alone_to_the_bit() -> None:
+    sine: dict[str, Value] = {'reference.shape': 'sine', 'reference.frequency': 15.0}
+    actuators: list[dict[str, Value]] = [{'force_sensor.noise': 0.1 * k} for k in range(40)]
+    controllers = [{'gain': 2.0 + k} | sine for k in range(40)]
+    for k, run in enumerate(simulate_loops(actuators, controllers, 0.1)):
+        alone = simulate_loop(actuators[k], controllers[k], 0.1)
+        assert np.array_equal(np.stack(run), np.stack(alone))
+    # In two goes, of which only an end is kept.
+    loops = loops_of(actuators, [{'gain': 2.0 + k} for k in range(40)], 5000.0)
+    twice = loops_of(actuators, [{'gain': 2.0 + k} for k in range(40)], 5000.0)
+    loops.plants['load_external_force'] = twice.plants['load_external_force'] = 100.0
+    whole = close_many(loops, 0.1)
+    assert close_many(twice, 0.06, 0.0).shape == (40, 6, 0)
+    assert np.array_equal(close_many(twice, 0.04, 0.01), whole[:, :, -50:])
 
 
 SHORT_RUN = """

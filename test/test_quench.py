@@ -11,7 +11,7 @@ from study import STUDY, STUDY_CONTROLLER
 from asi_actuator.parameters import defaults
 from asi_analysis import json_keys
 from asi_analysis.prediction.predict import simulated_onset
-from asi_analysis.quench.attack import NAMES, Condition, attempt, search
+from asi_analysis.quench.attack import NAMES, Condition, attempts, search
 from asi_analysis.quench.design import design
 from asi_analysis.quench.dither import dither
 from asi_analysis.quench.margin import encircles, margin
@@ -46,10 +46,11 @@ def test_attack_finds_the_cycle_of_a_high_gain_and_none_of_a_low_one():
     assert not any(trial.sustained for trial in tame)
 
 
-def test_attack_is_the_same_again():
+def test_condition_does_the_same_alone_and_beside_another():
     condition = Condition(dict.fromkeys(NAMES, 0.37))
-    assert attempt(condition, {}, {'gain': 9.0}, (RATE_HZ,)) == attempt(
-        condition, {}, {'gain': 9.0}, (RATE_HZ,))
+    other = Condition(dict.fromkeys(NAMES, 0.6))
+    alone = attempts([condition], {}, {'gain': 9.0}, (RATE_HZ,))
+    assert attempts([other, condition], {}, {'gain': 9.0}, (RATE_HZ,))[1:] == alone
 
 
 def test_dither_quenches_a_cycle_that_is_barely_there_and_costs_valve_travel():

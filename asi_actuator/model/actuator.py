@@ -8,7 +8,6 @@ second order in the sub-step, which is fixed, and stable for any.
 import math
 from typing import Final, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +15,7 @@ from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain
 from asi_actuator.model.force_sensor import SensorStep, force_sensor, reading, sensor_step
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
-from asi_actuator.model.jit import FULL, inlined, jit, jit_parallel
+from asi_actuator.model.jit import FULL, inlined, jit
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
@@ -26,7 +25,7 @@ from asi_actuator.model.valve_characteristic import (
 )
 from asi_actuator.model.valve_flexure import FlexureStep, flexure_gain, flexure_step, valve_flexure
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
-from asi_actuator.parameters import ACTUATOR_DTYPE, RING, ParameterError
+from asi_actuator.parameters import RING, ParameterError
 
 # The longest delay, 0.01 s, is RING - 2 sub-steps of 9.8 us.
 SHORTEST_PERIOD_S: Final = 1e-5
@@ -179,12 +178,10 @@ def measure(state, p):
 
 
 @jit
-def _simulate(state, commands, p, period, every, out):
+def _simulate(state, commands, p, period, out):
     steady = prepare(p, period)
     for k in range(commands.size):
-        if k % every == 0:
-            out[0, k // every], out[1, k // every], out[2, k // every], out[3, k // every] = (
-                measure(state, p))
+        out[0, k], out[1, k], out[2, k], out[3, k] = measure(state, p)
         advance(state, commands[k], p, steady)
 
 
@@ -207,38 +204,6 @@ def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
     check_period(period_s)
     commands = np.ascontiguousarray(commands, np.float64)
     out = np.empty((4, commands.size))
-    _simulate(rest() if state is None else state, commands, p, period_s, 1, out)
+    _simulate(rest() if state is None else state, commands, p, period_s, out)
     time_s = np.arange(commands.size, dtype=np.float64) * period_s
     return Trajectory(time_s, commands, *out)
-
-
-@jit
-def _simulate_from_rest(commands, p, period, every, out):
-    _simulate(np.zeros(1, STATE_DTYPE)[0], commands, p, period, every, out)
-
-
-@jit_parallel
-def _simulate_many(parameters, commands, period, every, out):
-    for i in numba.prange(parameters.size):
-        _simulate_from_rest(commands[i % commands.shape[0]], parameters[i], period, every, out[i])
-
-
-def simulate_many(parameters: npt.NDArray[np.void], commands: npt.ArrayLike, period_s: float,
-                  every: int = 1) -> Trajectory:
-    """
-    Return the runs, each from rest, of many parameter sets, on all cores.
-
-    parameters: m records of ACTUATOR_DTYPE; commands: n valve commands, N, for all runs, or m x n;
-    every: keep only every so-manieth sample. The arrays of forces, positions and velocities are
-    m x n / every, each row bit for bit what `simulate` returns.
-    """
-    check_period(period_s)
-    parameters = np.ascontiguousarray(parameters, ACTUATOR_DTYPE)
-    rows = np.atleast_2d(np.ascontiguousarray(commands, np.float64))
-    if rows.shape[0] not in (1, parameters.size):
-        raise ValueError(f'commands has {rows.shape[0]} rows for {parameters.size} parameter sets')
-    kept = rows[:, ::every]
-    out = np.empty((parameters.size, 4, kept.shape[1]))
-    _simulate_many(parameters, rows, period_s, every, out)
-    time_s = np.arange(kept.shape[1], dtype=np.float64) * every * period_s
-    return Trajectory(time_s, kept, out[:, 0], out[:, 1], out[:, 2], out[:, 3])

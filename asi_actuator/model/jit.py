@@ -43,4 +43,3 @@ jit = numba.njit(cache=True, error_model='numpy', nogil=True)
 # For what a sub-step calls: LLVM's own guess leaves these out of line, and passing their many
 # arguments took a tenth of the time.
 inlined = numba.njit(cache=True, error_model='numpy', nogil=True, forceinline=True)
-jit_parallel = numba.njit(cache=True, error_model='numpy', parallel=True)

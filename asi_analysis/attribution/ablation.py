@@ -21,6 +21,7 @@ from asi_analysis.prediction.simulation import (
     as_balance,
     loop_of,
     step_run,
+    step_swings,
     sustained,
 )
 
@@ -109,11 +110,12 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
         'amplitude_n': whole.amplitude if whole else None}
     if whole is None:
         return document | {'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'}
-    amplitudes = {}
-    for number, subset in enumerate(_all_subsets()):
-        report('shares', 0.1 + 0.3 * number / 16)
-        swing = _cycle(only(subset, actuator), with_gain(controller, at), rate_hz)
-        amplitudes[subset] = swing.amplitude if swing else 0.0
+    report('shares', 0.1)
+    subsets = _all_subsets()
+    swings = step_swings([only(subset, actuator) for subset in subsets],
+                         [with_gain(controller, at)] * len(subsets), rate_hz)
+    amplitudes = {subset: swing.amplitude if swing else 0.0
+                  for subset, swing in zip(subsets, swings, strict=True)}
     shares = shapley(amplitudes)
     total = sum(max(value, 0.0) for value in shares.values()) or 1.0
     causes = []

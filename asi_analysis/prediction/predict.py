@@ -13,6 +13,7 @@ from asi_analysis.prediction.simulation import (
     as_balance,
     loop_of,
     step_run,
+    step_swings,
     sustained,
 )
 
@@ -21,6 +22,8 @@ Report = Callable[[str, float | None], None]
 # The gain is raised by this share until the loop cycles, up to MOST times the first.
 RAISE: Final = 1.06
 MOST: Final = 12.0
+# Gains that are tried at a time.
+SIDE_BY_SIDE: Final = 4
 COMMANDS_N: Final = np.geomspace(60.0, 1.6e4, 36)
 
 
@@ -60,12 +63,18 @@ def first_cycle(actuator: Values, controller: Values, rate_hz: float, first: flo
 def simulated_onset(actuator: Values, controller: Values, rate_hz: float, low: float,
                     accuracy: float = 0.005) -> tuple[float, float, float] | None:
     """Return (gain, frequency, amplitude) of the least gain at which a step leaves a cycle."""
-    high, found = low, None
-    while found is None:
-        if high > MOST * low:
-            return None
-        below, high = high, high * RAISE
-        found = sustained(step_run(actuator, with_gain(controller, high), rate_hz))
+    gains = [low]
+    while gains[-1] <= MOST * low:
+        gains.append(gains[-1] * RAISE)
+    for first in range(1, len(gains), SIDE_BY_SIDE):
+        tried = [with_gain(controller, gain) for gain in gains[first:first + SIDE_BY_SIDE]]
+        swings = step_swings([actuator] * len(tried), tried, rate_hz)
+        cycling = [k for k, swing in enumerate(swings, first) if swing is not None]
+        if cycling:
+            break
+    else:
+        return None
+    below, high, found = gains[cycling[0] - 1], gains[cycling[0]], swings[cycling[0] - first]
     while high > below * (1.0 + accuracy):
         middle = 0.5 * (below + high)
         trial = sustained(step_run(actuator, with_gain(controller, middle), rate_hz))
@@ -73,6 +82,7 @@ def simulated_onset(actuator: Values, controller: Values, rate_hz: float, low: f
             below = middle
         else:
             high, found = middle, trial
+    assert found is not None
     return high, found.frequency_hz, found.amplitude
 
 

@@ -1,13 +1,13 @@
 """Cycles of the simulated loop: to begin harmonic balance from, and to judge it by."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from asi_actuator.parameters import Value, as_record
-from asi_analysis.closed_loop import LoopRun, simulate_loop
+from asi_analysis.closed_loop import LoopRun, simulate_loop, simulate_loops
 from asi_analysis.limit_cycle.sinusoid import Oscillation, fit
 from asi_analysis.prediction.harmonic_balance import Balance, Loop
 from asi_controller.compensator import compensator
@@ -34,8 +34,18 @@ def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
 def step_run(actuator: Values, controller: Values, rate_hz: float,
              duration_s: float = WATCHED_S) -> LoopRun:
     """Return the loop's answer to a step of its reference."""
-    return simulate_loop(actuator, {'reference.start': 0.01, **controller,
-                                    'reference.shape': 'step'}, duration_s, rate_hz)
+    return simulate_loop(actuator, _stepped(controller), duration_s, rate_hz)
+
+
+def step_swings(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float
+                ) -> list[Oscillation | None]:
+    """Return the oscillation that a step leaves in each loop, None where it dies out."""
+    runs = simulate_loops(actuators, [_stepped(each) for each in controllers], WATCHED_S, rate_hz)
+    return [sustained(run) for run in runs]
+
+
+def _stepped(controller: Values) -> dict[str, Value]:
+    return {'reference.start': 0.01, **controller, 'reference.shape': 'step'}
 
 
 def sustained(run: LoopRun) -> Oscillation | None:

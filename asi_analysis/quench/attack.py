@@ -6,19 +6,18 @@ condition excites the loop and then leaves it alone; what swings on after that i
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
-from asi_actuator.model.actuator import rest
-from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record
-from asi_analysis.closed_loop import _close
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value
+from asi_analysis.closed_loop import close_many, loops_of
 from asi_analysis.prediction.simulation import Values
-from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
+from asi_controller.reference import STEP
 
 Report = Callable[[str, float | None], None]
 
@@ -39,6 +38,8 @@ SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
 LOADS: Final = ('locked', 'spring', 'free')
 # Share of the trials that are random; the others vary the worst found so far.
 RANDOM_SHARE: Final = 0.6
+# Conditions that are tried side by side; those of the next vary the worst of all before.
+GENERATION: Final = 16
 
 
 class Condition(NamedTuple):
@@ -86,36 +87,45 @@ def _choice(options: tuple, number: float) -> Any:
     return options[min(int(number * len(options)), len(options) - 1)]
 
 
-def attempt(condition: Condition, actuator: Values, controller: Values,
-            rates_hz: tuple[float, ...]) -> Trial:
-    """Return what the loop does under a condition."""
-    s = condition.settings(rates_hz)
-    rate = s['rate_hz']
-    plant = as_record({**actuator, **s['actuator']})
+def attempts(conditions: Sequence[Condition], actuator: Values, controller: Values,
+             rates_hz: tuple[float, ...]) -> list[Trial]:
+    """Return what the loop does under each condition; those of one rate run side by side."""
+    settings = [condition.settings(rates_hz) for condition in conditions]
+    found: dict[int, Trial] = {}
+    for rate in {s['rate_hz'] for s in settings}:
+        chosen = [k for k, s in enumerate(settings) if s['rate_hz'] == rate]
+        measured = _tried([settings[k] for k in chosen], actuator, controller, rate)
+        found |= {k: Trial(conditions[k], *one) for k, one in zip(chosen, measured, strict=True)}
+    return [found[k] for k in range(len(conditions))]
+
+
+def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values, rate: float
+           ) -> list[tuple[float, bool, float]]:
+    """Return what `_left` says of each setting: excited, left alone, and watched if it lasts."""
     names = {parameter.name for parameter in REFERENCE_PARAMETERS}
-    c = compensator({k: v for k, v in controller.items() if k not in names}, rate)
-    state = rest()
-    state['position'] = s['kick_m']
-    force = []
-    for duration, shape, push in ((EXCITED_S, s['shape'], s['push_n']),
-                                  (LEFT_ALONE_S, 'step', 0.0)):
-        reference = as_record(
-            {'reference.shape': shape, 'reference.start': 0.0,
-             'reference.amplitude': s['amplitude_n'] if duration == EXCITED_S else 0.0,
-             'reference.offset': s['offset_n'], 'reference.frequency': s['frequency_hz'],
-             'reference.end_frequency': 2.0 * s['frequency_hz'],
-             'reference.duration': EXCITED_S}, REFERENCE_PARAMETERS)
-        plant['load_external_force'] = push
-        out = np.empty((6, math.ceil(duration * rate)))
-        _close(state, plant, c, reference, 1.0 / rate, out)
-        force.append(out[2])
-    swing, lasts, frequency = _left(force[1][-2 * int(WATCHED_S * rate):], rate)
-    if lasts and math.isfinite(swing):
-        # A slow ring could look like it for so short a time: watched for long.
-        out = np.empty((6, math.ceil(CONFIRMED_S * rate)))
-        _close(state, plant, c, reference, 1.0 / rate, out)
-        swing, lasts, frequency = _left(out[2][-int(0.6 * CONFIRMED_S * rate):], rate)
-    return Trial(condition, swing, lasts, frequency)
+    gains = {k: v for k, v in controller.items() if k not in names}
+    loops = loops_of(
+        [{**actuator, **s['actuator'], 'load.external_force': s['push_n']} for s in settings],
+        [{**gains, 'reference.shape': s['shape'], 'reference.start': 0.0,
+          'reference.amplitude': s['amplitude_n'], 'reference.offset': s['offset_n'],
+          'reference.frequency': s['frequency_hz'],
+          'reference.end_frequency': 2.0 * s['frequency_hz'],
+          'reference.duration': EXCITED_S} for s in settings], rate)
+    loops.states['position'] = [s['kick_m'] for s in settings]
+    close_many(loops, EXCITED_S, 0.0)
+    loops.plants['load_external_force'] = 0.0
+    loops.references['reference_shape'] = STEP
+    loops.references['reference_amplitude'] = 0.0
+    kept = 2 * int(WATCHED_S * rate) / rate
+    found = [_left(force, rate) for force in close_many(loops, LEFT_ALONE_S, kept)[:, 2]]
+    # A slow ring could look like it for so short a time: watched for long.
+    doubtful = np.array([k for k, (swing, lasts, _) in enumerate(found)
+                         if lasts and math.isfinite(swing)], np.intp)
+    kept = int(0.6 * CONFIRMED_S * rate) / rate
+    for k, force in zip(doubtful, close_many(loops.some(doubtful), CONFIRMED_S, kept)[:, 2],
+                        strict=True):
+        found[k] = _left(force, rate)
+    return found
 
 
 def _left(force: npt.NDArray[np.float64], rate_hz: float) -> tuple[float, bool, float]:
@@ -141,16 +151,21 @@ def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], co
     """Return `count` trials, the most threatening first."""
     random = np.random.default_rng(seed)
     trials: list[Trial] = []
-    for number in range(count):
-        if number % 16 == 0:
-            report(f'{sum(t.sustained for t in trials)} sustained in {number} conditions',
-                   number / count)
-        if number < RANDOM_SHARE * count:
-            point = dict(zip(NAMES, map(float, random.random(len(NAMES))), strict=True))
-        else:
-            parent = sorted(trials, key=_threat)[-1 - int(random.integers(min(8, len(trials))))]
-            step = 0.3 * random.random() * random.standard_normal(len(NAMES))
-            point = {name: float(np.clip(value + d, 0.0, 1.0)) for (name, value), d in zip(
-                parent.condition.numbers.items(), step, strict=True)}
-        trials.append(attempt(Condition(point), actuator, controller, rates_hz))
+    while len(trials) < count:
+        report(f'{sum(t.sustained for t in trials)} sustained in {len(trials)} conditions',
+               len(trials) / count)
+        worst = sorted(trials, key=_threat)[-8:]
+        conditions = [_condition(random, worst if number >= RANDOM_SHARE * count else [])
+                      for number in range(len(trials), min(len(trials) + GENERATION, count))]
+        trials += attempts(conditions, actuator, controller, rates_hz)
     return sorted(trials, key=_threat, reverse=True)
+
+
+def _condition(random: np.random.Generator, parents: Sequence[Trial]) -> Condition:
+    """Return a condition near one of the parents, or anywhere if there are none."""
+    if not parents:
+        return Condition(dict(zip(NAMES, map(float, random.random(len(NAMES))), strict=True)))
+    parent = parents[int(random.integers(len(parents)))]
+    step = 0.3 * random.random() * random.standard_normal(len(NAMES))
+    return Condition({name: float(np.clip(value + d, 0.0, 1.0)) for (name, value), d in zip(
+        parent.condition.numbers.items(), step, strict=True)})
