@@ -213,6 +213,10 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
               10.0, 1e5, source=FITTED),
     Parameter('force_sensor.delay', 1.371e-4, 's', 'Second of the two delays', 0.0, 0.01,
               source=FITTED),
+    Parameter('force_sensor.mass_share', 0.0, '',
+              'Share of the moving mass whose inertia the sensor does not feel: 0, it is between '
+              'cylinder and piston; 1, between the mass and what holds it', 0.0, 1.0,
+              source=FITTED),
     Parameter('force_sensor.gain', 1.0, 'N/N', 'Scale of the measured force', 0.1, 10.0),
     Parameter('force_sensor.offset', 0.0, 'N', 'Offset of the measured force', -1e4, 1e4),
     Parameter('force_sensor.noise', 0.0, 'N', 'Standard deviation of the measured force',

@@ -24,10 +24,10 @@ import numpy.typing as npt
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, completed, defaults
 from asi_analysis.errors import InputError
 from asi_analysis.facts import measures
-from asi_analysis.facts.bench import Values, in_process
+from asi_analysis.facts.bench import Values
 from asi_analysis.facts.conditions import Conditions, StepTest
 from asi_analysis.facts.measures import Measured
-from asi_analysis.facts.table import FACTS, FITTED, Fact, closed_loop_groups
+from asi_analysis.facts.table import FACTS, FITTED, Fact
 from asi_controller.compensator import OWN_GAIN
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -46,55 +46,83 @@ class Free(NamedTuple):
 
 FREE: Final = (
     Free('valve_flexure.coil_frequency', 14.0, 40.0),
-    Free('valve_flexure.natural_frequency', 250.0, 2000.0),
+    Free('valve_flexure.natural_frequency', 150.0, 2500.0),
     Free('valve_flexure.damping_ratio', 0.2, 2.0, False),
-    Free('valve_flexure.delay', 1e-4, 2.5e-3),
-    Free('force_sensor.natural_frequency', 300.0, 2000.0),
-    Free('force_sensor.card_frequency', 300.0, 4000.0),
-    Free('force_sensor.delay', 1e-4, 1.5e-3),
+    Free('valve_flexure.delay', 5e-5, 2.5e-3),
+    Free('force_sensor.natural_frequency', 200.0, 2500.0),
+    Free('force_sensor.card_frequency', 200.0, 5000.0),
+    Free('force_sensor.delay', 5e-5, 1.5e-3),
+    Free('force_sensor.mass_share', 0.0, 1.0, False),
     Free('valve_hysteresis.radius', 8.0, 30.0, False),
     Free('valve_hysteresis.lag_time', 2e-4, 4e-3),
-    Free('valve_hysteresis.rate_exponent', 0.0, 0.8, False),
-    Free('valve_hysteresis.rate_filter', 60.0, 4000.0),
-    Free('valve_hysteresis.saturation', 1100.0, 5000.0),
+    Free('valve_hysteresis.rate_exponent', 0.0, 1.0, False),
+    Free('valve_hysteresis.rate_filter', 60.0, 10000.0),
+    Free('valve_hysteresis.saturation', 900.0, 8000.0),
     Free('hydraulic_damping.centre_share', 0.02, 1.0),
-    Free('hydraulic_damping.saturation_velocity', 0.02, 0.8),
-    Free('hydraulic_damping.saturation_shift', -0.3, 0.7, False),
-    Free('hydraulic_damping.saturation_narrowing', -0.7, 0.5, False),
-    Free('hydraulic_damping.velocity_width', 0.015, 0.4),
-    Free('hydraulic_damping.width_growth', 0.0, 2.0, False),
-    Free('hydraulic_damping.viscous', 20.0, 1500.0),
-    Free('friction.presliding_stiffness', 3e4, 5e5),
-    Free('friction.presliding_damping', 10.0, 300.0),
-    Free('load.mass', 0.2, 4.0),
-    Free('load.locked_stiffness', 2e5, 2e7),
-    Free('load.locked_damping', 10.0, 1500.0),
-    Free('conditions.proportional.amplitude_n', 150.0, 830.0),
-    Free('conditions.proportional.load.mass', 0.2, 0.6),
-    Free('conditions.proportional.load.stiffness', 8e3, 5e5),
+    Free('hydraulic_damping.saturation_velocity', 0.01, 0.8),
+    Free('hydraulic_damping.saturation_shift', -0.7, 0.7, False),
+    Free('hydraulic_damping.saturation_narrowing', -0.7, 0.7, False),
+    Free('hydraulic_damping.velocity_width', 0.01, 0.4),
+    Free('hydraulic_damping.width_growth', 0.0, 3.0, False),
+    Free('hydraulic_damping.viscous', 5.0, 5000.0),
+    Free('friction.presliding_stiffness', 3e4, 2e6),
+    Free('friction.presliding_damping', 5.0, 3000.0),
+    Free('load.mass', 0.2, 5.0),
+    Free('load.locked_stiffness', 1e5, 2e7),
+    Free('load.locked_damping', 10.0, 10000.0),
+    Free('conditions.proportional.amplitude_n', 100.0, 850.0),
+    Free('conditions.proportional.load.mass', 0.2, 6.0),
+    Free('conditions.proportional.load.stiffness', 4e3, 5e5),
     Free('conditions.proportional.load.damping', 1.0, 1500.0),
     Free('conditions.lead_lag.gain', 3.0, 45.0),
     Free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, False),
-    Free('conditions.lead_lag.amplitude_n', 50.0, 700.0),
+    Free('conditions.lead_lag.amplitude_n', 50.0, 750.0),
     Free('conditions.lead4.gain', 0.5, 30.0),
-    Free('conditions.lead4.lead4.zero_frequency', 80.0, 500.0),
-    Free('conditions.lead4.lead4.ratio', 1.5, 14.0),
-    Free('conditions.lead4.lead4.lag_ratio', 2.0, 200.0),
-    Free('conditions.lead4.amplitude_n', 50.0, 700.0),
+    Free('conditions.lead4.lead4.zero_frequency', 60.0, 800.0),
+    Free('conditions.lead4.lead4.ratio', 1.2, 14.0),
+    Free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0),
+    Free('conditions.lead4.amplitude_n', 50.0, 750.0),
 )
 # For the search only: coarse, as long as every row moves by less than a tenth of its limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
-SEARCH_STEPS_N: Final = (0.0, 100.0, 300.0, 600.0)
-SEARCH_ACCURACY: Final = 0.004
+SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
+SEARCH_ACCURACY: Final = 0.0015
 # Share of a row's half width, from the middle, that costs nothing.
-INNER: Final = 0.8
-# Cost of a row that does not exist: the force does not settle, there is no cycle.
-WORST: Final = 4.0
+INNER: Final = 0.85
+# Half widths beyond which a row only costs this share more: it shall not bend all the others.
+FAR: Final = 1.0
+FAR_SHARE: Final = 0.3
+# Half widths of a row that does not exist: the force does not settle, there is no cycle.
+WORST: Final = 9.0
 # Cost of a waveform that is not one rise.
 WRONG_SHAPE: Final = 1.5
-POPULATION: Final = 24
-POLISH_STEP: Final = 0.02
-MOST_REJECTED: Final = 6
+# So many of the points of a generation are measured in each stage: a race.
+RACE: Final = (64, 16, 8, 6, 4)
+# Sorts a point that left the race behind every point that went on.
+BEHIND: Final = 1e3
+# Of the polish: first reach of a step, its limits, and the shares of it that are tried.
+REACH: Final = 0.08
+LEAST_REACH: Final = 0.003
+MOST_REACH: Final = 0.25
+SHARES: Final = (2.0, 1.0, 0.4, 0.15)
+STEEPEST: Final = 80.0
+
+
+class Structure(NamedTuple):
+    """A structure of the model to search: what it says, and the quantities that it holds fixed."""
+
+    words: str
+    fixed: Mapping[str, float] = {}
+    one_load: bool = False        # all three controllers of Table 1 on the load of the first
+
+
+STRUCTURES: Final[Mapping[str, Structure]] = {
+    'side': Structure('the sensor feels any share of the inertia of the mass'),
+    'cylinder': Structure('the sensor between cylinder and piston: it feels all of the inertia',
+                          {'force_sensor.mass_share': 0.0}),
+    'one-load': Structure('as side, with one load for all of Table 1', one_load=True),
+}
+TESTS: Final = ('proportional', 'lead_lag', 'lead4')
 
 
 class Candidate(NamedTuple):
@@ -121,11 +149,11 @@ def encode(quantities: Mapping[str, float]) -> Array:
         for free in FREE], 0.0, 1.0)
 
 
-def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions) -> Candidate:
+def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions,
+              one_load: bool = False) -> Candidate:
     """Return actuator and conditions: those of `fixed` and `base`, changed by `quantities`."""
     actuator: dict[str, Value] = dict(fixed)
-    tests: dict[str, StepTest] = {
-        name: getattr(base, name) for name in ('proportional', 'lead_lag', 'lead4')}
+    tests: dict[str, StepTest] = {name: getattr(base, name) for name in TESTS}
     for name, value in quantities.items():
         kind, _, rest = name.partition('.')
         if kind != 'conditions':
@@ -139,8 +167,10 @@ def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions) 
             tests[which] = test._replace(load={**test.load, parameter: value})
         else:
             tests[which] = test._replace(controller={**test.controller, parameter: value})
-    return Candidate(actuator, base._replace(
-        proportional=tests['proportional'], lead_lag=tests['lead_lag'], lead4=tests['lead4']))
+    if one_load:
+        tests = {name: test._replace(load=tests['proportional'].load)
+                 for name, test in tests.items()}
+    return Candidate(actuator, base._replace(**tests))
 
 
 def one_sided(fact: Fact) -> bool:
@@ -163,22 +193,25 @@ def position(fact: Fact, value: float) -> float:
 
 
 def miss(fact: Fact, value: float) -> float:
-    """Return how far a value is outside the inner part of a fact's limits, with its sign."""
+    """Return how far a value is outside the inner part of a fact's limits, in half widths."""
     if fact.low == fact.high:
         return 0.0 if value == fact.low else WRONG_SHAPE
+    where = _bounded(fact, value)
+    return max(0.0, (where if one_sided(fact) else abs(where)) - INNER)
+
+
+def _bounded(fact: Fact, value: float) -> float:
     if not math.isfinite(value):
         return WORST
-    where = position(fact, value)
-    size = where if one_sided(fact) else abs(where)
-    return math.copysign(WORST * math.tanh(max(0.0, size - INNER) / WORST), where)
+    return min(max(position(fact, value), -WORST), WORST)
 
 
 AIMS: Final = tuple(fact for fact in FACTS if fact.role == FITTED)
 
 
 def cost(misses: Iterable[float]) -> float:
-    """Return the pseudo-Huber cost of misses."""
-    return float(sum(2.0 * (math.sqrt(1.0 + m * m) - 1.0) for m in misses))
+    """Return the cost of misses."""
+    return float(sum(min(m, FAR + FAR_SHARE * (m - FAR)) for m in misses))
 
 
 def misses(measured: Measured) -> list[float]:
@@ -186,41 +219,42 @@ def misses(measured: Measured) -> list[float]:
     return [miss(fact, measured[fact.value]) for fact in AIMS if fact.value in measured]
 
 
-def evaluate(one: Candidate, give_up: float = math.inf) -> tuple[float, Measured]:
-    """
-    Return the cost of a candidate and what was measured, the cheapest measurements first.
-
-    give_up: a candidate that costs more is not measured further; its cost is then what it has
-    cost so far and the cost of a just missed row for each that is left.
-    """
+def stages(one: Candidate, measured: Measured) -> Mapping[str, Callable[[], Measured]]:
+    """Return the measurements of a search, in order: what costs least for what it tells first."""
     actuator = one.actuator
     conditions = one.conditions._replace(onset_steps_n=SEARCH_STEPS_N,
                                          onset_accuracy=SEARCH_ACCURACY)
-    measured: Measured = {}
+    first = conditions._replace(onset_steps_n=(conditions.cycle_step_n,))
+    name = measures.onset_name(conditions.cycle_step_n, 'gain')
 
-    def gain() -> float:
-        return measured[measures.onset_name(conditions.cycle_step_n, 'gain')]
+    def steps() -> Measured:
+        return {key: value for test in TESTS for key, value in measures.step_test(
+            actuator, conditions, getattr(conditions, test), test).items()}
 
-    runs = closed_loop_groups(actuator, conditions, measured, in_process)
-    groups: tuple[Callable[[], Measured], ...] = (
-        lambda: measures.describing(actuator),
-        lambda: measures.damping_exponent(actuator),
-        runs['Table 1'],
-        lambda: measures.bandwidths(actuator, conditions),
-        lambda: measures.error_within_loop(actuator, conditions),
-        lambda: measures.onsets(actuator, conditions),
-        runs['frequency at the onset'],
-        runs['the cycle'],
-        lambda: {'linear_onset_ratio': measures.free_onset(
-            actuator, conditions, measures.HYSTERESIS_AS_GAIN, gain(), 2.5, 0.03)},
-        lambda: measures.prediction_error(actuator, conditions, gain()),
-    )
-    for group in groups:
-        measured.update(group())
-        so_far = misses(measured)
-        if cost(so_far) > give_up:
-            return cost(so_far) + (len(AIMS) - len(so_far)) * cost([1.0]), measured
-    return cost(misses(measured)), measured
+    def cycle() -> Measured:
+        found = measures.onsets(actuator, first)
+        gain = found[name]
+        return {**found,
+                **measures.high_gain_cycle(actuator, conditions, gain),
+                'linear_onset_ratio': measures.free_onset(
+                    actuator, conditions, measures.HYSTERESIS_AS_GAIN, gain, 2.5, 0.004),
+                **measures.prediction_error(actuator, conditions, gain)}
+
+    def all_onsets() -> Measured:
+        gains = measures.onsets(actuator, conditions, {name: measured[name]})
+        return {**gains, **measures.onset_rise(gains, conditions),
+                **measures.onset_frequencies(actuator, conditions, gains)}
+
+    return {
+        'describing function, damping': lambda: {
+            **measures.describing(actuator), **measures.damping_exponent(actuator)},
+        'Table 1': steps,
+        'cycle': cycle,
+        'bandwidths, loop': lambda: {
+            **measures.bandwidths(actuator, conditions),
+            **measures.error_within_loop(actuator, conditions)},
+        'onsets': all_onsets,
+    }
 
 
 class Problem(NamedTuple):
@@ -230,6 +264,7 @@ class Problem(NamedTuple):
     conditions: Conditions
     free: tuple[int, ...]     # numbers of the quantities of FREE that vary
     start: Array              # a point of the whole cube
+    one_load: bool = False
 
     def whole(self, point: Array) -> Array:
         """Return the point of the whole cube that a point of the free quantities stands for."""
@@ -237,12 +272,16 @@ class Problem(NamedTuple):
         full[list(self.free)] = np.clip(point, 0.0, 1.0)
         return full
 
-    def measure(self, point: Array, give_up: float = math.inf) -> tuple[float, Measured]:
-        """Return cost (with one for leaving the cube) and measured values of a point."""
-        outside = float(np.sum((point - np.clip(point, 0.0, 1.0))**2))
-        found, measured = evaluate(
-            candidate(decode(self.whole(point)), self.fixed, self.conditions), give_up)
-        return found + 10.0 * outside, measured
+    def candidate(self, point: Array) -> Candidate:
+        """Return what a point of the free quantities stands for."""
+        return candidate(decode(self.whole(point)), self.fixed, self.conditions, self.one_load)
+
+    def measure(self, point: Array) -> Measured:
+        """Return all that the rows need."""
+        measured: Measured = {}
+        for stage in stages(self.candidate(point), measured).values():
+            measured.update(stage())
+        return measured
 
 
 class Search:
@@ -250,68 +289,98 @@ class Search:
     A search that can be stopped and gone on with: the same seed gives the same points.
 
     problem: what is searched; seed: of CMA-ES; spread: its first standard deviation, as a share
-    of the cube.
+    of the cube. `counts` says how many points have been measured in each stage of the race.
     """
 
     def __init__(self, problem: Problem, seed: int, spread: float) -> None:
         import cma
         self.problem = problem
-        self.evaluations = 0
+        self.counts = [0] * len(RACE)
+        self.polished = 0
         self.best_cost = math.inf
         self.best = problem.start[list(problem.free)]
-        self.give_up = math.inf
         self.strategy = cma.CMAEvolutionStrategy(
-            self.best, spread, {'seed': seed, 'popsize': POPULATION, 'verbose': -9,
+            self.best, spread, {'seed': seed, 'popsize': RACE[0], 'verbose': -9,
                                 'maxfevals': math.inf})
 
-    def generation(self, apply: Callable[..., Any] = map) -> None:
-        """Try one generation; `apply` maps a function over the candidates, in order."""
-        points = self.strategy.ask()
-        found = list(apply(_measure_one, [(self.problem, np.asarray(point), self.give_up)
-                                          for point in points]))
-        self.strategy.tell(points, found)
-        self._keep(points, found)
-        self.give_up = sorted(found)[len(found) // 2] + 0.3
+    @property
+    def evaluations(self) -> int:
+        """How many points the global search has tried."""
+        return self.counts[0]
 
-    def _keep(self, points: Sequence[Array], found: Sequence[float]) -> None:
-        self.evaluations += len(points)
-        least = int(np.argmin(found))
-        if found[least] < self.best_cost:
-            self.best_cost, self.best = found[least], np.clip(points[least], 0.0, 1.0)
+    def generation(self, apply: Callable[..., Any] = map) -> None:
+        """Try one generation; `apply` maps a function over jobs, in order."""
+        points = [np.asarray(point) for point in self.strategy.ask()]
+        measured: list[Measured] = [{} for _ in points]
+        ranks = np.empty(len(points))
+        racing = list(range(len(points)))
+        for stage, places in enumerate((*RACE[1:], 0)):
+            found = apply(_measure_stage, [(self.problem, points[k], stage, measured[k])
+                                           for k in racing])
+            self.counts[stage] += len(racing)
+            for k, new in zip(racing, found, strict=True):
+                measured[k].update(new)
+                ranks[k] = (cost(misses(measured[k])) + _outside(points[k])
+                            + BEHIND * (len(RACE) - 1 - stage))
+            racing = sorted(racing, key=lambda k: ranks[k])[:places]
+        self.strategy.tell(points, ranks)
+        self._keep(points[int(np.argmin(ranks))], float(ranks.min()))
+
+    def _keep(self, point: Array, found: float) -> None:
+        if found < self.best_cost:
+            self.best_cost, self.best = found, np.clip(point, 0.0, 1.0)
 
     def polish(self, rounds: int, apply: Callable[..., Any] = map,
                report: Report = lambda text, share: None) -> None:
-        """Go on from the best point by damped least squares (Levenberg and Marquardt)."""
-        point, damping = self.best.copy(), 0.05
-        left = self._misses([point], apply)[0]
-        for done in range(rounds):
-            report(f'polishing, cost {self.best_cost:.3f}', done / rounds)
-            steps = np.where(point < 0.5, POLISH_STEP, -POLISH_STEP)
-            tried = self._misses([point + step * unit for step, unit in
-                                  zip(steps, np.eye(point.size), strict=True)], apply)
-            slopes = (np.array(tried) - left).T / steps
-            weights = 1.0 / np.sqrt(1.0 + left**2)
-            normal, pull = (slopes.T * weights) @ slopes, (slopes.T * weights) @ left
-            for _ in range(MOST_REJECTED):
-                move = -np.linalg.solve(normal + damping * np.eye(point.size), pull)
-                after = np.clip(point + np.clip(move, -0.2, 0.2), 0.0, 1.0)
-                missed = self._misses([after], apply)[0]
-                if cost(missed) < cost(left):
-                    point, left, damping = after, missed, max(damping / 3.0, 1e-3)
-                    break
-                damping *= 4.0
-            else:
-                # No step helps: a side step of the slopes may still have found a better point.
-                if np.array_equal(self.best, point):
-                    return
-                point = self.best.copy()
-                left = self._misses([point], apply)[0]
+        """
+        Go on from the best point by successive linear programs.
 
-    def _misses(self, points: Sequence[Array], apply: Callable[..., Any]) -> list[Array]:
-        inside = [np.clip(point, 0.0, 1.0) for point in points]
-        found = list(apply(_misses_one, [(self.problem, point) for point in inside]))
-        self._keep(inside, [cost(missed) for missed in found])
-        return found
+        Each row is a straight line about the point, and the step within the reach with the least
+        sum of misses is a linear program (Griffith and Stewart, Management Science 7, 1961): it
+        sees the limits of the rows that are met as well, which least squares do not.
+        """
+        point, reach = self.best.copy(), REACH
+        measured = self._measured([point], apply)[0]
+        for done in range(rounds):
+            now = cost(misses(measured))
+            self._keep(point, now)
+            report(f'polishing, cost {now:.3f}', done / rounds)
+            if now == 0.0 or reach < LEAST_REACH:
+                return
+            slopes, side = self._slopes(point, measured, reach, done, apply)
+            reaches = [min(share * reach, MOST_REACH) for share in SHARES]
+            tried = [_step(point, _bounds(measured), slopes, each) for each in reaches]
+            found = self._measured(tried, apply)
+            costs = [cost(misses(each)) for each in found]
+            k = int(np.argmin(costs))
+            if costs[k] < min(now, side[0]):
+                point, measured, reach = tried[k], found[k], reaches[k]
+            elif side[0] < now:
+                _, point, measured = side
+                reach *= 0.6
+            else:
+                reach *= 0.35
+        self._keep(point, cost(misses(measured)))
+
+    def _slopes(self, point: Array, measured: Measured, reach: float, seed: int,
+                apply: Callable[..., Any]) -> tuple[Array, tuple[float, Array, Measured]]:
+        """Return the slopes of all rows (rows x quantities), and the best point on the way."""
+        size = min(max(0.5 * reach, 0.004), 0.02)
+        steps = np.where(np.random.default_rng(seed).random(point.size) < 0.5, size, -size)
+        steps = np.where((point + steps < 0.0) | (point + steps > 1.0), -steps, steps)
+        tried = [point + step * unit
+                 for step, unit in zip(steps, np.eye(point.size), strict=True)]
+        found = self._measured(tried, apply)
+        here = _bounds(measured)
+        slopes = np.array([(_bounds(each) - here) / step
+                           for each, step in zip(found, steps, strict=True)]).T
+        costs = [cost(misses(each)) for each in found]
+        k = int(np.argmin(costs))
+        return np.clip(slopes, -STEEPEST, STEEPEST), (costs[k], tried[k], found[k])
+
+    def _measured(self, points: Sequence[Array], apply: Callable[..., Any]) -> list[Measured]:
+        self.polished += len(points)
+        return list(apply(_measure_whole, [(self.problem, point) for point in points]))
 
     def save(self, path: Path) -> None:
         """Write the state; a crash while writing leaves the last one."""
@@ -320,14 +389,40 @@ class Search:
         part.replace(path)
 
 
-def _measure_one(job: tuple[Problem, Array, float]) -> float:
-    problem, point, give_up = job
-    return problem.measure(point, give_up)[0]
+def _outside(point: Array) -> float:
+    return 10.0 * float(np.sum((point - np.clip(point, 0.0, 1.0))**2))
 
 
-def _misses_one(job: tuple[Problem, Array]) -> Array:
+LINES: Final = tuple(fact for fact in AIMS if fact.low != fact.high)
+TWO_SIDED: Final = np.array([not one_sided(fact) for fact in LINES])
+
+
+def _bounds(measured: Measured) -> Array:
+    """Return where each row that has limits is, in half widths."""
+    return np.array([_bounded(fact, measured[fact.value]) for fact in LINES])
+
+
+def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
+    """Return the point within a reach with the least sum of misses, were all rows straight."""
+    from scipy.optimize import linprog
+    slack = -np.eye(here.size)
+    # A little further in than needed: the rows are not quite straight.
+    inner = INNER - 0.03
+    sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[TWO_SIDED]])
+    limits = np.concatenate([inner - here, (inner + here)[TWO_SIDED]])
+    box = [(max(-reach, -x), min(reach, 1.0 - x)) for x in point] + [(0.0, None)] * here.size
+    weights = np.concatenate([np.zeros(point.size), np.ones(here.size)])
+    return np.clip(point + linprog(weights, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
+
+
+def _measure_stage(job: tuple[Problem, Array, int, Measured]) -> Measured:
+    problem, point, stage, measured = job
+    return list(stages(problem.candidate(point), measured).values())[stage]()
+
+
+def _measure_whole(job: tuple[Problem, Array]) -> Measured:
     problem, point = job
-    return np.array(misses(problem.measure(point)[1]))
+    return problem.measure(point)
 
 
 def load(path: Path) -> Search:
@@ -341,20 +436,23 @@ def load(path: Path) -> Search:
     return found
 
 
-def new_search(start: Mapping[str, float], fixed: Values, conditions: Conditions, seed: int,
-               spread: float, only: Sequence[str] = ()) -> Search:
+def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
+               only: Sequence[str] = ()) -> Search:
     """
     Return a search from a start.
 
-    start: quantities by name, all of FREE; only: the names that are to vary (all if empty).
-    Raises InputError for a name that FREE does not hold.
+    only: the names of the quantities that are to vary (all that the structure leaves free, if
+    empty). Raises InputError for a name that FREE does not hold.
     """
     names = [free.name for free in FREE]
     for name in only:
         if name not in names:
             raise InputError(f'{name} is not free; there are {", ".join(names)}')
-    free = tuple(k for k, name in enumerate(names) if not only or name in only)
-    return Search(Problem({**fixed, **SEARCH}, conditions, free, encode(start)), seed, spread)
+    free = tuple(k for k, name in enumerate(names)
+                 if name not in structure.fixed and (not only or name in only))
+    known = {**quantities(start), **structure.fixed}
+    return Search(Problem({**start.actuator, **SEARCH}, start.conditions, free, encode(known),
+                          structure.one_load), seed, spread)
 
 
 def calibrate(search: Search, evaluations: int, rounds: int, state: Path, jobs: int = 1,
@@ -379,11 +477,9 @@ def calibrate(search: Search, evaluations: int, rounds: int, state: Path, jobs: 
 
 def result(search: Search) -> Candidate:
     """Return the best candidate, without what only the search needs."""
-    fixed = {name: value for name, value in search.problem.fixed.items() if name not in SEARCH}
-    return candidate(decode(search.problem.whole(search.best)), fixed, search.problem.conditions)
-
-
-TESTS: Final = ('proportional', 'lead_lag', 'lead4')
+    best = search.problem.candidate(search.best)
+    return best._replace(actuator={name: value for name, value in best.actuator.items()
+                                   if name not in SEARCH})
 
 
 def write_best(one: Candidate, path: Path) -> None:
@@ -422,26 +518,29 @@ def quantities(one: Candidate) -> dict[str, float]:
     return found
 
 
-def run(out: Path, evaluations: int, rounds: int, seed: int, spread: float, start: Path | None,
-        only: Sequence[str], jobs: int, report: Report) -> dict[str, Any]:
+def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spread: float,
+        start: Path | None, only: Sequence[str], jobs: int, report: Report) -> dict[str, Any]:
     """
     Do what `asi calibrate` is asked to; return its document.
 
-    Raises InputError for a start, a state or a name that is not there.
+    Raises InputError for a structure, a start, a state or a name that is not there.
     """
+    if structure not in STRUCTURES:
+        raise InputError(f'{structure} is no structure; there are {", ".join(STRUCTURES)}')
     out.mkdir(parents=True, exist_ok=True)
     state = out / 'state.pickle'
     if state.exists():
         search = load(state)
     else:
-        first = read_best(start) if start else Candidate({}, Conditions())
-        search = new_search(quantities(first), first.actuator, first.conditions, seed, spread,
-                            only)
+        search = new_search(read_best(start) if start else Candidate({}, Conditions()),
+                            STRUCTURES[structure], seed, spread, only)
     calibrate(search, evaluations, rounds, state, jobs, report)
-    best = result(search)
-    write_best(best, out / 'best.json')
-    measured = search.problem.measure(search.best)[1]
-    return {'evaluations': search.evaluations, 'cost': search.best_cost,
+    write_best(result(search), out / 'best.json')
+    measured = search.problem.measure(search.best)
+    names = stages(result(search), {})
+    return {'evaluations': search.evaluations,
+            'stages': dict(zip(names, search.counts, strict=True)),
+            'polish_evaluations': search.polished, 'cost': cost(misses(measured)),
             'best': str(out / 'best.json'),
             'met': sum(fact.met(measured[fact.value]) for fact in AIMS), 'total': len(AIMS),
             'not_met': [fact.value for fact in AIMS if not fact.met(measured[fact.value])]}
@@ -449,8 +548,11 @@ def run(out: Path, evaluations: int, rounds: int, seed: int, spread: float, star
 
 def show(document: Mapping[str, Any]) -> None:
     """Print what came out."""
-    print(f'{document["evaluations"]} evaluations, cost {document["cost"]:.4g}; '
-          f'{document["met"]} of {document["total"]} rows that were aimed at are met')
+    print(f'{document["evaluations"]} evaluations and {document["polish_evaluations"]} of the '
+          f'polish, cost {document["cost"]:.4g}; {document["met"]} of {document["total"]} rows '
+          'that were aimed at are met')
+    print('measured by stage: ' + ', '.join(f'{name} {count}' for name, count
+                                            in document['stages'].items()))
     if document['not_met']:
         print('not met: ' + ', '.join(document['not_met']))
     print(f'best: {document["best"]}')

@@ -277,6 +277,24 @@ static inline void load(struct state *s, double static_before, double static_aft
     s->friction_force = rub.force + rub.force_slope * change;
 }
 
+static inline double felt_force(const struct state *s, const struct parameters *p)
+{
+    double transmitted = s->hydraulic_force - s->friction_force, inertia;
+    if (p->force_sensor_mass_share == 0.0)
+        return transmitted;
+    if (p->load_type == PRESCRIBED) {
+        double w = 2.0 * M_PI * p->load_frequency;
+        inertia = p->load_mass * p->load_velocity * w * cos(w * s->time);
+    } else {
+        inertia = transmitted + p->load_external_force;
+        if (p->load_type == LOCKED)
+            inertia -= p->load_locked_stiffness * s->position + p->load_locked_damping * s->velocity;
+        else if (p->load_type == SPRING)
+            inertia -= p->load_stiffness * s->position + p->load_damping * s->velocity;
+    }
+    return transmitted - p->force_sensor_mass_share * inertia;
+}
+
 static void jump(struct state *s, double command, const struct parameters *p,
                  const struct constants *k)
 {
@@ -313,19 +331,19 @@ static inline void substep(struct state *s, double command, const struct paramet
     }
     s->valve_position = valve_position(deflection, p);
 
-    double transmitted_before = s->hydraulic_force - s->friction_force;
+    double felt_before = felt_force(s, p);
     load(s, static_before, static_force(s->valve_position, p), p, k);
-    double transmitted = s->hydraulic_force - s->friction_force;
+    s->time += k->h;
+    double felt = felt_force(s, p);
     if (p->force_sensor_model == FULL) {
         double sensor_before = s->sensor;
-        lag(&s->sensor, &s->sensor_rate, 0.5 * (transmitted_before + transmitted), k->sensor);
+        lag(&s->sensor, &s->sensor_rate, 0.5 * (felt_before + felt), k->sensor);
         lag(&s->card, &s->card_rate, 0.5 * (sensor_before + s->sensor), k->card);
         s->sensed = delayed(s->sensor_ring, s->ring_index, s->card, k->sensor_delay);
     } else {
-        s->sensed = transmitted
+        s->sensed = felt
             * (p->force_sensor_model == LINEAR ? p->force_sensor_linear_gain : 1.0);
     }
-    s->time += k->h;
 }
 
 /* The same as `simulate` of asi_actuator/model/actuator.py without noise; out: 4 rows of n. */

@@ -28,6 +28,7 @@ STUDY: dict[str, Value] = {
     'force_sensor.natural_frequency': 800.0,
     'force_sensor.card_frequency': 10000.0,
     'force_sensor.delay': 0.0001,
+    'force_sensor.mass_share': 0.0,
 }
 # The inverse of its static gain, as the compensators' feed-forward.
 STUDY_CONTROLLER: dict[str, Value] = {'feedforward': 1.869}

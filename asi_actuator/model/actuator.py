@@ -17,7 +17,7 @@ from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.jit import FULL, inlined, jit
 from asi_actuator.model.linear_lag import FirstOrder
-from asi_actuator.model.load import PRESCRIBED, load, prescribed_velocity
+from asi_actuator.model.load import PRESCRIBED, felt_force, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
     valve_characteristic,
     valve_opening,
@@ -142,12 +142,11 @@ def substep(state, command, p, steady):
     state.valve_position = valve_position(deflection, p)
     static_after = valve_characteristic(state.valve_position, p)
 
-    transmitted_before = state.hydraulic_force - state.friction_force
+    felt_before = felt_force(state, p)
     load(state, static_before, static_after, valve_opening(state.valve_position, p),
          steady.fluid, p, steady.h)
-    state.sensed = force_sensor(state, transmitted_before,
-                                state.hydraulic_force - state.friction_force, p, steady.sensor)
     state.time += steady.h
+    state.sensed = force_sensor(state, felt_before, felt_force(state, p), p, steady.sensor)
 
 
 @jit

@@ -40,6 +40,27 @@ def prescribed_velocity(time_s, p):
 
 
 @inlined
+def felt_force(state, p):
+    """
+    Return the force (N) where the sensor is: what is transmitted, less the inertia before it.
+
+    In the paper's section 4.1 the damping acts on the rate of the sensed force: there the force is
+    that of the spring which holds the mass.
+    """
+    transmitted = state.hydraulic_force - state.friction_force
+    if p.force_sensor_mass_share == 0.0:
+        return transmitted
+    if p.load_type == PRESCRIBED:
+        w = 2.0 * math.pi * p.load_frequency
+        inertia = p.load_mass * p.load_velocity * w * math.cos(w * state.time)
+    else:
+        stiffness, damper = load_spring(p)
+        inertia = (transmitted + p.load_external_force - stiffness * state.position
+                   - damper * state.velocity)
+    return transmitted - p.force_sensor_mass_share * inertia
+
+
+@inlined
 def load(state, static_before, static_after, opening, fluid, p, h):
     """
     Advance piston, seals and hydraulic force by a sub-step of `h` s.

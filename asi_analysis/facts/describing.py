@@ -19,6 +19,12 @@ from asi_analysis.facts.bench import Array
 # Samples a period, and periods until the memory of the hysteresis has settled.
 SAMPLES: Final = 180
 SETTLING: Final = 2
+# Where -180 degrees are looked for first, in steps of this logarithm, and no further than this.
+START_HZ: Final = 120.0
+BRACKET: Final = 0.1
+LOWEST_HZ: Final = 5.0
+HIGHEST_HZ: Final = 1000.0
+MOST_ROUNDS: Final = 40
 AMPLITUDES_N: Final = np.geomspace(60.0, 8e3, 30)
 
 
@@ -59,6 +65,16 @@ def _lag(s, natural_hz, damping):
 
 
 @jit
+def _side(s, p):
+    """Return ln of what the sensor feels of the force on the locked piston, undamped by the oil."""
+    if p.force_sensor_mass_share == 0.0:
+        return 0.0j
+    held = p.load_locked_stiffness + p.load_locked_damping * s
+    mass = p.load_mass * s * s
+    return cmath.log(held + (1.0 - p.force_sensor_mass_share) * mass) - cmath.log(held + mass)
+
+
+@jit
 def log_response(frequency, p):
     """
     Return ln of H S at a frequency (Hz): valve, static gain and sensor with both delays.
@@ -71,35 +87,64 @@ def log_response(frequency, p):
             + _lag(s, p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio)
             + _lag(s, p.force_sensor_natural_frequency, p.force_sensor_damping_ratio)
             + _lag(s, p.force_sensor_card_frequency, CARD_DAMPING)
-            - s * (p.valve_flexure_delay + p.force_sensor_delay))
+            + _side(s, p) - s * (p.valve_flexure_delay + p.force_sensor_delay))
 
 
 @jit
-def _critical(amplitude, hysteresis, p):
-    """Return the first frequency (Hz) at a phase of -180 degrees, and the gain there."""
-    low, high = 5.0, 1000.0
-    gain = 0.0
-    while high / low > 1.0 + 1e-5:
-        middle = math.sqrt(low * high)
-        value = log_response(middle, p)
-        if hysteresis:
-            passed = describing_function(amplitude, middle, p)
-            if passed == 0.0:
-                high = middle
-                continue
-            value += cmath.log(passed)
-        gain = math.exp(value.real)
-        if value.imag > -math.pi:
-            low = middle
+def _log_loop(amplitude, hysteresis, frequency, p):
+    """Return ln of the loop's response at a gain of 1; where nothing passes, a phase of -360."""
+    value = log_response(frequency, p)
+    if hysteresis:
+        passed = describing_function(amplitude, frequency, p)
+        if passed == 0.0:
+            return complex(-100.0, -2.0 * math.pi)
+        value += cmath.log(passed)
+    return value
+
+
+@jit
+def _critical(amplitude, hysteresis, near, p):
+    """
+    Return the frequency (Hz) at a phase of -180 degrees, and the gain there.
+
+    near: a frequency (Hz) to begin at. By a bracket about it, and the Illinois rule within.
+    """
+    low, high = math.log(near), math.log(near)
+    below = _log_loop(amplitude, hysteresis, near, p)
+    above = below
+    while below.imag <= -math.pi and low > math.log(LOWEST_HZ):
+        low, high, above = low - BRACKET, low, below
+        below = _log_loop(amplitude, hysteresis, math.exp(low), p)
+    while above.imag > -math.pi and high < math.log(HIGHEST_HZ):
+        low, high, below = high, high + BRACKET, above
+        above = _log_loop(amplitude, hysteresis, math.exp(high), p)
+    down, up = below.imag + math.pi, above.imag + math.pi
+    middle, value = low, below
+    side = 0
+    for _ in range(MOST_ROUNDS):
+        if high - low < 1e-9 or down == up:
+            break
+        middle = min(max((low * up - high * down) / (up - down), low), high)
+        value = _log_loop(amplitude, hysteresis, math.exp(middle), p)
+        phase = value.imag + math.pi
+        if abs(phase) < 1e-6:
+            break
+        if phase > 0.0:
+            low, down = middle, phase
+            up = 0.5 * up if side == 1 else up
+            side = 1
         else:
-            high = middle
-    return low, gain
+            high, up = middle, phase
+            down = 0.5 * down if side == -1 else down
+            side = -1
+    return math.exp(middle), math.exp(value.real)
 
 
 @jit
 def _locus(amplitudes, p, out):
+    frequency = START_HZ
     for k in range(amplitudes.size):
-        frequency, gain = _critical(amplitudes[k], True, p)
+        frequency, gain = _critical(amplitudes[k], True, frequency, p)
         out[0, k] = 1.0 / gain
         out[1, k] = frequency
         # The force that the sensor shows when the command swings by A.
@@ -121,5 +166,5 @@ def predict(plant: np.void) -> Prediction:
 
 def linear_critical_gain(plant: np.void) -> tuple[float, float]:
     """Return gain and frequency (Hz) at which the loop without any hysteresis becomes unstable."""
-    frequency, gain = _critical(1.0, False, plant)
+    frequency, gain = _critical(1.0, False, START_HZ, plant)
     return 1.0 / gain, frequency

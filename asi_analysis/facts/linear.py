@@ -61,7 +61,8 @@ def linear_model(actuator: Values) -> LinearModel:
     denominator = np.array([1.0])
     for block in blocks:
         denominator = np.polymul(denominator, block)
-    numerator = p['valve_characteristic_gain'] * structure
+    felt = structure * np.array([1.0 - p['force_sensor_mass_share'], 1.0, 1.0])
+    numerator = p['valve_characteristic_gain'] * felt
     return LinearModel(numerator, denominator,
                        (float(p['valve_flexure_delay']), float(p['force_sensor_delay'])),
                        {name: np.roots(block).astype(complex)

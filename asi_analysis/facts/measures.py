@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.facts.bandwidth import bandwidth_hz, closed_loop_gain, open_loop_gain
 from asi_analysis.facts.bench import Array, Bench, Runner, Values, in_process, step_experiment
@@ -94,7 +95,9 @@ def _exponent(speeds: Array, force: Array) -> float:
 
 def damping_exponent(actuator: Values) -> Measured:
     """Return the highest power of the velocity with which the damping rises, valve closed."""
-    closed = damping_sweep(actuator, 0.0, SPEEDS_M_S).y
+    p = as_record(actuator)
+    curve = damping_curve(0.0, p)
+    closed = np.array([damping_force(speed, curve, p)[0] for speed in SPEEDS_M_S])
     return {'damping_exponent': _exponent(SPEEDS_M_S, closed)}
 
 
@@ -141,8 +144,9 @@ def onset_name(step_n: float, quantity: str) -> str:
     return f'onset_{quantity}_at_{step_n:.0f}_n'
 
 
-def onsets(actuator: Values, conditions: Conditions) -> Measured:
-    """Return the gains of Fig. 7."""
+def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] | None = None
+           ) -> Measured:
+    """Return the gains of Fig. 7; those that are known already, by name, are not measured."""
     plant = _plant(actuator, LOCKED)
 
     def loop(gain: float, step: float) -> Bench:
@@ -151,21 +155,27 @@ def onsets(actuator: Values, conditions: Conditions) -> Measured:
             bench.run(0.1, conditions.start_n)
         return bench
 
-    found: list[float] = []
+    measured: Measured = dict(known or {})
+    near = next((gain for gain in measured.values() if math.isfinite(gain)), None)
     for step in conditions.onset_steps_n:
-        # The next onset is near the last one.
-        known = found and math.isfinite(found[-1])
-        low, high = (0.9 * found[-1], 1.2 * found[-1]) if known else FIRST_LOOK
-        found.append(onset(partial(loop, step=step), step, low, high, conditions.onset_accuracy))
-    gains = np.array(found)
-    measured = {onset_name(step, 'gain'): gain
-                for step, gain in zip(conditions.onset_steps_n, found, strict=True)}
-    finite = bool(np.isfinite(gains).all())
-    measured['onset_least_rise_percent'] = (
-        100.0 * float(np.min(gains[1:] / gains[:-1]) - 1.0) if finite else -math.inf)
-    measured['onset_rise_percent'] = (
-        100.0 * float(gains[-1] / gains[0] - 1.0) if finite else -math.inf)
+        name = onset_name(step, 'gain')
+        if name not in measured:
+            # The next onset is near the last one.
+            low, high = (0.95 * near, 1.06 * near) if near else FIRST_LOOK
+            measured[name] = onset(partial(loop, step=step), step, low, high,
+                                   conditions.onset_accuracy)
+        if math.isfinite(measured[name]):
+            near = measured[name]
     return measured
+
+
+def onset_rise(measured: Measured, conditions: Conditions) -> Measured:
+    """Return how the onset gain rises with the step, of the gains that have been measured."""
+    gains = np.array([measured[onset_name(step, 'gain')] for step in conditions.onset_steps_n])
+    if not np.isfinite(gains).all():
+        return {'onset_least_rise_percent': -math.inf, 'onset_rise_percent': -math.inf}
+    return {'onset_least_rise_percent': 100.0 * float(np.min(gains[1:] / gains[:-1]) - 1.0),
+            'onset_rise_percent': 100.0 * float(gains[-1] / gains[0] - 1.0)}
 
 
 def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,

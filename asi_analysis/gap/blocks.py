@@ -286,15 +286,18 @@ def force(position, velocity, p, e, period, count, out):
     target, opened = supplied(position[0], velocity[0], 0.0, fluid_gain, p, e, 0.0)
     hydraulic = target
     seal, extra, rub = inner_friction(seal, extra, velocity[0], velocity[0], p, e, h)
-    transmitted = hydraulic - rub
-    sensor, sensor_rate, sensed = transmitted, 0.0, transmitted
-    first, lagged = transmitted, transmitted
-    ring[:] = transmitted
+    # What the sensor feels: not the inertia of the mass before it.
+    mass = p.force_sensor_mass_share * p.load_mass
+    felt = hydraulic - rub
+    sensor, sensor_rate, sensed = felt, 0.0, felt
+    first, lagged = felt, felt
+    ring[:] = felt
     index = 0
     for k in range(out.shape[0]):
         out[k] = reading(lagged, k * period, p, e)
         if k == out.shape[0] - 1:
             break
+        inertia = mass * (velocity[k + 1] - velocity[k]) / period
         for j in range(count):
             part = (j + 1.0) / count
             z = position[k] + part * (position[k + 1] - position[k])
@@ -310,16 +313,16 @@ def force(position, velocity, p, e, period, count, out):
             hydraulic = keep * hydraulic + old * before + new * target
             seal, extra, rub = inner_friction(seal, extra, v, 0.5 * (seal_v + v), p, e, h)
             seal_v = v
-            transmitted_before = transmitted
-            transmitted = hydraulic - rub
+            felt_before = felt
+            felt = hydraulic - rub - inertia
             sensed_before = sensed
             if p.force_sensor_model == FULL:
                 sensor, sensor_rate = second_order_step(
-                    sensor, sensor_rate, 0.5 * (transmitted_before + transmitted), flexure)
+                    sensor, sensor_rate, 0.5 * (felt_before + felt), flexure)
                 index = (index + 1) & (RING - 1)
                 sensed = delay(ring, index, sensor, wait)
             else:
-                sensed = sensor_gain * transmitted
+                sensed = sensor_gain * felt
             first_before = first
             first = slow[0] * first + slow[1] * sensed_before + slow[2] * sensed
             lagged = slower[0] * lagged + slower[1] * first_before + slower[2] * first
@@ -406,11 +409,12 @@ def parts(p: np.void) -> tuple[np.void, np.void]:
 
 
 def load_constants(p: np.void) -> tuple[float, float, float]:
-    """Return mass kg, damping N s/m and stiffness N/m that the piston pushes against."""
+    """Return mass kg, damping N s/m and stiffness N/m of the load, as the sensor feels them."""
     kind = int(p['load_type'])
     stiffness = (p['load_locked_stiffness'], p['load_stiffness'], 0.0, 0.0)[kind]
     damping = (p['load_locked_damping'], p['load_damping'], 0.0, 0.0)[kind]
-    return float(p['load_mass']), float(damping), float(stiffness)
+    mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
+    return float(mass), float(damping), float(stiffness)
 
 
 def sensor_response(omega: Array, p: np.void) -> Complex:

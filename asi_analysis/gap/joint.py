@@ -60,7 +60,8 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
         gain = Free('valve_characteristic_gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,),
                     'nominal')
         return [make_group(nominal, recordings, ('valve',), nuisance=(gain,))]
-    nominal = plant_record({**OFF, 'load.type': 'spring', 'load.stiffness': 0.0, **given})
+    nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
+                            'load.stiffness': 0.0, **given})
     identified = _identified(recordings)
     nuisance = []
     for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping')):

@@ -172,7 +172,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     _rub(speed, seal, 1.0 / frequency_hz, p, rub)
     transmitted = hydraulic - _harmonics(rub, count)
     excess = transmitted[1:] - velocity[1:] * linear.impedance(f[1:], p)
-    force = transmitted * linear.sensor(f, p)
+    force = (transmitted - velocity * linear.inertia(f, p)) * linear.sensor(f, p)
     force[0] += p['force_sensor_offset']
     return force, excess
 

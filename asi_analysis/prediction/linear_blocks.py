@@ -38,7 +38,7 @@ def fluid(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
 
 
 def sensor(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
-    """Return transmitted (N) to measured force (N), gain of the sensor included."""
+    """Return felt (N) to measured force (N), gain of the sensor included."""
     s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
     if p['force_sensor_model'] != FULL:
         gain = p['force_sensor_linear_gain'] if p['force_sensor_model'] == 1 else 1.0
@@ -57,6 +57,17 @@ def impedance(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
     needed += damper
     needed += stiffness / s
     return needed
+
+
+def inertia(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
+    """Return velocity (m/s) of the mass to the part of its inertia (N) that no sensor feels."""
+    s: Complex = 2j * np.pi * np.asarray(frequency_hz, float)
+    return p['force_sensor_mass_share'] * p['load_mass'] * s
+
+
+def felt(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
+    """Return transmitted (N) to felt force (N) while the load moves freely; no frequency of 0."""
+    return 1.0 - inertia(frequency_hz, p) / impedance(frequency_hz, p)
 
 
 def hold(frequency_hz: npt.ArrayLike, period_s: float) -> Complex:

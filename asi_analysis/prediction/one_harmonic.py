@@ -41,7 +41,7 @@ def plant_without_damping(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:
     p = loop.plant
     return (linear.hold(frequency_hz, loop.period_s) * linear.flexure(frequency_hz, p)
             * p['valve_characteristic_gain'] * linear.fluid(frequency_hz, p)
-            * linear.sensor(frequency_hz, p))
+            * linear.felt(frequency_hz, p) * linear.sensor(frequency_hz, p))
 
 
 def per_gain(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:

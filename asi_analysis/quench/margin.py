@@ -62,7 +62,8 @@ def plant(p: np.void, bias_n: float, period_s: float) -> Complex:
     fluid = linear.fluid(f, p)
     impedance = linear.impedance(f, p)
     return (linear.hold(f, period_s) * linear.flexure(f, p) * p['valve_characteristic_gain']
-            * fluid * impedance / (impedance + fluid * slope) * linear.sensor(f, p))
+            * fluid * impedance / (impedance + fluid * slope) * linear.felt(f, p)
+            * linear.sensor(f, p))
 
 
 def plants(actuator: Values, rate_hz: float) -> Iterator[tuple[str, float, Complex]]:
