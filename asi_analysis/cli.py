@@ -500,9 +500,11 @@ def gap_check(
 @command('calibrate', 'asi calibrate --evaluations 2000 --jobs 2 --out runs/calibration')
 def calibrate(
     evaluations: Annotated[int, typer.Option(
-        help='Candidates of the global search, with those of an earlier call', min=1)] = 2000,
+        help='Candidates of the global search, with those of an earlier call', min=0)] = 2000,
     polish: Annotated[int, typer.Option(
-        help='Rounds of damped least squares from the best', min=0)] = 3,
+        help='Most rounds of successive linear programs from the best', min=0)] = 20,
+    structure: Annotated[str, typer.Option(
+        help='What is searched: side, cylinder or one-load')] = 'side',
     seed: Annotated[int, typer.Option(help='Seed of the search')] = 1,
     spread: Annotated[float, typer.Option(
         help='First spread of the search, share of the range of each parameter')] = 0.1,
@@ -520,8 +522,8 @@ def calibrate(
     """Fit the model's free parameters to the facts that the paper publishes."""
     from asi_analysis import calibration
     with progress() as told:
-        document = calibration.run(out, evaluations, polish, seed, spread, start, only or [],
-                                   jobs, told)
+        document = calibration.run(out, structure, evaluations, polish, seed, spread, start,
+                                   only or [], jobs, told)
     answer(document, as_json, calibration.show)
 
 

@@ -283,7 +283,9 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
                 Key('rise_time_s', 'number', 'rise time'),
                 Key('overshoot_percent', 'number', 'overshoot')))))),
     'asi calibrate': (
-        Key('evaluations', 'integer', 'candidates that have been tried'),
+        Key('evaluations', 'integer', 'candidates that the global search has tried'),
+        Key('stages', 'object', 'how many of them were measured in each stage of the race'),
+        Key('polish_evaluations', 'integer', 'candidates of the polish, all measured in full'),
         Key('cost', 'number', 'of the best one; 0: every row well inside its limits'),
         Key('met', 'integer', 'rows met, of those that the fit aims at, as the search measures'),
         Key('total', 'integer', 'rows that the fit aims at'),

@@ -7,6 +7,9 @@ from study import STUDY
 from asi_analysis import calibration
 from asi_analysis.calibration import (
     FREE,
+    INNER,
+    LINES,
+    STRUCTURES,
     Candidate,
     calibrate,
     cost,
@@ -29,8 +32,7 @@ SOME = ('valve_flexure.coil_frequency', 'conditions.lead_lag.gain')
 
 def small_search():
     start = Candidate({}, Conditions())
-    return new_search(quantities(start), start.actuator, start.conditions, seed=3, spread=0.05,
-                      only=SOME)
+    return new_search(start, STRUCTURES['side'], seed=3, spread=0.05, only=SOME)
 
 
 def test_points_of_the_cube_are_their_quantities():
@@ -41,17 +43,50 @@ def test_points_of_the_cube_are_their_quantities():
 
 
 def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibration, 'POPULATION', 4)
+    monkeypatch.setattr(calibration, 'RACE', (4, 3, 2, 2, 2))
     whole = calibrate(small_search(), 8, 1, tmp_path / 'whole')
     calibrate(small_search(), 4, 0, tmp_path / 'part')
     resumed = calibrate(load(tmp_path / 'part'), 8, 1, tmp_path / 'part')
     assert resumed.evaluations == whole.evaluations
     assert resumed.best_cost == whole.best_cost
     assert np.array_equal(resumed.best, whole.best)
-    # What was kept is what it costs: nothing was given up by mistake.
-    assert cost(misses(whole.problem.measure(whole.best)[1])) == whole.best_cost
+    assert whole.counts == [8, 6, 4, 4, 4]
+    # What was kept is what it costs: the race has measured it to the end.
+    assert cost(misses(whole.problem.measure(whole.best))) == whole.best_cost
     write_best(result(whole), tmp_path / 'best.json')
     assert quantities(read_best(tmp_path / 'best.json')) == quantities(result(whole))
+
+
+def test_polish_steps_to_the_limits_and_not_through_others():
+    """Two rows, two quantities: the first row is missed, the second would be by going too far."""
+    here, slopes = np.full(len(LINES), -5.0), np.zeros((len(LINES), 2))
+    here[calibration.TWO_SIDED] = 0.0
+    two_sided = np.flatnonzero(calibration.TWO_SIDED)[:2]
+    here[two_sided[0]] = 2.0
+    slopes[two_sided[0]] = -10.0, -10.0
+    slopes[two_sided[1]] = 20.0, 0.0
+    after = calibration._step(np.array([0.5, 0.5]), here, slopes, 0.2) - 0.5
+    rows = here + slopes @ after
+    assert np.all(np.abs(rows[two_sided]) < INNER)
+    assert np.all(np.abs(after) <= 0.2)
+    # Too short a reach: as far as it goes.
+    assert calibration._step(np.array([0.5, 0.5]), here, slopes, 0.01) == pytest.approx(0.51)
+
+
+def test_structures_hold_what_they_say():
+    search = new_search(Candidate({}, Conditions()), STRUCTURES['cylinder'], 1, 0.1)
+    assert result(search).actuator['force_sensor.mass_share'] == 0.0
+    one = result(new_search(Candidate({}, Conditions()), STRUCTURES['one-load'], 1, 0.1))
+    assert one.conditions.lead4.load == one.conditions.proportional.load
+
+
+def test_a_chattering_command_is_no_one_rise():
+    """The setting that settled in Table 1's 0.04 s by chattering between the limits."""
+    actuator = {}
+    test = Conditions().lead4
+    wild = test._replace(controller={**test.controller, 'gain': 60.0, 'lead4.ratio': 13.8})
+    assert step_test(actuator, Conditions(), test, 'lead4')['lead4_monotone'] == 1.0
+    assert step_test(actuator, Conditions(), wild, 'lead4')['lead4_monotone'] == 0.0
 
 
 def test_a_spike_does_not_win_the_row():
@@ -71,5 +106,5 @@ def test_bad_files_are_named(tmp_path):
     with pytest.raises(InputError, match='nowhere.json'):
         read_best(tmp_path / 'nowhere.json')
     with pytest.raises(InputError, match='no.such.name'):
-        new_search(quantities(Candidate({}, Conditions())), {}, Conditions(), 1, 0.1,
+        new_search(Candidate({}, Conditions()), STRUCTURES['side'], 1, 0.1,
                    only=('no.such.name',))

@@ -342,6 +342,39 @@ def test_sensor_noise_is_white_normal_and_repeats_with_its_seed() -> None:
     assert abs(np.mean(noise * other)) / 4.0 < 4 / n**0.5
 
 
+@pytest.mark.parametrize('load', [
+    {'load.type': 'locked'}, {'load.type': 'spring', 'load.mass': 3.0}], ids=str)
+def test_sensor_before_or_behind_the_mass(load: dict[str, Value]) -> None:
+    """Behind all of the mass it feels the spring, before it the mass's inertia as well."""
+    p = as_record(load | {'force_sensor.model': 'off', 'force_sensor.mass_share': 1.0})
+    stiffness, damper = ((p['load_locked_stiffness'], p['load_locked_damping'])
+                         if load['load.type'] == 'locked'
+                         else (p['load_stiffness'], p['load_damping']))
+    commands = np.where(np.arange(300) > 5, 400.0, 0.0)
+    run = simulate(p, commands, PERIOD)
+    spring = stiffness * run.position_m + damper * run.velocity_m_s
+    np.testing.assert_allclose(run.force_n, spring, atol=1e-9)
+    p['force_sensor_mass_share'] = 0.0
+    before = simulate(p, commands, PERIOD).force_n
+    p['force_sensor_mass_share'] = 0.25
+    np.testing.assert_allclose(simulate(p, commands, PERIOD).force_n,
+                               0.75 * before + 0.25 * spring, atol=1e-9)
+    inertia = p['load_mass'] * np.gradient(run.velocity_m_s, PERIOD)
+    np.testing.assert_allclose((before - spring)[20:-20], inertia[20:-20],
+                               atol=0.03 * np.abs(inertia).max())
+
+
+def test_sensor_of_a_moved_mass_feels_its_share_of_the_inertia() -> None:
+    moved: dict[str, Value] = {'load.type': 'prescribed', 'load.velocity': 0.01,
+                               'load.frequency': 50.0, 'load.mass': 2.0}
+    commands = np.zeros(200)
+    all_, none = (force(moved | {'force_sensor.mass_share': share}, commands)
+                  for share in (0.0, 1.0))
+    w = 2.0 * math.pi * 50.0
+    np.testing.assert_allclose((all_ - none)[1:],
+                               2.0 * 0.01 * w * np.cos(w * PERIOD * np.arange(1, 200)), atol=1e-9)
+
+
 # --- switches
 
 

@@ -50,7 +50,7 @@ def force(values: dict[str, Value], commands: npt.NDArray[np.float64], substep: 
     {}, {'hydraulic_damping.model': 'off'}, {'fluid_dynamics.model': 'off'},
     {'valve_flexure.model': 'off'},
     {'valve_flexure.model': 'off', 'fluid_dynamics.model': 'off'},
-    {'load.type': 'spring'}, {'load.type': 'free'},
+    {'load.type': 'spring'}, {'load.type': 'free'}, {'force_sensor.mass_share': 0.9},
     {'load.type': 'prescribed', 'load.velocity': 0.3, 'load.frequency': 30.0}], ids=str)
 def test_smooth_model_converges_with_the_second_order(values: dict[str, Value]) -> None:
     # Whole sub-steps of delay, so that the error of interpolation does not come and go.

@@ -66,7 +66,7 @@ def _lag(s, natural_hz, damping):
 
 @jit
 def _side(s, p):
-    """Return ln of what the sensor feels of the force on the locked piston, undamped by the oil."""
+    """Return ln of what the sensor feels of the force on the locked piston, without oil."""
     if p.force_sensor_mass_share == 0.0:
         return 0.0j
     held = p.load_locked_stiffness + p.load_locked_damping * s

@@ -43,6 +43,8 @@ STEP_S: Final = 0.8
 # Gains between which an onset is looked for first.
 FIRST_LOOK: Final = (6.0, 13.0)
 CYCLE_S: Final = 1.2
+# A command that varies more than so many times its range chatters; the kick of a lead makes 3.
+CHATTER: Final = 6.0
 # Samples at the end of a run over which a cycle is measured.
 LAST: Final = 1500
 
@@ -314,8 +316,10 @@ def step_test(actuator: Values, conditions: Conditions, test: StepTest, name: st
         return {f'{name}_rise_s': nothing, f'{name}_overshoot_percent': nothing,
                 f'{name}_settling_s': nothing, f'{name}_error_n': nothing,
                 f'{name}_monotone': 0.0}
+    variation = float(np.abs(np.diff(run.command_n)).sum())
+    steady = variation <= CHATTER * float(np.ptp(run.command_n))
     return {f'{name}_rise_s': step.rise_time_s,
             f'{name}_overshoot_percent': step.overshoot_percent or 0.0,
             f'{name}_settling_s': step.settling_time_2_s or nothing,
             f'{name}_error_n': abs(step.steady_state_error_n or 0.0),
-            f'{name}_monotone': float(bool(step.monotone_rise))}
+            f'{name}_monotone': float(bool(step.monotone_rise) and steady)}

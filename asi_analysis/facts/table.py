@@ -72,7 +72,8 @@ def _column(id_: str, name: str, words: str, rise: float, overshoot: tuple[float
                 's', 0.2),
         Fact(id_, f'{name}_error_n', f'{words}: steady-state error', 'Table 1', error[0], 'N',
              *error[1:]),
-        Fact(id_, f'{name}_monotone', f'{words}: one rise, no spike, dip or creep', 'Table 1',
+        Fact(id_, f'{name}_monotone', f'{words}: one rise: no spike, dip, creep or chatter',
+             'Table 1',
              1.0, '', 1.0, 1.0),
     )
 
