@@ -6,10 +6,12 @@ import time
 from typing import Final, Protocol
 
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock
+from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.time import Time
+from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -152,7 +154,8 @@ class LockStep:
     """
     Answers each state once the clock has reached it (doc/architecture.md, "Lock-step").
 
-    State and clock may come in either order, so both look whether an answer is due.
+    State and clock may come in either order, so both look whether an answer is due: the state
+    when it comes, the clock by the timer.
     """
 
     def __init__(self, node: ControllerNode):
@@ -163,9 +166,14 @@ class LockStep:
         self.straggler_ns: int | None = None
         self.repeats = 0
         self.resent = 0
-        self.clock_ns = 0
-        # Not by use_sim_time: rclpy's own way takes ten times as long (bench/loop_rate.py).
+        self.clock = ROSClock()
+        # ROS time as with use_sim_time, but /clock is heard raw: rclpy's own subscription takes
+        # ten times as long (bench/loop_rate.py).
+        source = TimeSource()
+        source.ros_time_is_active = True
+        source.attach_clock(self.clock)
         node.create_subscription(ClockMessage, '/clock', self._on_clock, CONTROL_QOS, raw=True)
+        node.create_timer(1.0 / node.rate_hz, self._answer_if_due, clock=self.clock)
         if not node.recorded:
             node.create_timer(WATCH_PERIOD_S, self._answer_if_due,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -186,8 +194,8 @@ class LockStep:
         self._answer_if_due()
 
     def _on_clock(self, message: bytes) -> None:
-        self.clock_ns = wire.time(message)
-        self._answer_if_due()
+        self.clock.set_ros_time_override(
+            Time(nanoseconds=wire.time(message), clock_type=ClockType.ROS_TIME))
 
     def health(self) -> tuple[bytes, str]:
         if self.pending is not None:
@@ -224,7 +232,8 @@ class LockStep:
                 'does a second controller answer?')
 
     def _answer_if_due(self) -> None:
-        if self.pending is None or self.clock_ns < self.pending[0] or not self.node.ready():
+        if (self.pending is None or not self.node.ready()
+                or self.clock.now().nanoseconds < self.pending[0]):
             return
         stamp_ns, force_n = self.pending
         self.pending = None
