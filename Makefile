@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help setup demo test torture lint clean
+.PHONY: help setup demo test torture soak lint clean
 
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
 	@echo 'make test     run the tests'
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
+	@echo 'make soak     an hour of lock-step, ten minutes of real time: memory, files, threads'
 	@echo 'make lint     check style and types'
 	@echo 'make clean    remove the virtual environment and all that was built'
 
@@ -21,6 +22,9 @@ test: setup
 
 torture: setup
 	@$(BIN)/python -m torture
+
+soak: setup
+	@$(BIN)/python -m torture.soak
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -16,7 +16,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from asi_actuator import calibration, wire
 from asi_actuator.calibration import Rest
-from asi_actuator.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
+from asi_actuator.diagnostics import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    LoopStatistics,
+    StateChanges,
+)
 from asi_actuator.discovery import not_recorded
 from asi_actuator.driver import Health, make_driver
 from asi_actuator.driver.simulated import physical
@@ -26,7 +33,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.ros_parameters import RosParameters
 from asi_actuator.safety import Safety, State
 from asi_actuator.spin import RunError, RunFinished, run_node
-from asi_actuator.topics import CONTROL_QOS, STREAM_QOS
+from asi_actuator.topics import CONTROL_QOS, STREAM_QOS, SteadyClock
 
 # How often the lock-step looks whether it must send again, s.
 WATCH_PERIOD_S: Final = 0.005
@@ -69,7 +76,9 @@ class ActuatorNode(Node):
         self.forces = self.create_publisher(WrenchStamped, 'force', STREAM_QOS)
         self.valve_positions = self.create_publisher(Float64, 'valve_position', STREAM_QOS)
         self.velocities = self.create_publisher(Float64, 'velocity', STREAM_QOS)
-        self.topics = [self.states, self.forces, self.valve_positions, self.velocities]
+        self.state_changes = StateChanges(self)
+        self.topics = [self.states, self.forces, self.valve_positions, self.velocities,
+                       self.state_changes.publisher]
         self.loop: Loop = (LockStep if values['mode'] == 'lockstep' else RealTime)(self)
         self.commands = self.create_subscription(
             WrenchStamped, 'valve_command', self._on_command, CONTROL_QOS, raw=True)
@@ -110,6 +119,8 @@ class ActuatorNode(Node):
     def sense(self, stamp_ns: int) -> None:
         """Make the message of what was measured last, and count the tick."""
         assert self.measured is not None
+        if not self.statistics.ticks:
+            self.tell_state(stamp_ns)
         force, valve, position, velocity = self.measured
         valve_velocity = (valve - self._valve_m) * self.rate_hz
         self._valve_m = valve
@@ -117,6 +128,14 @@ class ActuatorNode(Node):
         self.state = wire.state(stamp_ns, (position, valve), (velocity, valve_velocity),
                                 (force, self.applied_n))
         self.statistics.tick(self.health.saturated)
+
+    def tell_state(self, stamp_ns: int) -> None:
+        """Publish the state that the safety logic is in from the control period of a stamp on."""
+        safety = self.safety
+        level = {State.ENABLED: OK, State.DISABLED: WARN, State.FAULT: ERROR}[safety.state]
+        # In lock-step, before the state of that stamp: so a recorder knows where it belongs.
+        self.state_changes.publish(stamp_ns, level, safety.state, safety.reason,
+                                   wait=self.parameters.values['mode'] == 'lockstep')
 
     def publish_rest(self) -> None:
         """Publish what is not `joint_states`."""
@@ -148,12 +167,14 @@ class ActuatorNode(Node):
         self.safety.configure(self.parameters.values)
 
     def _safety_changed(self) -> None:
-        """Tell a change of state at once, in the log and, by /diagnostics, in the bag."""
+        """Tell a change of state at once, in the log and on /diagnostics, so in the bag."""
         if self.safety.state is State.FAULT:
             self.get_logger().error(f'fault, the valve command is 0: {self.safety.reason}')
         else:
             self.get_logger().info(self.safety.state)
         self.diagnostics.publish()
+        if self.statistics.ticks:
+            self.tell_state(self.loop.next_stamp_ns())
 
     def _on_command(self, message: bytes) -> None:
         self.loop.on_command(*wire.force(message))
@@ -243,6 +264,9 @@ class Loop(Protocol):
     def on_reset(self) -> None:
         """Forget what was asked for before the reset."""
 
+    def next_stamp_ns(self) -> int:
+        """Return the stamp of the state that comes next, or, in real time, now."""
+
     def health(self) -> tuple[bytes, str]:
         """Return diagnostic level and message."""
 
@@ -284,6 +308,9 @@ class LockStep:
     def on_reset(self) -> None:
         pass
 
+    def next_stamp_ns(self) -> int:
+        return round((self.tick + 1) * 1e9 / self.node.rate_hz)
+
     def health(self) -> tuple[bytes, str]:
         if self.tick == 0:
             return WARN, 'waiting for ' + ', '.join(self._missing())
@@ -308,9 +335,9 @@ class LockStep:
         return ([] if controller else ['a controller in lock-step']) + self.node.missing()
 
     def _publish_next(self) -> None:
+        self.stamp_ns = self.next_stamp_ns()
         self.tick += 1
         self.command_n = None
-        self.stamp_ns = round(self.tick * 1e9 / self.node.rate_hz)
         self.node.sense(self.stamp_ns)
         self.silent_since = self.sent_at = time.monotonic()
         self._publish()
@@ -352,6 +379,7 @@ class RealTime:
         self.node = node
         self.command_n = 0.0
         self.commanded_at: float | None = None
+        self.clock = SteadyClock()
         self.start: float | None = None
         self.done = 0
         self.overruns = 0
@@ -360,7 +388,7 @@ class RealTime:
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_command(self, stamp_ns: int, command_n: float) -> None:
-        latency_ns = self.node.get_clock().now().nanoseconds - stamp_ns
+        latency_ns = self.clock.now_ns() - stamp_ns
         if abs(latency_ns) * 1e-9 > float(self.node.parameters.values['command_timeout']):
             self.node.ignored += 1
             return
@@ -376,6 +404,9 @@ class RealTime:
     def on_reset(self) -> None:
         self.command_n = 0.0
         self.commanded_at = None
+
+    def next_stamp_ns(self) -> int:
+        return self.clock.now_ns()
 
     def health(self) -> tuple[bytes, str]:
         if self.node.measured is None:
@@ -404,7 +435,7 @@ class RealTime:
         self.overruns += due > 1
         self.lost += max(0, due - 1)
         if node.exchange(self.command_n, min(due, MOST_CATCH_UP)):
-            node.sense(node.get_clock().now().nanoseconds)
+            node.sense(self.clock.now_ns())
             node.states.publish(node.state)
             node.publish_rest()
             if node.statistics.ticks == node.last_tick:

@@ -1,4 +1,10 @@
-"""What a node says about its loop on /diagnostics, twice a second of wall time."""
+"""
+What a node says about itself on /diagnostics: about its loop, and each change of its state.
+
+The first, named `NODE: loop`, comes twice a second of wall time. The second, `NODE: state`, is
+stamped in the time of the loop and holds nothing of the wall clock: in lock-step it is the same in
+each run of an experiment, so a recorder keeps it there, and the first not.
+"""
 
 import time
 from collections.abc import Callable, Mapping
@@ -8,9 +14,16 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 
+from asi_actuator.topics import set_time
+
 PERIOD_S: Final = 0.5
+LOOP, STATE = ': loop', ': state'
+# How long lock-step waits at most until all who listen have heard of a change, s; it takes a
+# millisecond, unless a listener has died.
+HEARD_S: Final = 2.0
 # Ticks over which period and latency are taken.
 WINDOW: Final = 5000
 
@@ -75,11 +88,40 @@ class Diagnostics:
     def publish(self) -> None:
         level, text, values = self._describe()
         message = DiagnosticArray(status=[DiagnosticStatus(
-            level=level, name=f'{self._node.get_name()}: loop', message=text,
-            hardware_id=self._node.get_name(),
+            level=level, name=full_name(self._node) + LOOP, message=text,
+            hardware_id=full_name(self._node),
             values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
+
+
+class StateChanges:
+    """Publishes what state a node is in, and why, when that changes."""
+
+    def __init__(self, node: Node):
+        self._name = full_name(node)
+        # Of its own, so that the numbers of its messages are the same in each run.
+        self.publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+
+    def publish(self, stamp_ns: int, level: bytes, state: str, reason: str, wait: bool) -> None:
+        """
+        Tell a state that holds from a time (ns) of the loop on, and the reason, '' for none.
+
+        wait: return when all who listen have it, so that it comes before what is published next.
+        """
+        message = DiagnosticArray(status=[DiagnosticStatus(
+            level=level, name=self._name + STATE, hardware_id=self._name,
+            message=f'{state}: {reason}' if reason else state,
+            values=[KeyValue(key='state', value=state), KeyValue(key='reason', value=reason)])])
+        set_time(message.header.stamp, stamp_ns)
+        self.publisher.publish(message)
+        if wait:
+            self.publisher.wait_for_all_acked(Duration(seconds=HEARD_S))
+
+
+def full_name(node: Node) -> str:
+    """Return namespace and name of a node, without the first slash."""
+    return node.get_fully_qualified_name().lstrip('/')
 
 
 def _text(value: object) -> str:

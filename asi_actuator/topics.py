@@ -1,5 +1,6 @@
-"""What both ends of a topic must agree on (design: names, frame, quality of service)."""
+"""What both ends of a topic must agree on (design: names, frame, quality of service, time)."""
 
+import time
 from typing import Final
 
 from builtin_interfaces.msg import Time
@@ -16,11 +17,27 @@ CONTROL_QOS: Final = QoSProfile(depth=10)
 STREAM_QOS: Final = QoSProfile(depth=30_000)
 
 
-def nanoseconds(time: Time) -> int:
+class SteadyClock:
+    """
+    The wall clock as it was when this was made, going on evenly from there.
+
+    In a loop in real time a clock that is set (by NTP at start-up, by hand) must neither look like
+    a command from the past nor bring a recording out of its order.
+    """
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        """Return the time, ns."""
+        return time.monotonic_ns() + self._offset_ns
+
+
+def nanoseconds(stamp: Time) -> int:
     """Return a stamp in nanoseconds."""
-    return time.sec * 1_000_000_000 + time.nanosec
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def set_time(time: Time, stamp_ns: int) -> None:
+def set_time(stamp: Time, stamp_ns: int) -> None:
     """Put nanoseconds into a stamp."""
-    time.sec, time.nanosec = divmod(stamp_ns, 1_000_000_000)
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)

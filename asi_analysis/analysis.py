@@ -35,7 +35,9 @@ def analyze(run: Run) -> dict[str, Any]:
     step = headline(steps)
     swing = oscillation(run)
     width = loop_bandwidth(run)
-    notes = list(step.notes) if step else [_why_no_step(run)]
+    notes = [f'fault at {change.time_s:.6g} s, the valve command is 0 from there on: '
+             f'{change.reason}' for change in run.states if change.state == 'fault']
+    notes += list(step.notes) if step else [_why_no_step(run)]
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
     headline_keys = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s',
@@ -56,6 +58,7 @@ def analyze(run: Run) -> dict[str, Any]:
         'oscillation': {'sustained': swing.sustained, 'frequency_hz': swing.frequency_hz,
                         'amplitude_n': swing.amplitude_n},
         'steps': [step_as_dict(each) for each in steps],
+        'states': [change._asdict() for change in run.states],
         'notes': notes,
     }
 

@@ -13,7 +13,7 @@ from asi_analysis import cdr
 from asi_analysis.bag_file import Topic, read_contents
 from asi_analysis.bag_writer import BagWriter, typestore
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.run import SIGNALS, Array, Run
+from asi_analysis.run import SIGNALS, Array, Run, StateChange
 
 JOINT_STATE: Final = 'sensor_msgs/msg/JointState'
 WRENCH: Final = 'geometry_msgs/msg/WrenchStamped'
@@ -22,6 +22,11 @@ FLOAT: Final = 'std_msgs/msg/Float64'
 TYPES: Final = {'joint_states': JOINT_STATE, 'force': WRENCH, 'valve_command': WRENCH,
                 'force_reference': WRENCH, 'reference': FLOAT, 'valve_position': FLOAT,
                 'velocity': FLOAT}
+
+DIAGNOSTICS: Final = 'diagnostics'
+DIAGNOSTIC_ARRAY: Final = 'diagnostic_msgs/msg/DiagnosticArray'
+# The end of the name of the status that tells a change of state (asi_actuator/diagnostics.py).
+STATE: Final = ': state'
 
 Nanoseconds = npt.NDArray[np.int64]
 
@@ -44,12 +49,15 @@ def read_bag(path: str | Path) -> Run:
     file still holds is returned, with an InputWarning. Raises InputError if that is nothing.
     """
     path = Path(path)
-    contents = read_contents(path, lambda name: _base(name) in TYPES)
+    contents = read_contents(path, lambda name: _base(name) in (*TYPES, DIAGNOSTICS))
     problems = list(contents.problems)
     series: dict[str, _Series] = {}
+    changes = []
     for topic in contents.topics.values():
         name = _base(topic.name)
-        if topic.type != TYPES[name]:
+        if name == DIAGNOSTICS:
+            changes = _state_changes(topic)
+        elif topic.type != TYPES[name]:
             problems.append(f'{path}: {topic.name} is left out: it is of type {topic.type}, '
                             f'expected {TYPES[name]}')
         elif topic.data:
@@ -65,7 +73,7 @@ def read_bag(path: str | Path) -> Run:
         raise InputError(f'{path} holds no message of the topics {", ".join(TYPES)}{why}')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
-    return _assemble(series, str(path), contents.information)
+    return _assemble(series, changes, str(path), contents.information)
 
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
@@ -136,7 +144,28 @@ def _numbers(place: cdr.Layout) -> dict[str, cdr.Path]:
     return named
 
 
-def _assemble(series: Mapping[str, _Series], source: str, information: dict[str, Any]) -> Run:
+def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
+    """Return the changes of the actuator's state that /diagnostics tells, by their stamps (ns)."""
+    if topic.type != DIAGNOSTIC_ARRAY:
+        return []
+    changes = []
+    # Most are about the loop, twice a second.
+    for data in (data for data in topic.data if f'{STATE}\0'.encode() in data):
+        try:
+            message: Any = typestore().deserialize_cdr(data, DIAGNOSTIC_ARRAY)
+        except Exception:  # noqa: B902 - whatever rosbags makes of bytes that are damaged
+            continue
+        stamp = message.header.stamp
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            if status.name.endswith(STATE) and 'state' in values:
+                changes.append((stamp.sec * 10**9 + stamp.nanosec, StateChange(
+                    0.0, values['state'], values.get('reason', ''))))
+    return changes
+
+
+def _assemble(series: Mapping[str, _Series], changes: list[tuple[int, StateChange]], source: str,
+              information: dict[str, Any]) -> Run:
     """Put the topics onto one time base."""
     base = _time_base(next(series[name] for name in TYPES if name in series))
     state = series.get('joint_states')
@@ -159,7 +188,9 @@ def _assemble(series: Mapping[str, _Series], source: str, information: dict[str,
         if values is not None and not np.isnan(values).all():
             signals[field] = values
     time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
-    return replace(Run(time_s, source=source, information=information), **signals)
+    states = tuple(change._replace(time_s=(stamp_ns - int(base.stamp_ns[0])) / 1e9)
+                   for stamp_ns, change in changes)
+    return replace(Run(time_s, source=source, information=information, states=states), **signals)
 
 
 def _time_base(series: _Series) -> _Series:

@@ -49,9 +49,6 @@ OF_THE_NODE: Final = frozenset(
 MODULES: Final = {'controller': 'asi_controller.controller_node',
                   'recorder': 'asi_analysis.recorder_node',
                   'actuator': 'asi_actuator.actuator_node'}
-# Not /diagnostics, which goes by the wall clock: the same experiment gives the same file.
-LOCKSTEP_TOPICS: Final = ('joint_states', 'force', 'valve_position', 'velocity',
-                          'force_reference', 'valve_command', '/clock')
 # The ports of these domains are clear of those that Linux hands out.
 DOMAINS: Final = range(42, 102)
 # A node that is asked to end and does not within this time is killed.
@@ -349,8 +346,6 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
         'controller': ['--params-file', str(out / 'controller.yaml')],
         'actuator': ['--params-file', str(out / 'actuator.yaml')],
     }
-    if experiment.mode == 'lockstep':
-        arguments['recorder'] += ['-p', f'topics:=[{", ".join(LOCKSTEP_TOPICS)}]']
     nodes: dict[str, subprocess.Popen] = {}
     try:
         for name, module in MODULES.items():
@@ -416,7 +411,7 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int,
     def hear(message: DiagnosticArray) -> None:
         nonlocal ticks, state
         for status in message.status:
-            if status.hardware_id == 'asi_actuator':
+            if status.name == 'asi_actuator: loop':
                 values = {value.key: value.value for value in status.values}
                 ticks, state = int(values.get('ticks', 0)), status.message
 

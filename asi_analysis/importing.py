@@ -82,8 +82,8 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
         'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
     if units.get('reference', 'N') != 'N':
         information['signals'] = {'reference': units['reference']}
-    run = Run(time_s, **{signal.field: values.get(signal.name) for signal in SIGNALS},
-              source=str(path), information=information)
+    arrays: dict[str, Any] = {signal.field: values.get(signal.name) for signal in SIGNALS}
+    run = Run(time_s, **arrays, source=str(path), information=information)
     if out is not None:
         write_bag(run, out)
     return run

@@ -58,6 +58,10 @@ ANALYZE: Final = (
             Key('final_n', 'number', 'reference after'),
             *_STEP,
             Key('notes', '[text]', 'why a value is null or to be doubted'))),
+    Key('states', '[object]', "the states that the actuator's node was in, if the bag tells", (
+        Key('time_s', 'number', 'from when on'),
+        Key('state', 'text', 'disabled, enabled, or fault: the valve command is 0'),
+        Key('reason', 'text', 'of a fault: signal, value and limit'))),
     Key('notes', '[text]', 'why a value is null or to be doubted'),
 )
 

@@ -9,7 +9,7 @@ runs of the same experiment give the same file, however they were scheduled.
 
 import heapq
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from typing import Final, NamedTuple
 
 # A topic that is silent this long (s) is not waited for; a kill loses this much and one chunk.
@@ -46,12 +46,19 @@ class Item(NamedTuple):
 
 
 class ReceiptOrder:
-    """Real time: messages in the order of their receipt."""
+    """Real time: messages in the order of their receipt, whose times never go back."""
+
+    def __init__(self) -> None:
+        self._last_ns = 0
 
     def ready(self, arrivals: Iterable[Arrival], now_s: float) -> list[Item]:
         """Return what can be written: everything."""
-        return [Item(a.topic, a.number, a.received_ns, a.published_ns, a.data)
-                for a in sorted(arrivals, key=lambda arrival: arrival.received_ns)]
+        items = []
+        for arrival in sorted(arrivals, key=lambda arrival: arrival.received_ns):
+            self._last_ns = max(self._last_ns, arrival.received_ns)
+            items.append(Item(arrival.topic, arrival.number, self._last_ns, arrival.published_ns,
+                              arrival.data))
+        return items
 
     def waiting(self) -> bool:
         """Tell whether a message is held back: never."""
@@ -68,13 +75,15 @@ class TickOrder:
     """
     Lock-step: messages tick by tick; a message that was sent again is left out.
 
-    topics: how many there are; guide: index of the stamped topic that the others go by. Messages
+    topics: how many there are; guide: index of the stamped topic that the others go by;
+    unawaited: topics that no tick waits for, as their messages come before the tick. Messages
     without a stamp belong to the tick of the guide's message with the same number: the actuator
     publishes `force`, `valve_position` and `velocity` together, and sends none of them again.
     """
 
-    def __init__(self, topics: int, guide: int) -> None:
+    def __init__(self, topics: int, guide: int, unawaited: Set[int] = frozenset()) -> None:
         self._guide = guide
+        self._unawaited = unawaited
         self._stamps: dict[int, int] = {}       # of the guide's messages, by number
         self._newest = 0
         self._latest = dict.fromkeys(range(topics), -1)
@@ -117,7 +126,8 @@ class TickOrder:
 
     def _may_go(self, stamp: int, now_s: float) -> bool:
         """Tell whether a tick is complete, or has waited long enough for what may still come."""
-        behind = [topic for topic, latest in self._latest.items() if latest < stamp]
+        behind = [topic for topic, latest in self._latest.items()
+                  if latest < stamp and topic not in self._unawaited]
         age_s = now_s - self._ticks[stamp].arrived_s
         regular = [topic for topic in behind
                    if self._spoken[topic] > max(FEW_TICKS, self._written / 2)]

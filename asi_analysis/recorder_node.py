@@ -3,7 +3,8 @@ The node `asi_recorder`: writes the topics of the loop to a bag, as they come fr
 
 In real time a message is logged at the time of its receipt. In lock-step, which it knows by
 stamps far from the wall clock, at the time of its tick, and in an order of its own (see
-`message_order`), so that the same experiment gives the same file.
+`message_order`), so that the same experiment gives the same file; what nodes say of their loops on
+/diagnostics goes by the wall clock, and only what they say of their states is kept.
 """
 
 import json
@@ -17,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -24,12 +26,15 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.validate_topic_name import validate_topic_name
 
+from asi_actuator.diagnostics import STATE
 from asi_actuator.parameters import ParameterError
 from asi_actuator.spin import RunError, run_node
+from asi_actuator.topics import SteadyClock
 from asi_analysis.bag_writer import RELIABLE, BagWriter, typestore
 from asi_analysis.errors import InputError
 from asi_analysis.message_order import (
@@ -161,6 +166,8 @@ class Recorder(Node):
             self._writer.add_information(information)
         self._arrived: list[Arrival] = []
         self._order: ReceiptOrder | TickOrder | None = None
+        self._even_clock = SteadyClock()
+        self._state_name = f'{self.get_namespace()}/{NODES["actuator"]}'.lstrip('/') + STATE
         self._unasked = [] if configuration else [
             (name, AsyncParameterClient(self, node)) for name, node in NODES.items()]
         self.create_timer(DRAIN_PERIOD_S, self._record)
@@ -205,14 +212,19 @@ class Recorder(Node):
 
     def _drain(self) -> None:
         """Take everything that has come."""
+        # How far the wall clock was set since the start: log times go on evenly.
+        set_ns = time.time_ns() - self._even_clock.now_ns()
         for index, topic in enumerate(self._topics):
             with topic.subscription.handle:
                 while (taken := topic.take()) is not None:
                     data, info = taken
                     self._arrived.append(Arrival(
                         index, topic.count(info['publication_sequence_number']),
-                        topic.stamp(data), info['received_timestamp'] or time.time_ns(),
-                        info['source_timestamp'], data))
+                        topic.stamp(data),
+                        # One from just before the clock was set back is not from the future.
+                        min((info['received_timestamp'] or time.time_ns()) - set_ns,
+                            self._even_clock.now_ns()),
+                        info['source_timestamp'] - set_ns, data))
 
     def _write(self, final: bool = False) -> None:
         """Write what has been taken, as far as its turn has come; everything, if `final`."""
@@ -221,6 +233,8 @@ class Recorder(Node):
         if self._order is None:
             return
         arrived, self._arrived = self._arrived, []
+        if isinstance(self._order, TickOrder):
+            arrived = [arrival for arrival in arrived if self._is_of_the_run(arrival)]
         for item in self._order.ready(arrived, math.inf if final else time.monotonic()):
             topic = self._topics[item.topic]
             if topic.channel is None:
@@ -228,6 +242,13 @@ class Recorder(Node):
                     topic.name, topic.type, self._offered(topic.name))
             self._writer.write(topic.channel, item.log_ns, item.publish_ns, item.number,
                                item.data)
+
+    def _is_of_the_run(self, arrival: Arrival) -> bool:
+        """Return whether a message is the same in each run of an experiment in lock-step."""
+        if self._topics[arrival.topic].type != TYPES['/diagnostics']:
+            return True
+        message = deserialize_message(arrival.data, DiagnosticArray)
+        return [status.name for status in message.status] == [self._state_name]
 
     def _choose_order(self, final: bool) -> ReceiptOrder | TickOrder | None:
         """
@@ -243,7 +264,9 @@ class Recorder(Node):
                     return ReceiptOrder()
                 stamped = [i for i, topic in enumerate(self._topics) if topic.stamped]
                 guides = [i for i in stamped if self._topics[i].type == TYPES['force']] or stamped
-                return TickOrder(len(self._topics), guides[0])
+                unawaited = {i for i, topic in enumerate(self._topics)
+                             if topic.type == TYPES['/diagnostics']}
+                return TickOrder(len(self._topics), guides[0], unawaited)
         waited_ns = time.time_ns() - arrived[0].received_ns if arrived else 0
         return ReceiptOrder() if final or waited_ns > HOLD_S * 1e9 else None
 

@@ -11,6 +11,14 @@ from asi_analysis.errors import InputError
 Array = npt.NDArray[np.float64]
 
 
+class StateChange(NamedTuple):
+    """The state that the actuator's node is in from a time on, and why, '' if it need not say."""
+
+    time_s: float
+    state: str      # disabled, enabled or fault
+    reason: str
+
+
 class Signal(NamedTuple):
     """One signal of a run: its name in tables and mappings, its field of `Run`, its unit."""
 
@@ -48,6 +56,7 @@ class Run:
     velocity_m_s: Array | None = None
     source: str = ''
     information: dict[str, Any] = field(default_factory=dict)
+    states: tuple[StateChange, ...] = ()
 
     def __post_init__(self) -> None:
         for name, values in self.signals().items():

@@ -22,7 +22,7 @@ from asi_actuator.discovery import not_recorded
 from asi_actuator.node_parameters import control_rate
 from asi_actuator.ros_parameters import RosParameters
 from asi_actuator.spin import RunError, run_node
-from asi_actuator.topics import CONTROL_QOS, PISTON, STREAM_QOS
+from asi_actuator.topics import CONTROL_QOS, PISTON, STREAM_QOS, SteadyClock
 from asi_controller.controller import Controller
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
@@ -33,6 +33,8 @@ from asi_controller.parameters import (
 # An old state is a straggler, unless the same one comes so often in a row: then the actuator,
 # which asks again and again, has begun a new run.
 BEGIN_ANEW_AFTER: Final = 3
+# A state that is not a period after the last is a stray, unless for so long (s) no other comes.
+WRONG_FOR_S: Final = 1.0
 # A stamp this far from the wall clock is of another clock.
 OTHER_CLOCK_NS: Final = 3600 * 10**9
 # How often a controller that waits for a recorder looks for it, s.
@@ -165,6 +167,7 @@ class LockStep:
         self.answered_ns: int | None = None
         self.straggler_ns: int | None = None
         self.repeats = 0
+        self.wrong_since: float | None = None
         self.resent = 0
         self.clock = ROSClock()
         # ROS time as with use_sim_time, but /clock is heard raw: rclpy's own subscription takes
@@ -185,11 +188,13 @@ class LockStep:
             self.node.commands.publish(self.node.command)
             return
         if self.last_ns is not None and stamp_ns != self.last_ns:
-            if stamp_ns < self.last_ns and not self._begins_anew(stamp_ns):
+            if stamp_ns < self.last_ns:
+                if not self._begins_anew(stamp_ns):
+                    return
+            elif not self._is_next(stamp_ns, self.last_ns):
                 return
-            self._check_spacing(stamp_ns)
         self.last_ns = stamp_ns
-        self.straggler_ns = None
+        self.straggler_ns = self.wrong_since = None
         self.pending = stamp_ns, force_n
         self._answer_if_due()
 
@@ -220,16 +225,22 @@ class LockStep:
         self.last_ns = self.answered_ns = self.pending = None
         return True
 
-    def _check_spacing(self, stamp_ns: int) -> None:
-        if self.last_ns is None:
-            return
-        apart_s = (stamp_ns - self.last_ns) * 1e-9
+    def _is_next(self, stamp_ns: int, last_ns: int) -> bool:
+        """Return whether a state is a period after the last. Raises RunError if none is so."""
+        apart_s = (stamp_ns - last_ns) * 1e-9
         # Stamps are whole nanoseconds.
-        if abs(apart_s - 1.0 / self.node.rate_hz) > 1.5e-9:
-            raise RunError(
-                f'states are {apart_s:.9g} s apart, but rate_hz = {self.node.rate_hz:g} asks for '
-                f'{1.0 / self.node.rate_hz:.9g} s: has the actuator another mode or rate_hz, or '
-                'does a second controller answer?')
+        if abs(apart_s - 1.0 / self.node.rate_hz) <= 1.5e-9:
+            return True
+        now = time.monotonic()
+        self.wrong_since = self.wrong_since or now
+        self.node.ignored += 1
+        problem = (f'states are {apart_s:.9g} s apart, but rate_hz = {self.node.rate_hz:g} asks '
+                   f'for {1.0 / self.node.rate_hz:.9g} s: has the actuator another mode or '
+                   'rate_hz, or does a second controller answer?')
+        if now - self.wrong_since > WRONG_FOR_S:
+            raise RunError(problem)
+        self.node.get_logger().warning(f'{problem} Ignored', throttle_duration_sec=1.0)
+        return False
 
     def _answer_if_due(self) -> None:
         if (self.pending is None or not self.node.ready()
@@ -246,6 +257,7 @@ class RealTime:
 
     def __init__(self, node: ControllerNode):
         self.node = node
+        self.clock = SteadyClock()
         self.latest: tuple[int, float] | None = None
         self.received_at = 0.0
         self.lost = 0
@@ -253,15 +265,17 @@ class RealTime:
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_state(self, stamp_ns: int, force_n: float) -> None:
-        latency_ns = self.node.get_clock().now().nanoseconds - stamp_ns
-        if abs(latency_ns) > OTHER_CLOCK_NS:
+        latency_ns = self.clock.now_ns() - stamp_ns
+        # The clock may have been set since this node was started, and the actuator after that.
+        if (abs(latency_ns) > OTHER_CLOCK_NS
+                and abs(latency_ns := time.time_ns() - stamp_ns) > OTHER_CLOCK_NS):
             if self.latest is not None:
-                # Not from the actuator that this loop has begun with, or the clock was set.
+                # Not from the actuator that this loop has begun with.
                 self.node.ignored += 1
                 return
             raise RunError(f'a state of {stamp_ns * 1e-9:.6f} s is not of the wall clock: the '
                            'mode of the actuator is lockstep, that of this controller realtime')
-        if self.latest is not None:
+        if self.latest is not None and not self._stale():
             periods = (stamp_ns - self.latest[0]) * 1e-9 * self.node.rate_hz
             self.lost += max(0, round(periods) - 1)
         self.latest = stamp_ns, force_n

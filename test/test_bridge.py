@@ -453,12 +453,14 @@ def test_driver_that_cannot_work_is_one_line_and_exit_status_2(
 
 def test_replayed_bag_is_played_to_the_controller(
         start_node: Callable, ros_node: Any, states: States, tmp_path: Path) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
     from geometry_msgs.msg import WrenchStamped
     from rosgraph_msgs.msg import Clock
     from std_msgs.msg import Float64
     # The actuator waits for a recorder of them all.
     for kind, name in ((WrenchStamped, 'force'), (Float64, 'valve_position'),
-                       (Float64, 'velocity'), (Clock, '/clock')):
+                       (Float64, 'velocity'), (Clock, '/clock'),
+                       (DiagnosticArray, '/diagnostics')):
         ros_node.create_subscription(kind, name, lambda message: None, 1000)
     t = np.arange(300) / 5000.0
     force = 100.0 * np.sin(2 * np.pi * 20.0 * t)

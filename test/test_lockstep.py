@@ -28,6 +28,7 @@ class Recording:
 
     def __init__(self, node: Any, suffix: str = ''):
         """Subscribe to every topic of the loop; those that the relay takes have a suffix."""
+        from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import WrenchStamped
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import JointState
@@ -40,6 +41,8 @@ class Recording:
             self.messages[name] = []
             topic = name + suffix if (kind, name) in TOPICS else name
             node.create_subscription(kind, topic, self.messages[name].append, 10_000)
+        # A node that awaits a recorder awaits that it hears this too.
+        node.create_subscription(DiagnosticArray, '/diagnostics', lambda message: None, 10)
 
     def stamps(self, name: str) -> list[int]:
         """Return the stamps (ns) of a topic, in the order of arrival."""

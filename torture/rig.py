@@ -142,7 +142,10 @@ class Rig:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         status = message.status[0]
-        self.diagnostics[status.name.partition(':')[0]] = {
+        node, _, kind = status.name.partition(': ')
+        if kind != 'loop':
+            return
+        self.diagnostics[node] = {
             v.key: v.value for v in status.values} | {'text': status.message,
                                                       'at': time.monotonic()}
 
