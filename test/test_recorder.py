@@ -20,6 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from std_srvs.srv import SetBool
 
+from asi_analysis.analysis import analyze
 from asi_analysis.bag import read_bag, write_bag
 from asi_analysis.bag_file import read_contents
 from asi_analysis.errors import InputWarning
@@ -88,6 +89,30 @@ def test_the_same_experiment_gives_the_same_file(ros_environment: dict[str, str]
                        env=ros_environment, check=True, capture_output=True)
     assert digest(tmp_path / 'one/bag') == digest(tmp_path / 'two/bag')
     assert len(read_bag(tmp_path / 'one/bag')) == 1500
+
+
+def test_a_fault_in_lockstep_is_in_the_bag_with_its_time_and_reason_the_same_each_time(
+        start_node: Start, tmp_path: Path) -> None:
+    configuration = tmp_path / 'run.json'
+    configuration.write_text('{}')
+    for name in ('one', 'two'):
+        recorder = start_node(RECORDER, output=tmp_path / name, configuration=configuration)
+        controller = start_node('asi_controller.controller_node', await_recorder=True,
+                                **{'reference.shape': 'step', 'reference.amplitude': 400.0,
+                                   'reference.start': 0.01})
+        actuator = start_node('asi_actuator.actuator_node', await_recorder=True, duration=0.05,
+                              **{'limit.force': 150.0})
+        assert actuator.exit_status() == 1
+        assert recorder.stop() == 0 == controller.stop()
+    assert digest(tmp_path / 'one') == digest(tmp_path / 'two')
+    run = read_bag(tmp_path / 'one')
+    assert run.force_n is not None
+    begin, fault = run.states
+    assert begin == (0.0, 'enabled', '')
+    first = int(np.argmax(np.abs(run.force_n) > 150.0))
+    assert fault.time_s == run.time_s[first] and fault.state == 'fault'
+    assert fault.reason == (f'force = {run.force_n[first]:.6g} N exceeds limit.force = 150 N')
+    assert analyze(run)['notes'][0].startswith(f'fault at {fault.time_s:.6g} s')
 
 
 def test_a_killed_recorder_loses_less_than_a_second(
