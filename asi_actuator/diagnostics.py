@@ -17,7 +17,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from asi_actuator.topics import set_time
+from asi_actuator import wire
 
 PERIOD_S: Final = 0.5
 LOOP, STATE = ': loop', ': state'
@@ -109,12 +109,9 @@ class StateChanges:
 
         wait: return when all who listen have it, so that it comes before what is published next.
         """
-        message = DiagnosticArray(status=[DiagnosticStatus(
-            level=level, name=self._name + STATE, hardware_id=self._name,
-            message=f'{state}: {reason}' if reason else state,
-            values=[KeyValue(key='state', value=state), KeyValue(key='reason', value=reason)])])
-        set_time(message.header.stamp, stamp_ns)
-        self.publisher.publish(message)
+        self.publisher.publish(wire.status(
+            stamp_ns, level, self._name, self._name + STATE,
+            f'{state}: {reason}' if reason else state, {'state': state, 'reason': reason}))
         if wait:
             self.publisher.wait_for_all_acked(Duration(seconds=HEARD_S))
 

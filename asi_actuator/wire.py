@@ -7,6 +7,7 @@ both. So the nodes publish bytes and subscribe to bytes (`raw`), packed and unpa
 Whatever is laid out in another way, as with another frame or other joints, rclpy unpacks.
 """
 
+from collections.abc import Mapping
 from math import nan
 from struct import Struct
 from typing import Any, Final, NamedTuple
@@ -67,6 +68,22 @@ def state(stamp_ns: int, position: tuple[float, float], velocity: tuple[float, f
     """Return a sensor_msgs/JointState: each quantity of piston and valve."""
     return _STATE.pack(_HEADER, *divmod(stamp_ns, _SECOND_NS), *_NAMES, *position, _TWO,
                        *velocity, _TWO, *effort)
+
+
+def status(stamp_ns: int, level: bytes, node: str, name: str, text: str,
+           values: Mapping[str, str]) -> bytes:
+    """
+    Return a diagnostic_msgs/DiagnosticArray of one status; `node` becomes its hardware_id.
+
+    rclpy leaves in the gaps between the texts whatever was there in memory, which is not the same
+    from run to run.
+    """
+    data = clock(stamp_ns)
+    for part in (_string(''), _COUNT.pack(1), level, _string(name), _string(text), _string(node),
+                 _COUNT.pack(len(values)),
+                 *(_string(each) for pair in values.items() for each in pair)):
+        data += bytes(-len(data) % 4) + part
+    return data
 
 
 def time(data: bytes) -> int:

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
@@ -31,7 +32,17 @@ def a_wrench(frame: str) -> WrenchStamped:
     return message
 
 
+def a_status(text: str) -> DiagnosticArray:
+    message = DiagnosticArray(status=[DiagnosticStatus(
+        level=DiagnosticStatus.ERROR, name='node: state', hardware_id='node', message=text,
+        values=[KeyValue(key='reason', value=text[1:])])])
+    message.header.stamp = STAMP
+    return message
+
+
 @pytest.mark.parametrize(('data', 'message'), [
+    *((wire.status(STAMP_NS, DiagnosticStatus.ERROR, 'node', 'node: state', text,
+                   {'reason': text[1:]}), a_status(text)) for text in ('', 'a', 'ab', 'abc', 'ö')),
     (wire.clock(STAMP_NS), Clock(clock=STAMP)),
     (wire.number(-0.1), Float64(data=-0.1)),
     (wire.wrench(STAMP_NS, -7.5), a_wrench('piston')),
