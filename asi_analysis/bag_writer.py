@@ -29,11 +29,12 @@ CHUNK_BYTES: Final = 64 * 1024
 CHUNK_NS: Final = 250_000_000
 INFORMATION: Final = 'asi.run'
 
-_NEVER = {'sec': 9223372036, 'nsec': 854775807}
+_NEVER: Final = {'sec': 9223372036, 'nsec': 854775807}
+# As a recorder hears of it: DDS does not tell the history.
 RELIABLE: Final[dict[str, Any]] = {
-    'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
-    'deadline': _NEVER, 'lifespan': _NEVER, 'liveliness': 'automatic',
-    'liveliness_lease_duration': _NEVER, 'avoid_ros_namespace_conventions': False}
+    'history': 'unknown', 'depth': 0, 'reliability': 'reliable', 'durability': 'volatile',
+    'deadline': {**_NEVER}, 'lifespan': {**_NEVER}, 'liveliness': 'automatic',
+    'liveliness_lease_duration': {**_NEVER}, 'avoid_ros_namespace_conventions': False}
 
 
 class _Topic(NamedTuple):

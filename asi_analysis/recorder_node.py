@@ -90,6 +90,7 @@ class _Recorded:
         self.type = type_
         self.name = node.resolve_topic_name(name)
         self.channel: int | None = None
+        self.offered = [RELIABLE]
         self.number = 0
         self.lost = 0
         self.one_publisher = True
@@ -238,8 +239,8 @@ class Recorder(Node):
         for item in self._order.ready(arrived, math.inf if final else time.monotonic()):
             topic = self._topics[item.topic]
             if topic.channel is None:
-                topic.channel = self._writer.add_topic(
-                    topic.name, topic.type, self._offered(topic.name))
+                self._look_at_publishers(topic)
+                topic.channel = self._writer.add_topic(topic.name, topic.type, topic.offered)
             self._writer.write(topic.channel, item.log_ns, item.publish_ns, item.number,
                                item.data)
 
@@ -270,20 +271,19 @@ class Recorder(Node):
         waited_ns = time.time_ns() - arrived[0].received_ns if arrived else 0
         return ReceiptOrder() if final or waited_ns > HOLD_S * 1e9 else None
 
-    def _offered(self, name: str) -> list[dict[str, Any]]:
-        """Return the different QoS that the publishers of a topic offer."""
+    def _look_at_publishers(self, topic: _Recorded) -> None:
+        """Note the different QoS that are offered; those of the past, if nobody is left."""
         offered = [as_dictionary(publisher.qos_profile)
-                   for publisher in self.get_publishers_info_by_topic(name)]
-        return [profile for i, profile in enumerate(offered) if profile not in offered[:i]] or [
-            RELIABLE]
+                   for publisher in self.get_publishers_info_by_topic(topic.name)]
+        topic.offered = [profile for i, profile in enumerate(offered)
+                         if profile not in offered[:i]] or topic.offered
 
     def _look_around(self) -> None:
         """Adapt to the publishers that there are now, and ask their nodes for parameters."""
         for topic in self._topics:
-            offered = [publisher.qos_profile.reliability
-                       for publisher in self.get_publishers_info_by_topic(topic.name)]
+            self._look_at_publishers(topic)
             if (topic.reliability == ReliabilityPolicy.RELIABLE
-                    and ReliabilityPolicy.BEST_EFFORT in offered):
+                    and 'best_effort' in [each['reliability'] for each in topic.offered]):
                 topic.accept_best_effort(self, self._group)
         types = dict(self.get_topic_names_and_types()) if self._unknown else {}
         for name in [name for name in self._unknown if name in types]:
