@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from typing import Final, NoReturn, Protocol
+from typing import Any, Final, NoReturn, Protocol
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock
@@ -44,8 +44,10 @@ MOST_CATCH_UP: Final = 10
 class ActuatorNode(Node):
     """Wires the actuator to its topics, services and parameters; a loop runs it."""
 
-    def __init__(self) -> None:
-        super().__init__('asi_actuator', automatically_declare_parameters_from_overrides=True)
+    def __init__(self, **options: Any) -> None:
+        """Make the node with options of rclpy's Node, such as parameter_overrides."""
+        super().__init__('asi_actuator', automatically_declare_parameters_from_overrides=True,
+                         **options)
         self.parameters = RosParameters(
             self, ACTUATOR_NODE_PARAMETERS + ACTUATOR_PARAMETERS, physical)
         values = self.parameters.values

@@ -24,6 +24,7 @@ from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ParameterError, as_record, completed
 from asi_analysis.bag import write_bag
 from asi_analysis.run import Run
+from torture.watchdogs import WATCHDOGS, Bench, periods_until_shut, shut_when_the_bus_returns
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 PEER = 'asi_actuator.can_actuator'
@@ -515,3 +516,21 @@ def test_command_that_is_no_number_is_a_fault_until_the_reset(
     assert ask('reset') == (True, 'reset: enabled')
     states.wait_until(lambda state: state.effort[1] == 500.0, 'the command')
     assert actuator.stop() == 0
+
+
+@pytest.mark.parametrize('what', WATCHDOGS)
+def test_valve_is_shut_on_the_bus_within_two_periods(
+        what: str, ros_node: Any, tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    try:
+        assert periods_until_shut(bench, what) <= 2
+    finally:
+        bench.close()
+
+
+def test_bus_that_returns_finds_the_valve_shut(ros_node: Any, tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    try:
+        assert shut_when_the_bus_returns(bench)
+    finally:
+        bench.close()

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from torture.bags import bags
+from torture.clocks import clocks
 from torture.disk import disk
 from torture.frames import frames
 from torture.lockstep import lockstep
@@ -20,11 +21,12 @@ from torture.parameters import parameters
 from torture.processes import processes
 from torture.rig import NotThere, Rig, Tally
 from torture.soak import soak
+from torture.watchdogs import watchdogs
 
 # Share of the time that each gets.
 SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
-    processes: 0.35, frames: 0.2, messages: 0.1, parameters: 0.1, bags: 0.05, disk: 0.05,
-    lockstep: 0.1, soak: 0.05,
+    watchdogs: 0.05, processes: 0.3, frames: 0.15, messages: 0.1, parameters: 0.1, bags: 0.05,
+    disk: 0.05, clocks: 0.05, lockstep: 0.1, soak: 0.05,
 }
 # The same seed for a scenario breaks the same things in the same order.
 SEED = int(os.environ.get('TORTURE_SEED', '1'))

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -93,16 +93,16 @@ class Rig:
         rclpy.shutdown()
 
     def start(self, module: str, *arguments: str, limits: Callable[[], None] | None = None,
-              **parameters: object) -> NodeProcess:
+              environment: Mapping[str, str] | None = None, **parameters: object) -> NodeProcess:
         """Start a node; or the CAN actuator, which takes no parameters."""
         given = [part for name, value in parameters.items() for part in
                  ('-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}')]
         ros = ['--ros-args', *given] if module != PEER else []
         log = self.folder / f'{module.rpartition(".")[2]}-{len(self._started)}.log'
-        environment = dict(os.environ) | {'PYTHONPATH': os.pathsep.join(
+        complete = dict(os.environ) | dict(environment or {}) | {'PYTHONPATH': os.pathsep.join(
             [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')])}
         self._started.append(NodeProcess(
-            [sys.executable, '-m', module, *ros, *arguments], environment, log, limits))
+            [sys.executable, '-m', module, *ros, *arguments], complete, log, limits))
         return self._started[-1]
 
     def tracebacks(self) -> str:
