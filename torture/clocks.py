@@ -81,7 +81,7 @@ def clocks(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def disorder(bag: Path, rate_hz: float) -> str:
-    """Return how the times of a bag of a loop in real time are out of order, '' if they are not."""
+    """Return how a bag of a loop in real time is out of order, '' if it is not."""
     topics = read_contents(bag, lambda name: True).topics
     merged = sorted((time_ns, k) for topic in topics.values()
                     for k, time_ns in enumerate(topic.log_ns))

@@ -2,7 +2,9 @@
    torture/clocks.py. CLOCK_OFFSET names a file of 8 bytes: nanoseconds on top of the real clock,
    which may change at any time. Steady clocks stay as they are, as when the real one is set. */
 #define _GNU_SOURCE
+#include <errno.h>
 #include <fcntl.h>
+#include <pthread.h>
 #include <stdlib.h>
 #include <sys/mman.h>
 #include <sys/syscall.h>
@@ -48,4 +50,26 @@ time_t time(time_t *now)
     if (now)
         *now = precise.tv_sec;
     return precise.tv_sec;
+}
+
+/* A wait until a time of the system clock ends when that clock says so, as the kernel's does: early
+   if it is set forth, late if it is set back. Looked at every millisecond. */
+int pthread_cond_timedwait(pthread_cond_t *condition, pthread_mutex_t *mutex,
+                           const struct timespec *end)
+{
+    for (;;) {
+        struct timespec now;
+        clock_gettime(CLOCK_REALTIME, &now);
+        if (now.tv_sec > end->tv_sec ||
+            (now.tv_sec == end->tv_sec && now.tv_nsec >= end->tv_nsec))
+            return ETIMEDOUT;
+        long long left_ns = (end->tv_sec - now.tv_sec) * 1000000000LL + end->tv_nsec - now.tv_nsec;
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        long long until_ns = now.tv_nsec + (left_ns < 1000000 ? left_ns : 1000000);
+        now.tv_sec += until_ns / 1000000000LL;
+        now.tv_nsec = until_ns % 1000000000LL;
+        int result = pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, &now);
+        if (result != ETIMEDOUT)
+            return result;
+    }
 }
