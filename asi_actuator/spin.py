@@ -20,8 +20,9 @@ from rclpy.timer import Timer
 
 from asi_actuator.parameters import ParameterError
 
-# How long services, parameters and new entities may wait.
+# How long services, parameters and new entities may wait, and events of the middleware.
 SERVICE_PERIOD_S: Final = 0.01
+EVENT_PERIOD_S: Final = 0.5
 # How long a node that ends waits at most for others to receive what it has published last; it
 # takes 50 ms, unless a subscriber has died.
 FAREWELL_S: Final = 2.0
@@ -42,8 +43,10 @@ class LoopExecutor(SingleThreadedExecutor):
 
     rclpy's executor builds its wait set anew and makes a task for every message. This one keeps
     the wait set of subscriptions and timers and calls their callbacks (plain functions of the
-    message, or of nothing) directly, which takes half the time (bench/loop_rate.py). All else -
-    services, parameters, events - goes through rclpy's own spin_once every SERVICE_PERIOD_S.
+    message, or of nothing) directly, which takes half the time (bench/loop_rate.py). All else
+    goes through rclpy's own spin_once, which takes longer than a tick may be late: so only when
+    a look every SERVICE_PERIOD_S finds a service, a client or a task that asks for it, and every
+    EVENT_PERIOD_S for the events of the middleware.
     """
 
     def __init__(self) -> None:
@@ -54,46 +57,71 @@ class LoopExecutor(SingleThreadedExecutor):
         """Serve the nodes until `stopped` is true or the context is shut down."""
         while not self.stopped and self.context.ok():
             self.spin_once(timeout_sec=0.0)
-            self._spin_loop(time.monotonic_ns() + int(SERVICE_PERIOD_S * 1e9))
+            self._spin_loop(time.monotonic_ns() + int(EVENT_PERIOD_S * 1e9))
 
     def can_execute(self, entity: Any) -> bool:
         """Keep spin_once away from what the loop serves."""
         return not isinstance(entity, Subscription | Timer) and super().can_execute(entity)
 
     def _spin_loop(self, end_ns: int) -> None:
+        """Serve subscriptions and timers until `end_ns`, or until something else is to be done."""
+        nodes = self.get_nodes()
         # A recorder's callback group keeps its subscriptions out: it polls them.
-        subscriptions: list[Any] = [s for node in self.get_nodes() for s in node.subscriptions
+        subscriptions: list[Any] = [s for node in nodes for s in node.subscriptions
                                     if s.callback_group.can_execute(s)]
-        timers: list[Any] = [t for node in self.get_nodes() for t in node.timers]
+        timers: list[Any] = [t for node in nodes for t in node.timers]
+        services: list[Any] = [s for node in nodes for s in node.services]
+        clients: list[Any] = [c for node in nodes for c in node.clients]
+        context: Any = self.context.handle
+        with ExitStack() as in_use:
+            for entity in (*subscriptions, *timers, *services, *clients, self._guard):
+                in_use.enter_context(entity.handle)
+            in_use.enter_context(context)
+            fast = rclpy_implementation.WaitSet(
+                len(subscriptions), 0, len(timers), 0, 0, 0, context)
+            slow = rclpy_implementation.WaitSet(
+                0, 1, 0, len(clients), len(services), 0, context)
+            while not self.stopped and (now_ns := time.monotonic_ns()) < end_ns:
+                self._serve(fast, subscriptions, timers, now_ns + int(SERVICE_PERIOD_S * 1e9))
+                if self._asked(slow, services, clients):
+                    return
+
+    def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],
+               end_ns: int) -> None:
+        """Call the callbacks of subscriptions and timers until `end_ns`."""
         if not subscriptions and not timers:
             time.sleep(SERVICE_PERIOD_S)
-            return
-        with ExitStack() as in_use:
-            for entity in (*subscriptions, *timers):
-                in_use.enter_context(entity.handle)
-            context: Any = self.context.handle
-            in_use.enter_context(context)
-            wait_set = rclpy_implementation.WaitSet(
-                len(subscriptions), 0, len(timers), 0, 0, 0, context)
-            while not self.stopped and (left_ns := end_ns - time.monotonic_ns()) > 0:
-                wait_set.clear_entities()
-                for subscription in subscriptions:
-                    wait_set.add_subscription(subscription.handle)
-                for timer in timers:
-                    wait_set.add_timer(timer.handle)
-                wait_set.wait(left_ns)
-                ready = wait_set.get_ready_entities('subscription')
-                for subscription in subscriptions:
-                    if subscription.handle.pointer in ready:
-                        taken = subscription.handle.take_message(
-                            subscription.msg_type, subscription.raw)
-                        if taken is not None:
-                            subscription.callback(taken[0])
-                # Asked one by one: a /clock message just taken may have made one ready.
-                for timer in timers:
-                    if timer.handle.is_timer_ready():
-                        timer.handle.call_timer()
-                        timer.callback()
+        while not self.stopped and (left_ns := end_ns - time.monotonic_ns()) > 0:
+            wait_set.clear_entities()
+            for subscription in subscriptions:
+                wait_set.add_subscription(subscription.handle)
+            for timer in timers:
+                wait_set.add_timer(timer.handle)
+            wait_set.wait(left_ns)
+            ready = wait_set.get_ready_entities('subscription')
+            for subscription in subscriptions:
+                if subscription.handle.pointer in ready:
+                    taken = subscription.handle.take_message(
+                        subscription.msg_type, subscription.raw)
+                    if taken is not None:
+                        subscription.callback(taken[0])
+            # Asked one by one: what came may have taken long enough for one to become ready.
+            for timer in timers:
+                if timer.handle.is_timer_ready():
+                    timer.handle.call_timer()
+                    timer.callback()
+
+    def _asked(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
+        """Tell whether a service, a client, or a task or change of a node waits for spin_once."""
+        wait_set.clear_entities()
+        for service in services:
+            wait_set.add_service(service.handle)
+        for client in clients:
+            wait_set.add_client(client.handle)
+        wait_set.add_guard_condition(self._guard.handle)
+        wait_set.wait(0)
+        return any(wait_set.get_ready_entities(kind)
+                   for kind in ('service', 'client', 'guard_condition'))
 
 
 def run_node(make_node: Callable[[], Node]) -> int:
