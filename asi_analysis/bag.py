@@ -60,7 +60,7 @@ def read_bag(path: str | Path) -> Run:
         elif topic.type != TYPES[name]:
             problems.append(f'{path}: {topic.name} is left out: it is of type {topic.type}, '
                             f'expected {TYPES[name]}')
-        elif topic.data:
+        elif len(topic):
             if name in series:
                 raise InputError(f'{path} has several topics named {name}: expected one actuator '
                                  'a bag')
@@ -107,26 +107,36 @@ def _base(topic: str) -> str:
 
 def _decode(topic: Topic) -> _Series:
     """Decode the messages of a topic, those of one layout at a time. Raises cdr.LayoutError."""
-    count = len(topic.data)
+    count = len(topic)
     stamp_ns = np.zeros(count, np.int64)
     values: dict[str, Array] = {}
-    length = np.array([len(data) for data in topic.data])
-    left = np.ones(count, bool)
-    while left.any():
-        first = int(np.argmax(left))
-        place = cdr.layout(topic.type, topic.data[first])
-        group = np.flatnonzero(left & (length == length[first]))
-        group = group[cdr.same_layout([topic.data[i] for i in group], place)]
-        left[group] = False
-        paths = _numbers(place)
-        found = dict(zip(paths, cdr.columns(topic.type, [topic.data[i] for i in group],
-                                            list(paths.values()), place), strict=True))
-        if 'sec' in found:
-            stamp_ns[group] = (found.pop('sec').astype(np.int64) * 10**9
-                               + found.pop('nanosec').astype(np.int64))
-        for name, column in found.items():
-            values.setdefault(name, np.full(count, np.nan))[group] = column
-    return _Series(stamp_ns, np.array(topic.publish_ns), values)
+    layouts: dict[bytes, cdr.Layout] = {}      # by a message of that layout
+    for places, table in topic.tables():
+        left = np.ones(len(places), bool)
+        while left.any():
+            template = _known(layouts, topic.type, table[np.argmax(left)])
+            group = left & cdr.same_layout(table, template, layouts[template])
+            left &= ~group
+            paths = _numbers(layouts[template])
+            found = dict(zip(paths, cdr.columns(
+                topic.type, table if group.all() else table[group], list(paths.values()),
+                layouts[template]), strict=True))
+            if 'sec' in found:
+                stamp_ns[places[group]] = (found.pop('sec').astype(np.int64) * 10**9
+                                           + found.pop('nanosec').astype(np.int64))
+            for name, column in found.items():
+                values.setdefault(name, np.full(count, np.nan))[places[group]] = column
+    return _Series(stamp_ns, topic.publish_ns, values)
+
+
+def _known(layouts: dict[bytes, cdr.Layout], type_: str, message: npt.NDArray[np.uint8]) -> bytes:
+    """Return the key of a message's layout, which is added if it is a new one."""
+    for template, place in layouts.items():
+        if len(template) == len(message) and cdr.same_layout(message[None], template, place)[0]:
+            return template
+    template = message.tobytes()
+    layouts[template] = cdr.layout(type_, template)
+    return template
 
 
 def _numbers(place: cdr.Layout) -> dict[str, cdr.Path]:

@@ -45,33 +45,34 @@ def layout(type_: str, data: bytes) -> Layout:
     return Layout(walk.numbers, walk.strings, walk.structure)
 
 
-def columns(type_: str, messages: Sequence[bytes], paths: Sequence[Path],
+def columns(type_: str, table: npt.NDArray[np.uint8], paths: Sequence[Path],
             place: Layout) -> list[npt.NDArray[np.float64]]:
     """
     Return the numbers at some paths of n messages, which must have the layout `place`: arrays n.
 
-    The first and the last message are decoded by rosbags too. Raises LayoutError if they differ.
+    table: n x length. The first and the last message are decoded by rosbags too. Raises
+    LayoutError if they differ.
     """
-    table = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
     found = []
     for path in paths:
         offset, kind = place.numbers[path]
         cut = np.ascontiguousarray(table[:, offset:offset + kind.itemsize])
         found.append(cut.view(kind)[:, 0])
     for i in (0, -1):
-        message = typestore().deserialize_cdr(messages[i], type_)
+        message = typestore().deserialize_cdr(table[i].tobytes(), type_)
         for path, values in zip(paths, found, strict=True):
             if not np.array_equal(_at(message, path), values[i], equal_nan=True):
                 raise LayoutError(f'{type_}: {path} is not at its place')
     return found
 
 
-def same_layout(messages: Sequence[bytes], place: Layout) -> npt.NDArray[np.bool_]:
-    """Tell which messages, all of one length, have the layout of the first of them."""
-    table = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
-    same = np.ones(len(messages), bool)
+def same_layout(table: npt.NDArray[np.uint8], template: bytes, place: Layout
+                ) -> npt.NDArray[np.bool_]:
+    """Tell which messages (n x length) have the layout of the template, which is as long."""
+    same = np.ones(len(table), bool)
     for start, end in place.structure:
-        same &= (table[:, start:end] == table[0, start:end]).all(axis=1)
+        for offset in range(start, end):
+            same &= table[:, offset] == template[offset]
     return same
 
 

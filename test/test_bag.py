@@ -1,6 +1,7 @@
 """Bags: ours and others' are read alike, damaged ones as far as they go, the rest is refused."""
 
 import shutil
+import struct
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -211,6 +212,28 @@ def test_a_flipped_bit_gives_no_wrong_number(whole: tuple[Run, bytes, Path]) -> 
             for name, values in part.signals().items():
                 there = ~np.isnan(values)
                 np.testing.assert_array_equal(values[there], run.signals()[name][ticks[there]])
+
+
+def test_a_wrong_index_changes_nothing(whole: tuple[Run, bytes, Path]) -> None:
+    """The messages are cut out at the places that it tells, and no checksum covers it."""
+    run, data, path = whole
+    indices = [(start + 9, length) for start, opcode, length in records(data) if opcode == 7]
+    assert len(indices) > 20
+    rng = np.random.default_rng(3)
+    for start, length in indices[::3]:
+        broken = bytearray(data)
+        broken[start + rng.integers(length)] ^= 1 << rng.integers(8)
+        path.write_bytes(broken)
+        assert_same(read_bag(path), run)
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield where the records of an MCAP file begin, their opcode and length."""
+    start = 8
+    while start < len(data) - 8:
+        opcode, length = struct.unpack_from('<BQ', data, start)
+        yield start, opcode, length
+        start += 9 + length
 
 
 @pytest.mark.parametrize(('name', 'content'), [
