@@ -84,6 +84,9 @@ EFFECT_FIELDS = (
     'sensor_drift',             # N/s
     'sensor_drift_curve',       # N/s2
     'load_offset',              # N, a constant that a joint's nominal model declares
+    'drive_hold',               # s, how late a joint's command acts, held as it is: below a sample
+    'drive_delay',              # s, more than that
+    'drive_lag',                # s, the same
 )
 EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
@@ -432,6 +435,12 @@ def sensor_response(omega: Array, p: np.void) -> Complex:
     elif p['force_sensor_model'] == LINEAR:
         response = response * p['force_sensor_linear_gain']
     return response * (p['force_sensor_gain'] * (1.0 + p['sensor_gain_error']))
+
+
+def drive_inverse(omega: Array, p: np.void) -> Complex:
+    """Return command over force of a joint's drive: the command comes before its force."""
+    s = 1j * omega
+    return np.exp(s * (p['drive_hold'] + p['drive_delay'])) * (1.0 + s * p['drive_lag'])
 
 
 def impedance(omega: Array, p: np.void) -> Complex:

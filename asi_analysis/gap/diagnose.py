@@ -10,7 +10,7 @@ import numpy as np
 from asi_actuator.parameters import Value
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap import next_experiment, quality, where
-from asi_analysis.gap.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
+from asi_analysis.gap.effects import BLOCK_OF, NO_GAP, UNKNOWN
 from asi_analysis.gap.fit import TOLERANCE, Group, fit_null, make_group, plant_record
 from asi_analysis.gap.joint import drive_of, joint_groups
 from asi_analysis.gap.prepare import prepare
@@ -102,10 +102,10 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     out = list(held_out) if held_out is not None else [False] * len(runs)
     notes: list[str] = []
     if plant == 'joint':
-        groups = joint_groups(runs, model, tolerance, out, drive or drive_of(runs))
+        groups, notes = joint_groups(runs, model, tolerance, out, drive or drive_of(runs))
     else:
         groups, notes = actuator_groups(runs, model, tolerance, out)
-    steps, done = len(groups) * 3 * len(EFFECTS), 0
+    steps, done = 4 * sum(len(group.effects) for group in groups), 0
 
     def tick() -> None:
         nonlocal done
@@ -162,7 +162,7 @@ def _effect_values(diagnosis: Diagnosis, name: str) -> dict[str, float]:
             own = diagnosis.best(weighed)
             chosen = own if name in own.names else max(
                 holding, key=lambda c: weighed.probability.get(c.names, 0.0))
-            effect = next(effect for effect in EFFECTS if effect.name == name)
+            effect = next(e for e in weighed.group.effects if e.name == name)
             fields = {free.field for variant in effect.variants if variant in chosen.variants
                       for free in variant.free}
             return {field: value for field, value in chosen.fitted.values.items()

@@ -18,7 +18,7 @@ from scipy.signal import welch
 from asi_actuator.model.jit import FULL
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.gap import blocks
-from asi_analysis.gap.effects import EFFECTS, Free, Variant
+from asi_analysis.gap.effects import EFFECTS, Effect, Free, Variant
 from asi_analysis.gap.prepare import Array, Recording, low_pass
 
 Values = dict[str, float]
@@ -71,7 +71,8 @@ class Group:
     Channels that share parameters, and so are fitted together.
 
     scale: what the bounds of the effects are multiples of; floor: mean square of what may be left
-    in each channel by noise and by the small errors of any model.
+    in each channel by noise and by the small errors of any model; effects: those that may be at
+    work.
     """
 
     nominal: np.void
@@ -81,6 +82,7 @@ class Group:
     scale: Values = field(default_factory=dict)
     noise: Values = field(default_factory=dict)
     floor: Values = field(default_factory=dict)
+    effects: tuple[Effect, ...] = EFFECTS
 
     @property
     def held_out_s(self) -> float:
@@ -164,7 +166,8 @@ def _load(recording: Recording, p: np.void) -> Array:
     if p['compliance'] > 0.0:
         linear = blocks.compliant(motion.omega, motion.velocity_spectrum,
                                   motion.position_spectrum, p)
-    total = (linear + np.fft.rfft(extra)) * blocks.sensor_response(motion.omega, p) * motion.judge
+    total = ((linear + np.fft.rfft(extra)) * blocks.sensor_response(motion.omega, p)
+             * blocks.drive_inverse(motion.omega, p) * motion.judge)
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
     if not motion.measured:   # the offset is outside the band
@@ -331,7 +334,9 @@ def held_out_error(group: Group, p: np.void) -> Values:
 
 def _shown() -> dict[str, set[str]]:
     """Return the channels that each parameter acts on, by field."""
-    shown: dict[str, set[str]] = {'load_offset': {'load'}, 'corner': {'valve', 'force'}}
+    shown: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
+                                  'drive_delay': {'load'}, 'drive_lag': {'load'},
+                                  'corner': {'valve', 'force'}}
     for channel, names in UNCERTAIN.items():
         for name in names:
             shown.setdefault(name, set()).add(channel)
@@ -426,7 +431,8 @@ class Problem:
 
 
 def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
-               tolerance: float = TOLERANCE, nuisance: tuple[Free, ...] | None = None) -> Group:
+               tolerance: float = TOLERANCE, nuisance: tuple[Free, ...] | None = None,
+               effects: tuple[Effect, ...] = EFFECTS) -> Group:
     """Return a group of channels, ready to be fitted."""
     scale = scales(recordings)
     noise, floor = {}, {}
@@ -441,7 +447,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
         hidden = 'force' in channels and any(r.valve_position is None for r in recordings)
         names = ('valve', *channels) if hidden else channels
         nuisance = _nuisance(p, names, tolerance)
-    return Group(p, recordings, channels, nuisance, scale, noise, floor)
+    return Group(p, recordings, channels, nuisance, scale, noise, floor, effects)
 
 
 def fit_null(group: Group) -> Fitted:

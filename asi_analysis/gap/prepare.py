@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import coherence
+from scipy.signal import coherence, resample_poly
 
 from asi_analysis.errors import InputError
 from asi_analysis.run import Run
@@ -17,6 +17,7 @@ Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
 BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
+BURN_OUT_S = 0.1        # and at the end, after which the motion goes on unknown
 MOST_MISSING = 0.05     # share of missing samples that is still bridged
 PARTS = 12              # of a recording: every other one is held out
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
@@ -25,6 +26,8 @@ COHERENT = 0.95         # share of the power that motion and force have in commo
 LOWEST_BAND_HZ = 20.0
 # A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
 RIGID_BAND_HZ = 40.0
+JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
+SHARED = 0.3            # a signal with fewer values than this share of its samples comes in steps
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
@@ -78,9 +81,13 @@ def noise_of(signal: Array) -> float:
     Return the standard deviation of a signal's white noise.
 
     From the fourth differences, in which a smooth signal vanishes; the median, because jumps and
-    corners are rare.
+    corners are rare. At least that of the steps in which the signal comes.
     """
-    return float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
+    white = float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
+    levels = np.unique(signal)
+    if levels.size < SHARED * signal.size:   # of an encoder: each value many times
+        white = max(white, float(np.median(np.diff(levels))) / math.sqrt(12.0))
+    return white
 
 
 def _bridged(name: str, values: Array, source: str) -> Array:
@@ -191,13 +198,19 @@ def split(count: int, period: float) -> tuple[Mask, Mask]:
     part = np.arange(count) * PARTS // count
     edge = np.arange(count) - np.ceil(part * count / PARTS)
     gap = (edge < 0.02 / period) & (part > 0)
-    usable = (np.arange(count) * period >= BURN_IN_S) & ~gap
+    end = (np.arange(count)[::-1] * period >= BURN_OUT_S)
+    usable = (np.arange(count) * period >= BURN_IN_S) & end & ~gap
     return usable & (part % 2 == 0), usable & (part % 2 == 1)
 
 
 def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
     """Return the period (s) and the signals that move, under the names of the diagnosis."""
     period, signals = _uniform(run)
+    thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
+    if drive == 'force' and thinned > 1:
+        signals = {name: resample_poly(values, 1, thinned, padtype='line')
+                   for name, values in signals.items()}
+        period *= thinned
     named = {name: signals.get(name)
              for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
     if drive == 'force':
@@ -206,6 +219,8 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
     elif drive == 'position':
         named = {'command': signals.get('reference'),
                  'valve_position': signals.get(run.controlled())}
+    elif drive == 'drive':
+        named = {'command': named['command'], 'valve_position': named['force']}
     moving = {name: values for name, values in named.items()
               if values is not None and np.ptp(values) > 0.0}
     if not {'command', 'valve_position'} <= set(moving) and (
@@ -222,7 +237,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
     Return runs ready for the diagnosis; of those with `held_out` nothing is fitted on.
 
     drive: what the command is: 'valve' (the hydraulic actuator), 'force' (a joint whose force or
-    torque is commanded or measured), 'position' (a joint that follows a position or velocity).
+    torque is commanded or measured), 'position' (a joint that follows a position, velocity or
+    force), 'drive' (what makes a joint's force of its command).
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
     read = [_signals(run, drive) for run in runs]

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from asi_analysis.gap.effects import BY_NAME, EFFECTS, NO_GAP, UNKNOWN, Effect, Variant
+from asi_analysis.gap.effects import BY_NAME, NO_GAP, UNKNOWN, Effect, Variant
 from asi_analysis.gap.fit import (
     Fitted,
     Group,
@@ -93,7 +93,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     choices: dict[Names, list[tuple[Variant, ...]]] = {
         (effect.name,): [(variant,) for variant in effect.variants
                          if _may_explain(variant, group, null) and not variant.joined]
-        for effect in EFFECTS}
+        for effect in group.effects}
     found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: -_log_evidence(group, c.fitted.held_out, CONSTANTS))
@@ -103,7 +103,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
         return {(): found[()]}
     for first in singles[:FOLLOWED]:
         pairs = {tuple(sorted({*first.names, effect.name})): list(_second(group, first, effect))
-                 for effect in EFFECTS if effect.name not in first.names}
+                 for effect in group.effects if effect.name not in first.names}
         found |= _most_promising(group, first.fitted, {
             names: variants for names, variants in pairs.items() if names not in found}, PAIRS,
             tick)
