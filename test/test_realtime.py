@@ -3,14 +3,12 @@
 import signal
 from collections.abc import Callable
 from typing import Any
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from conftest import NodeProcess, wait_until
 
 from asi_actuator.parameters import Value
-from asi_controller import controller_node
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 # A busy machine is no fault of the loop: what is tested here is not how fast it is.
@@ -118,21 +116,6 @@ def test_controller_says_that_the_actuator_is_gone_and_gives_no_command(
     start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
     commands.wait(10)
     assert controller.stop() == 0
-
-
-@pytest.mark.parametrize(('period_s', 'answered'), [(0.001, 100), (0.0005, 50), (0.004, 100)])
-def test_answers_each_state_but_no_more_than_its_own_rate(
-        monkeypatch: pytest.MonkeyPatch, period_s: float, answered: int) -> None:
-    """A hundred states, a quarter of a period early and late in turns; the rate is 1000 Hz."""
-    node = MagicMock(rate_hz=1000.0)
-    loop = controller_node.RealTime(node)
-    for k in range(100):
-        now_s = 1000.0 + k * period_s + 0.00025 * (-1) ** k
-        monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=now_s: now_s)
-        node.get_clock().now().nanoseconds = stamp_ns = round(now_s * 1e9)
-        loop.on_state(stamp_ns, float(k))
-    assert abs(node.answer.call_count - answered) <= 1
-    assert loop.counts()['states too early'] == 100 - node.answer.call_count
 
 
 def test_stray_state_of_another_clock_does_not_end_the_controller(
