@@ -15,6 +15,7 @@ import math
 import multiprocessing
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -71,17 +72,18 @@ FREE: Final = (
     Free('load.locked_stiffness', 1e5, 2e7),
     Free('load.locked_damping', 10.0, 10000.0),
     Free('conditions.proportional.amplitude_n', 100.0, 850.0),
-    Free('conditions.proportional.load.mass', 0.2, 6.0),
+    Free('conditions.proportional.load.mass', 0.2, 8.0),
     Free('conditions.proportional.load.stiffness', 4e3, 5e5),
     Free('conditions.proportional.load.damping', 1.0, 1500.0),
     Free('conditions.lead_lag.gain', 3.0, 45.0),
     Free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, False),
-    Free('conditions.lead_lag.amplitude_n', 50.0, 750.0),
+    Free('conditions.lead_lag.amplitude_n', 50.0, 850.0),
     Free('conditions.lead4.gain', 0.5, 30.0),
     Free('conditions.lead4.lead4.zero_frequency', 60.0, 800.0),
     Free('conditions.lead4.lead4.ratio', 1.2, 14.0),
     Free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0),
-    Free('conditions.lead4.amplitude_n', 50.0, 750.0),
+    Free('conditions.lead4.lead_lag.lag_time', 0.02, 0.5),
+    Free('conditions.lead4.amplitude_n', 50.0, 850.0),
 )
 # For the search only: coarse, as long as every row moves by less than a tenth of its limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
@@ -462,8 +464,10 @@ def calibrate(search: Search, evaluations: int, rounds: int, state: Path, jobs: 
 
     jobs: processes; the result does not depend on it.
     """
-    with multiprocessing.get_context('spawn').Pool(jobs) as pool:
-        apply = pool.map if jobs > 1 else map
+    pool: AbstractContextManager[Any] = (
+        multiprocessing.get_context('spawn').Pool(jobs) if jobs > 1 else nullcontext())
+    with pool as workers:
+        apply = workers.map if workers else map
         while search.evaluations < evaluations and not search.strategy.stop():
             search.generation(apply)
             search.save(state)
