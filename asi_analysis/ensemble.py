@@ -86,7 +86,7 @@ def slopes(problem: Problem, report: Report = lambda text, share: None) -> Array
         for step in (-SLOPE_STEP, SLOPE_STEP):
             moved = point.copy()
             moved[k] = np.clip(point[k] + step, 0.0, 1.0)
-            ends.append((moved[k], _positions(problem.measure(moved)[1])))
+            ends.append((moved[k], _positions(problem.measure(moved))))
         (low, before), (high, after) = ends
         columns.append((after - before) / (high - low))
     return np.array(columns).T
@@ -116,7 +116,7 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     _, sizes, directions = np.linalg.svd(found)
     stiffness = np.zeros(point.size)
     stiffness[:sizes.size] = sizes
-    needed = _met(problem.measure(point)[1]) - MAY_MISS
+    needed = _met(problem.measure(point)) - MAY_MISS
     kept: list[tuple[Array, Member]] = []
     reach, tried = FIRST_REACH, 0
     while len(kept) < count and tried < most:
@@ -127,7 +127,7 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
         tried += 1
         if any(np.abs(drawn - other).max() < LEAST_DISTANCE for other, _ in kept):
             continue
-        met = _met(problem.measure(drawn)[1])
+        met = _met(problem.measure(drawn))
         reach *= 1.1 if met >= needed else 0.97
         if met >= needed:
             whole = decode(problem.whole(drawn))
@@ -173,7 +173,7 @@ def sensitivity_table(found: Sensitivity) -> str:
 def best_as_member(best: Candidate) -> Member:
     """Return the best set as a member, for pictures."""
     problem = problem_of(best)
-    measured = problem.measure(problem.start[list(problem.free)])[1]
+    measured = problem.measure(problem.start[list(problem.free)])
     known = quantities(best)
     return Member({FREE[k].name: known[FREE[k].name] for k in PHYSICAL}, _met(measured))
 

@@ -42,7 +42,7 @@ class Fact(NamedTuple):
         return f'{self.low:.4g} to {self.high:.4g}'
 
     def met(self, value: float) -> bool:
-        return self.low <= value <= self.high
+        return bool(self.low <= value <= self.high)
 
 
 def _around(id_: str, value: str, quantity: str, section: str, published: float, unit: str,
