@@ -12,7 +12,7 @@ enum { LOCKED, SPRING, FREE, PRESCRIBED };
 
 #define ELASTIC_SHARE 0.7
 #define FAR 7.0
-#define STRAIGHT 1e-4
+#define STRAIGHT 2e-5
 #define MOST_ROUNDS 60
 
 struct second_order { double keep, pull, half_step; };

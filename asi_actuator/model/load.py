@@ -16,7 +16,7 @@ LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
 # A Newton step (m/s) so small that the damping is straight over it: for the default damping the
 # rest is below 1e-4 N (test/test_model_convergence.py compares with full convergence).
-STRAIGHT: Final = 1e-4
+STRAIGHT: Final = 2e-5
 # Enough for the halving of the bracket that a Newton step falls back to.
 MOST_ROUNDS: Final = 60
 
