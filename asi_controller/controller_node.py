@@ -37,6 +37,10 @@ BEGIN_ANEW_AFTER: Final = 3
 WRONG_FOR_S: Final = 1.0
 # A stamp this far from the wall clock is of another clock.
 OTHER_CLOCK_NS: Final = 3600 * 10**9
+# Real time: how long after a state it is answered, s (at most a quarter of a period), and the
+# share of what is missing or too much that a tick takes off the next period.
+AFTER_STATE_S: Final = 0.0002
+IN_STEP: Final = 0.05
 # How often a controller that waits for a recorder looks for it, s.
 WATCH_PERIOD_S: Final = 0.02
 
@@ -254,11 +258,10 @@ class LockStep:
 
 class RealTime:
     """
-    Answers the latest state at each tick of the wall clock.
+    Answers the latest state at each tick of a wall timer.
 
-    The ticks begin a quarter of a period after the first state. Actuator and controller count
-    the same steady clock, so they stay there: no state waits a random part of a period, and
-    neither jitters past the other.
+    The timer is kept in step with the states, so that none waits a random part of a period: a
+    tick comes AFTER_STATE_S after a state, late enough that neither jitters past the other.
     """
 
     def __init__(self, node: ControllerNode):
@@ -267,10 +270,9 @@ class RealTime:
         self.latest: tuple[int, float] | None = None
         self.received_at = 0.0
         self.lost = 0
-        steady, period_s = Clock(clock_type=ClockType.STEADY_TIME), 1.0 / node.rate_hz
-        self.timer = node.create_timer(period_s, self._tick, clock=steady, autostart=False)
-        self.starter = node.create_timer(period_s / 4.0, self._start, clock=steady,
-                                         autostart=False)
+        self.period_s = 1.0 / node.rate_hz
+        self.timer = node.create_timer(self.period_s, self._tick,
+                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_state(self, stamp_ns: int, force_n: float) -> None:
         latency_ns = self.clock.now_ns() - stamp_ns
@@ -283,9 +285,7 @@ class RealTime:
                 return
             raise RunError(f'a state of {stamp_ns * 1e-9:.6f} s is not of the wall clock: the '
                            'mode of the actuator is lockstep, that of this controller realtime')
-        if self.latest is None or self._stale():
-            self.starter.reset()
-        else:
+        if self.latest is not None and not self._stale():
             periods = (stamp_ns - self.latest[0]) * 1e-9 * self.node.rate_hz
             self.lost += max(0, round(periods) - 1)
         self.latest = stamp_ns, force_n
@@ -306,16 +306,17 @@ class RealTime:
         silence = time.monotonic() - self.received_at
         return silence > float(self.node.parameters.values['state_timeout'])
 
-    def _start(self) -> None:
-        """Begin to tick, from now on."""
-        self.starter.cancel()
-        self.timer.reset()
-        self._tick()
-
     def _tick(self) -> None:
         if self.latest is None or self._stale() or not self.node.ready():
             return
         self.node.answer(*self.latest)
+        self.timer.timer_period_ns = round(1e9 * (self.period_s - IN_STEP * self._late_s()))
+
+    def _late_s(self) -> float:
+        """Return how much too late after the states the ticks come, at most half a period."""
+        half_s = 0.5 * self.period_s
+        late_s = time.monotonic() - self.received_at - min(AFTER_STATE_S, 0.5 * half_s)
+        return (late_s + half_s) % self.period_s - half_s
 
 
 def main() -> int:
