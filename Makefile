@@ -4,13 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help setup demo test torture soak lint clean
+.PHONY: help setup demo test torture soak bench lint clean
 
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
 	@echo 'make test     run the tests'
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
 	@echo 'make soak     an hour of lock-step, ten minutes of real time: memory, files, threads'
+	@echo 'make bench    measure the speed, write doc/performance.md; BENCH=NAME: only that one'
 	@echo 'make lint     check style and types'
 	@echo 'make clean    remove the virtual environment and all that was built'
 
@@ -25,6 +26,9 @@ torture: setup
 
 soak: setup
 	@$(BIN)/python -m torture.soak
+
+bench: setup $(VENV)/benchmarked
+	@$(BIN)/python -m bench $(BENCH)
 
 lint: setup
 	@$(BIN)/ruff check .
@@ -45,6 +49,11 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 	$$python -m venv --clear $(VENV)
 	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.closed_loop
+	@touch $@
+
+# The rivals that only the benchmark needs.
+$(VENV)/benchmarked: $(VENV)/installed
+	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[bench]'
 	@touch $@
 
 clean:

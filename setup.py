@@ -41,10 +41,14 @@ setup(
         'typer',
         'rich',
         'cma',
+        'joblib',
     ],
     extras_require={
+        'cluster': ['dask', 'distributed'],
+        # What `make bench` compares with, over what the tests need.
+        'bench': ['mujoco'],
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',
-                 'ruff', 'mypy', 'types-PyYAML'],
+                 'ruff', 'mypy', 'types-PyYAML', 'dask', 'distributed'],
     },
     zip_safe=True,
     maintainer='asi_actuator maintainers',

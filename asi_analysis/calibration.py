@@ -12,10 +12,8 @@ generation; then damped least squares from its best.
 
 import json
 import math
-import multiprocessing
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -29,6 +27,7 @@ from asi_analysis.facts.bench import Values
 from asi_analysis.facts.conditions import Conditions, StepTest
 from asi_analysis.facts.measures import Measured
 from asi_analysis.facts.table import FACTS, FITTED, Fact
+from asi_analysis.parallel import each
 from asi_controller.compensator import OWN_GAIN
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -72,18 +71,17 @@ FREE: Final = (
     Free('load.locked_stiffness', 1e5, 2e7),
     Free('load.locked_damping', 10.0, 10000.0),
     Free('conditions.proportional.amplitude_n', 100.0, 850.0),
-    Free('conditions.proportional.load.mass', 0.2, 8.0),
+    Free('conditions.proportional.load.mass', 0.2, 6.0),
     Free('conditions.proportional.load.stiffness', 4e3, 5e5),
     Free('conditions.proportional.load.damping', 1.0, 1500.0),
     Free('conditions.lead_lag.gain', 3.0, 45.0),
     Free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, False),
-    Free('conditions.lead_lag.amplitude_n', 50.0, 850.0),
+    Free('conditions.lead_lag.amplitude_n', 50.0, 750.0),
     Free('conditions.lead4.gain', 0.5, 30.0),
     Free('conditions.lead4.lead4.zero_frequency', 60.0, 800.0),
     Free('conditions.lead4.lead4.ratio', 1.2, 14.0),
     Free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0),
-    Free('conditions.lead4.lead_lag.lag_time', 0.02, 0.5),
-    Free('conditions.lead4.amplitude_n', 50.0, 850.0),
+    Free('conditions.lead4.amplitude_n', 50.0, 750.0),
 )
 # For the search only: coarse, as long as every row moves by less than a tenth of its limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
@@ -457,25 +455,20 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
                           structure.one_load), seed, spread)
 
 
-def calibrate(search: Search, evaluations: int, rounds: int, state: Path, jobs: int = 1,
+def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
               report: Report = lambda text, share: None) -> Search:
-    """
-    Search until so many evaluations have been made, then polish; the state is kept in a file.
+    """Search until so many evaluations are made, then polish; the state is kept in a file."""
+    def apply(function: Callable[..., Any], jobs: Iterable[Any]) -> Iterable[Any]:
+        return each(function, ((job,) for job in jobs))
 
-    jobs: processes; the result does not depend on it.
-    """
-    pool: AbstractContextManager[Any] = (
-        multiprocessing.get_context('spawn').Pool(jobs) if jobs > 1 else nullcontext())
-    with pool as workers:
-        apply = workers.map if workers else map
-        while search.evaluations < evaluations and not search.strategy.stop():
-            search.generation(apply)
-            search.save(state)
-            report(f'{search.evaluations} evaluations, cost {search.best_cost:.3f}',
-                   search.evaluations / evaluations)
-        if rounds:
-            search.polish(rounds, apply, report)
+    while search.evaluations < evaluations and not search.strategy.stop():
+        search.generation(apply)
         search.save(state)
+        report(f'{search.evaluations} evaluations, cost {search.best_cost:.3f}',
+               search.evaluations / evaluations)
+    if rounds:
+        search.polish(rounds, apply, report)
+    search.save(state)
     return search
 
 
@@ -523,7 +516,7 @@ def quantities(one: Candidate) -> dict[str, float]:
 
 
 def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spread: float,
-        start: Path | None, only: Sequence[str], jobs: int, report: Report) -> dict[str, Any]:
+        start: Path | None, only: Sequence[str], report: Report) -> dict[str, Any]:
     """
     Do what `asi calibrate` is asked to; return its document.
 
@@ -538,7 +531,7 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
     else:
         search = new_search(read_best(start) if start else Candidate({}, Conditions()),
                             STRUCTURES[structure], seed, spread, only)
-    calibrate(search, evaluations, rounds, state, jobs, report)
+    calibrate(search, evaluations, rounds, state, report)
     write_best(result(search), out / 'best.json')
     measured = search.problem.measure(search.best)
     names = stages(result(search), {})

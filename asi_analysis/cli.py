@@ -33,6 +33,11 @@ Settings = Annotated[list[str] | None, typer.Option(
     help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
 
 
+Jobs = Annotated[int, typer.Option('--jobs', min=1, help='Processes; the result is the same')]
+Dask = Annotated[str | None, typer.Option(
+    '--dask', metavar='ADDRESS', help='Scheduler of a Dask cluster to use instead')]
+
+
 def command(name: str, example: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Make a function a command; `example` is the end of its help."""
     return app.command(name, epilog=f'Example: `{example}`')
@@ -386,6 +391,8 @@ def quench(
     set_: Settings = None,
     figure: Annotated[Path | None, typer.Option(
         help='PNG file: loop and -1/N, and the trade-off of the designs')] = None,
+    jobs: Jobs = 1,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -397,8 +404,9 @@ def quench(
     if not rates_hz or conditions < 1:
         raise InputError('--rates takes at least one rate, --conditions at least 1')
     values = _configured(set_, compensator, gain, step, rates_hz[0])
+    from asi_analysis.parallel import workers
     from asi_analysis.quench import answer as quench_answer
-    with progress() as told:
+    with workers(jobs, dask), progress() as told:
         document = quench_answer.quench(values['actuator'], values['controller'], rates_hz,
                                         conditions, seed, designs,
                                         (replay, out) if replay else None, told)
@@ -473,27 +481,29 @@ def gap_check(
     load: Annotated[str, typer.Option(help='Load of new cases: spring or locked')] = 'spring',
     signals: Annotated[str, typer.Option(
         help='Of new cases: all, no_valve, no_velocity or force_only')] = 'all',
-    workers: Annotated[int, typer.Option(help='Processes', min=1)] = 2,
+    jobs: Jobs = 2,
+    dask: Dask = None,
     out: Annotated[Path, typer.Option(
         help='Directory for new cases; it must not exist')] = Path('runs/gap_check'),
     as_json: Json = False,
 ) -> None:
     """Diagnose blind cases, then open the sealed answers and say how often it was right."""
     from asi_analysis.gap.check import check, show
+    from asi_analysis.parallel import workers
     for name, value, allowed in (
             ('--world', world, ('textbook', 'full')), ('--load', load, ('spring', 'locked')),
             ('--signals', signals, ('all', 'no_valve', 'no_velocity', 'force_only'))):
         if value not in allowed:
             raise InputError(f'{name} {value!r} is not allowed: one of {", ".join(allowed)}')
-    with progress() as told:
+    with workers(jobs, dask), progress() as told:
         if directory is None:
             from asi_examiner.bags import write_cases
             if out.exists():
                 raise InputError(f'{out} exists already: give another --out, or that directory '
                                  'as an argument to check it again')
-            for done in write_cases(out, cases, seed, world, load, signals, workers):
+            for done in write_cases(out, cases, seed, world, load, signals):
                 told(f'{done} of {cases} cases written', done / cases)
-        document = check(directory or out, told, workers)
+        document = check(directory or out, told)
     answer(document, as_json, show)
 
 
@@ -512,8 +522,8 @@ def calibrate(
         help='best.json of an earlier calibration to start from; default: the defaults')] = None,
     only: Annotated[list[str] | None, typer.Option(
         help='Leave free only this quantity; may be repeated')] = None,
-    jobs: Annotated[int, typer.Option(
-        help='Processes; the result is the same', min=1)] = 1,
+    jobs: Jobs = 1,
+    dask: Dask = None,
     out: Annotated[Path, typer.Option(
         help='Directory of state and result; a search that is there is gone on with')
     ] = Path('runs/calibration'),
@@ -521,9 +531,10 @@ def calibrate(
 ) -> None:
     """Fit the model's free parameters to the facts that the paper publishes."""
     from asi_analysis import calibration
-    with progress() as told:
+    from asi_analysis.parallel import workers
+    with workers(jobs, dask), progress() as told:
         document = calibration.run(out, structure, evaluations, polish, seed, spread, start,
-                                   only or [], jobs, told)
+                                   only or [], told)
     answer(document, as_json, calibration.show)
 
 
@@ -535,11 +546,14 @@ def ensemble(
     out: Annotated[Path, typer.Option(help='Directory of the members')] = Path('config/ensemble'),
     pictures: Annotated[Path, typer.Option(
         help='Directory of the pictures and the sensitivity table')] = Path('doc/reproduction'),
+    jobs: Jobs = 1,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """Find parameter sets about the defaults that meet the paper's facts about equally well."""
     from asi_analysis import ensemble as ensemble_
-    with progress() as told:
+    from asi_analysis.parallel import workers
+    with workers(jobs, dask), progress() as told:
         document = ensemble_.run(out, pictures, count, most, seed, told)
     answer(document, as_json, ensemble_.show)
 

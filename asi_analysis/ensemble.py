@@ -28,6 +28,7 @@ from asi_analysis.calibration import (
 )
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
+from asi_analysis.parallel import each
 
 Array = npt.NDArray[np.float64]
 Report = Callable[[str, float | None], None]
@@ -39,6 +40,8 @@ LEAST_DISTANCE: Final = 0.1
 MAY_MISS: Final = 2
 # First reach of the draws, in half widths of the rows; it follows the share that is kept.
 FIRST_REACH: Final = 0.5
+# Draws that are measured side by side; the reach follows them together.
+GENERATION: Final = 8
 # The actuator's parameters: the conditions of the experiments stay.
 PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
                         if not free.name.startswith('conditions'))
@@ -72,6 +75,10 @@ def _positions(measured: Measured) -> Array:
                      for fact in AIMS])
 
 
+def _measured(problem: Problem, point: Array) -> Measured:
+    return problem.measure(point)
+
+
 def _met(measured: Measured) -> int:
     return sum(fact.met(measured[fact.value]) for fact in AIMS)
 
@@ -79,17 +86,14 @@ def _met(measured: Measured) -> int:
 def slopes(problem: Problem, report: Report = lambda text, share: None) -> Array:
     """Return the slope of each row's position over the unit cube: rows x free quantities."""
     point = problem.start[list(problem.free)]
-    columns = []
-    for k in range(point.size):
-        report('sensitivity', k / point.size)
-        ends = []
-        for step in (-SLOPE_STEP, SLOPE_STEP):
-            moved = point.copy()
-            moved[k] = np.clip(point[k] + step, 0.0, 1.0)
-            ends.append((moved[k], _positions(problem.measure(moved))))
-        (low, before), (high, after) = ends
-        columns.append((after - before) / (high - low))
-    return np.array(columns).T
+    moved = [np.clip(point + step * unit, 0.0, 1.0)
+             for unit in np.eye(point.size) for step in (-SLOPE_STEP, SLOPE_STEP)]
+    found: list[Array] = []
+    for measured in each(_measured, ((problem, one) for one in moved)):
+        report('sensitivity', len(found) / len(moved))
+        found.append(_positions(measured))
+    return np.array([(found[2 * k + 1] - found[2 * k]) / (moved[2 * k + 1][k] - moved[2 * k][k])
+                     for k in range(point.size)]).T
 
 
 def sensitivity(problem: Problem, found: Array) -> Sensitivity:
@@ -122,17 +126,19 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     while len(kept) < count and tried < most:
         report(f'{len(kept)} of {count} members', tried / most)
         # A direction of stiffness s moves some row by s; none moves by more than the box allows.
-        along = random.normal(size=point.size) / np.hypot(stiffness / reach, 1.0 / 0.3)
+        along = (random.normal(size=(min(GENERATION, most - tried), point.size))
+                 / np.hypot(stiffness / reach, 1.0 / 0.3))
         drawn = np.clip(point + along @ directions, 0.0, 1.0)
-        tried += 1
-        if any(np.abs(drawn - other).max() < LEAST_DISTANCE for other, _ in kept):
-            continue
-        met = _met(problem.measure(drawn))
-        reach *= 1.1 if met >= needed else 0.97
-        if met >= needed:
-            whole = decode(problem.whole(drawn))
-            kept.append((drawn, Member({FREE[k].name: whole[FREE[k].name]
-                                        for k in problem.free}, met)))
+        tried += len(drawn)
+        for one, measured in zip(drawn, each(_measured, ((problem, one) for one in drawn)),
+                                 strict=True):
+            met = _met(measured)
+            reach *= 1.1 if met >= needed else 0.97
+            near = any(np.abs(one - other).max() < LEAST_DISTANCE for other, _ in kept)
+            if met >= needed and not near and len(kept) < count:
+                whole = decode(problem.whole(one))
+                kept.append((one, Member({FREE[k].name: whole[FREE[k].name]
+                                          for k in problem.free}, met)))
     return [member for _, member in kept], tried
 
 

@@ -11,8 +11,6 @@ import base64
 import json
 import zlib
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +18,7 @@ import numpy as np
 import yaml
 
 from asi_analysis.bag import write_bag
+from asi_analysis.parallel import each
 from asi_analysis.run import Run
 from asi_examiner.cases import EFFECTS, NOISE, Case, draw, excite
 from asi_examiner.plant import PERIOD_S, simulate
@@ -84,7 +83,7 @@ def _write(out: Path, number: int, seed: int, world: str, load: str, signals: st
 
 
 def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load: str = 'spring',
-                signals: str = 'all', workers: int = 2) -> Iterator[int]:
+                signals: str = 'all') -> Iterator[int]:
     """Write `count` cases of seeds from `seed` on into a directory; yields how many are done."""
     out.mkdir(parents=True, exist_ok=True)
     names = [f'{number:04d}' for number in range(count)]
@@ -92,12 +91,11 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
         {'bag': f'case_{name}', 'fresh': f'fresh_{name}', 'model': f'nominal_{world}_{load}.yaml'}
         for name in names], indent=1))
     answers = {}
-    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
-        jobs = [pool.submit(_write, out, number, seed + number, world, load, signals)
-                for number in range(count)]
-        for done, (name, job) in enumerate(zip(names, jobs, strict=True), 1):
-            answers[f'case_{name}'] = job.result()._asdict()
-            yield done
+    written = each(_write, ((out, number, seed + number, world, load, signals)
+                            for number in range(count)))
+    for done, (name, answer) in enumerate(zip(names, written, strict=True), 1):
+        answers[f'case_{name}'] = answer._asdict()
+        yield done
     seal(answers, out / 'answers.sealed')
 
 

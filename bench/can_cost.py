@@ -1,5 +1,7 @@
-"""What a control period over CAN costs in computing time; `python bench/can_cost.py`."""
+"""What a control period over CAN costs in computing time."""
 
+import statistics
+import sys
 import time
 from collections.abc import Callable
 
@@ -9,6 +11,7 @@ from can.interfaces.slcan import slcanBus
 from asi_actuator.driver.can_bus import open_bus
 from asi_actuator.driver.frames import Frames
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
+from bench.result import Result, deviation, show
 
 REPEATS = 2000
 
@@ -17,18 +20,21 @@ def nothing() -> None:
     pass
 
 
-def report(name: str, action: Callable[[], object], after: Callable[[], object] = nothing) -> None:
-    """Print the shortest time of an action; after() follows each and is not counted."""
-    shortest = float('inf')
-    for _ in range(REPEATS):
+def timed(name: str, what: str, action: Callable[[], object], repeats: int,
+          after: Callable[[], object] = nothing) -> Result:
+    """Return the time of an action; after() follows each and is not counted."""
+    times = []
+    for _ in range(repeats):
         begin = time.perf_counter()
         action()
-        shortest = min(shortest, time.perf_counter() - begin)
+        times.append(1e6 * (time.perf_counter() - begin))
         after()
-    print(f'{name:26}{1e6 * shortest:6.1f} us')
+    return Result(f'can.{name}', what, statistics.median(times), 'us', deviation(times))
 
 
-def main() -> None:
+def measure(quick: bool) -> list[Result]:
+    """Return what coding and reading a frame cost, ours beside python-can's own bus."""
+    repeats = REPEATS // 20 if quick else REPEATS
     frames = Frames()
     state = dict.fromkeys(('force', 'valve_position', 'enabled', 'command_lost', 'saturated',
                            'counter'), 0)
@@ -36,23 +42,31 @@ def main() -> None:
     identifier = frames.identifiers['STATE_FORCE']
     message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
     command = {'valve_command': 1.0, 'enable': 1, 'counter': 1}
-    report('encode a command', lambda: frames.encode('COMMAND', command))
-    report('decode a state frame', lambda: frames.decode(identifier, data))
+    results = [
+        timed('encode', 'to encode a command', lambda: frames.encode('COMMAND', command), repeats),
+        timed('decode', 'to decode a state frame', lambda: frames.decode(identifier, data),
+              repeats)]
     link = LinkedTerminals()
     first = open_bus('slcan', link.first, 1_000_000)
     own = open_bus('slcan', link.second, 1_000_000)
     librarys = slcanBus(link.second, sleep_after_open=0.0, timeout=0.0)
-    for name, bus in (('SlcanBus', own), ('python-can', librarys)):
-        def send() -> None:
-            first.send(message, timeout=0.0)
-            time.sleep(1e-3)
 
+    def send() -> None:
+        first.send(message, timeout=0.0)
+        time.sleep(1e-3)
+
+    read = []
+    for name, bus in (('ours', own), ('library', librarys)):
         send()
-        report(f'read a frame, {name}', lambda bus=bus: bus.recv(0.0), send)
+        read.append(timed(name, 'to read a frame over slcan', lambda bus=bus: bus.recv(0.0),
+                          repeats, send))
     for bus in (first, own, librarys):
         bus.shutdown()
     link.close()
+    mine, theirs = read
+    return [*results, mine._replace(rival="python-can's bus", ratio=mine.value / theirs.value,
+                                    spread=mine.spread / theirs.value)]
 
 
 if __name__ == '__main__':
-    main()
+    show(measure('--quick' in sys.argv))

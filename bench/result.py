@@ -7,7 +7,7 @@ only, to see that it works. `make bench` runs them all and writes doc/performanc
 
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 
@@ -71,3 +71,12 @@ def ratios(times: Sequence[float], others: Sequence[float]) -> tuple[float, floa
     """Return the median of the rounds' ratios times / others, and its deviation."""
     each = [a / b for a, b in zip(times, others, strict=True)]
     return statistics.median(each), deviation(each)
+
+
+def show(results: Iterable[Result]) -> None:
+    """Print results, a line each."""
+    for r in results:
+        ratio = '' if r.ratio is None else f'{r.ratio:9.3g} x {r.rival}'
+        met = {True: 'met', False: 'MISSED', None: ''}[r.met]
+        print(f'{r.what:<64} {r.value:10.4g} {r.unit:<24} {ratio:<32} {r.target:<8} {met}',
+              flush=True)

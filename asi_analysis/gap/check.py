@@ -11,8 +11,6 @@ import math
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +25,7 @@ from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink
 from asi_analysis.gap.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
 from asi_analysis.gap.fit import measured, predict
 from asi_analysis.gap.prepare import prepare
+from asi_analysis.parallel import each
 from asi_analysis.run import Run
 
 CONFIDENT = 0.9
@@ -68,7 +67,7 @@ def examine(folder: Path, entry: Mapping[str, str]) -> Row:
     return {'bag': entry['bag'], **row}
 
 
-def run_cases(folder: Path, told: Told, workers: int = 2) -> list[Row]:
+def run_cases(folder: Path, told: Told) -> list[Row]:
     """
     Return what the diagnosis says of every case of a directory.
 
@@ -81,12 +80,9 @@ def run_cases(folder: Path, told: Told, workers: int = 2) -> list[Row]:
     kept = folder / 'rows.jsonl'
     rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     done = {row['bag'] for row in rows}
-    # Not forked: that would copy the threads of whoever calls.
-    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool, \
-            kept.open('a') as file:
-        jobs = [pool.submit(examine, folder, entry) for entry in index if entry['bag'] not in done]
-        for job in as_completed(jobs):
-            rows.append(job.result())
+    with kept.open('a') as file:
+        for row in each(examine, ((folder, entry) for entry in index if entry['bag'] not in done)):
+            rows.append(row)
             file.write(json.dumps(rows[-1]) + '\n')
             file.flush()
             told(f'{len(rows)} of {len(index)} cases', len(rows) / len(index))
@@ -183,9 +179,9 @@ def unseal(path: Path) -> dict[str, Any]:
         raise InputError(f'{path} cannot be read as answers: {error}') from None
 
 
-def check(folder: Path, told: Told, workers: int = 2) -> dict[str, Any]:
+def check(folder: Path, told: Told) -> dict[str, Any]:
     """Diagnose every case of a directory, then open the answers; return the document."""
-    rows = run_cases(folder, told, workers)
+    rows = run_cases(folder, told)
     answers = unseal(folder / 'answers.sealed')
     absent = [row['bag'] for row in rows if row['bag'] not in answers]
     if absent:

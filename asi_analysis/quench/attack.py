@@ -15,6 +15,7 @@ from scipy import signal
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value
 from asi_analysis.closed_loop import close_many, loops_of
+from asi_analysis.parallel import each
 from asi_analysis.prediction.simulation import Values
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import STEP
@@ -38,8 +39,9 @@ SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
 LOADS: Final = ('locked', 'spring', 'free')
 # Share of the trials that are random; the others vary the worst found so far.
 RANDOM_SHARE: Final = 0.6
-# Conditions that are tried side by side; those of the next vary the worst of all before.
-GENERATION: Final = 16
+# Conditions between which nothing is learnt, and how many of them are one piece of work.
+GENERATION: Final = 32
+PIECE: Final = 8
 
 
 class Condition(NamedTuple):
@@ -157,7 +159,9 @@ def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], co
         worst = sorted(trials, key=_threat)[-8:]
         conditions = [_condition(random, worst if number >= RANDOM_SHARE * count else [])
                       for number in range(len(trials), min(len(trials) + GENERATION, count))]
-        trials += attempts(conditions, actuator, controller, rates_hz)
+        for done in each(attempts, ((conditions[k:k + PIECE], actuator, controller, rates_hz)
+                                    for k in range(0, len(conditions), PIECE))):
+            trials += done
     return sorted(trials, key=_threat, reverse=True)
 
 

@@ -1,0 +1,1 @@
+"""What the code costs, measured beside what it is measured against: `make bench`."""

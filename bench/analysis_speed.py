@@ -1,0 +1,104 @@
+"""
+What the analysis of a recording costs, and how it grows with its length and with the cores.
+
+Recordings of the loop in process at 1 kHz, the rate of a real-time run: steps of the reference, a
+limit cycle, and a loop that only holds a force, with noise. Processor time.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from asi_actuator.parameters import as_record
+from asi_analysis.analysis import analyze
+from asi_analysis.bag import read_bag, write_bag
+from asi_analysis.facts.bench import RATE_HZ, Bench
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.limit_cycle.answer import limit_cycle
+from asi_analysis.prediction.one_harmonic import hysteresis_alone
+from asi_analysis.prediction.predict import COMMANDS_N
+from asi_analysis.prediction.simulation import loop_of
+from asi_analysis.run import Run
+from asi_examiner.bags import as_run
+from asi_examiner.cases import draw
+from bench.result import Result, interleaved, show
+
+EVERY: Final = 5           # of the 5000 Hz at which the bench runs
+LENGTHS_S: Final = (20, 60, 200, 600)
+NOISE_N: Final = 0.5
+# Proportional gains: at rest below the onset, a cycle above it.
+GAINS: Final = {'steps': 4.0, 'rest': 4.0, 'cycle': 12.0}
+
+
+def recording(kind: str, length_s: int) -> Run:
+    """Return a recording of a kind: 'steps', 'rest' or 'cycle'."""
+    bench = Bench(as_record({'force_sensor.noise': NOISE_N}),
+                  {'compensator': 'proportional', 'gain': GAINS[kind]})
+    pieces = [bench.run(1.0, 300.0 * (k % 2 if kind == 'steps' else 1.0))
+              for k in range(length_s)]
+    signals = [np.concatenate(each)[::EVERY] for each in zip(*pieces, strict=True)]
+    return Run(*signals)
+
+
+def seconds(work: Callable[[], Any], rounds: int) -> float:
+    """Return the processor time of a piece of work, the median of some."""
+    return float(np.median(interleaved({'': work}, rounds, time.process_time)['']))
+
+
+def growth(quick: bool) -> list[Result]:
+    """Return the time of step and limit-cycle analysis against the length of a recording."""
+    results, lengths = [], LENGTHS_S[:2] if quick else LENGTHS_S
+    for kind in GAINS:
+        cost = {}
+        for length_s in lengths:
+            run = recording(kind, length_s)
+            cost[length_s] = (seconds(partial(analyze, run), 1)
+                              + seconds(partial(limit_cycle, [run]), 1))
+            results.append(Result(f'analysis.{kind}.{length_s}', f'analyze + limit-cycle, {kind}',
+                                  1e3 * cost[length_s] / length_s, 'ms for a second of recording',
+                                  at=float(length_s)))
+        longest = lengths[-1]
+        results.append(Result(f'analysis.{kind}', f'analyze + limit-cycle of {longest} s, {kind}',
+                              cost[longest], 's', target='<= 2'))
+        slope = np.polyfit(np.log(lengths[1:]), np.log([cost[n] for n in lengths[1:]]), 1)[0] \
+            if len(lengths) > 2 else 1.0
+        results.append(Result(f'analysis.{kind}.power', f'power of the length in it, {kind}',
+                              float(slope), '', target='<= 1.1'))
+    return results
+
+
+def reading(length_s: int) -> Result:
+    """Return the time to read a bag of six signals into a run."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_bag(recording('steps', length_s), Path(folder) / 'bag')
+        return Result('analysis.read', f'to read the bag of {length_s} s at '
+                      f'{RATE_HZ / EVERY:g} Hz before that',
+                      seconds(partial(read_bag, Path(folder) / 'bag'), 1), 's')
+
+
+def measure(quick: bool) -> list[Result]:
+    """Return what each analysis costs."""
+    loop = loop_of({}, {'gain': 5.0, 'reference.amplitude': 100.0}, RATE_HZ)
+    described = seconds(partial(hysteresis_alone, loop, COMMANDS_N), 1 if quick else 5)
+    case = draw(1)
+    run = as_run(case.recording)
+    diagnosed = seconds(partial(diagnose, [run], case.nominal), 1)
+    half = run.between(run.time_s[0], run.time_s[0] + 0.5 * run.duration_s)
+    diagnosed_half = seconds(partial(diagnose, [half], case.nominal), 1)
+    return [*growth(quick), reading(LENGTHS_S[1] if quick else LENGTHS_S[-1]),
+            Result('analysis.describing', 'describing-function map, '
+                   f'{COMMANDS_N.size} amplitudes', described, 's'),
+            Result('analysis.gap', 'gap diagnosis, for a second of recording',
+                   diagnosed / run.duration_s, 's'),
+            Result('analysis.gap.length', 'gap diagnosis, for a second of half the recording',
+                   diagnosed_half / half.duration_s, 's')]
+
+
+if __name__ == '__main__':
+    show(measure('--quick' in sys.argv))
