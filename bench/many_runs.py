@@ -53,8 +53,8 @@ def measure(quick: bool) -> list[Result]:
         times = interleaved({'run': partial(close_many, loops, DURATION_S, KEPT_S)},
                             rounds, time.process_time)['run']
         costs[size] = float(np.median(times)) / (size * DURATION_S)
-        results.append(Result(f'many.cost.{size}', 'closed loops, a simulated second', 1e3 * costs[size],
-                              'ms of processor time', at=float(size)))
+        results.append(Result(f'many.cost.{size}', 'closed loops, a simulated second',
+                              1e3 * costs[size], 'ms of processor time', at=float(size)))
     largest, hundred = sizes[-1], sizes[2]
     results.append(Result('many.flat', f'a simulated second among {largest:,} runs',
                           1e3 * costs[largest], 'ms of processor time', 0.0, f'among {hundred}',
