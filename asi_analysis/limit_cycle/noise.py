@@ -6,6 +6,7 @@ noise does (Schwarz, Annals of Statistics 6, 1978); a noise with a sharp resonan
 oscillation to the eye and to the periodogram, but not to this comparison.
 """
 
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,6 +15,8 @@ from scipy import signal
 
 Array = npt.NDArray[np.float64]
 
+# Rows that are factored at a time.
+BLOCK: Final = 8192
 ORDERS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
 
 
@@ -25,6 +28,16 @@ class Autoregression(NamedTuple):
     description: float   # n ln(variance) + ln(n) per parameter: less is better
 
 
+def triangle(rows: Array) -> Array:
+    """
+    Return the triangle R of the QR factors of a tall matrix: least squares on it are the same.
+
+    Block by block, so that it takes no more memory than a block.
+    """
+    blocks = np.array_split(rows, max(1, len(rows) // BLOCK))
+    return np.linalg.qr(np.vstack([np.linalg.qr(block, mode='r') for block in blocks]), mode='r')
+
+
 def autoregression(values: Array, parameters: int = 0) -> Autoregression:
     """
     Return the autoregressive model of shortest description for evenly sampled `values`.
@@ -33,13 +46,17 @@ def autoregression(values: Array, parameters: int = 0) -> Autoregression:
     """
     n = len(values)
     best: Autoregression | None = None
-    lags = np.column_stack([np.concatenate([np.zeros(k), values[:n - k]])
-                            for k in range(1, max(ORDERS) + 1) if k < n])
-    for order in ORDERS:
-        if order > n // 5:
-            break
-        coefficients = np.linalg.lstsq(lags[order:, :order], values[order:], rcond=None)[0]
-        innovation = values[order:] - lags[order:, :order] @ coefficients
+    most = max(order for order in ORDERS if order <= n // 5)
+    # Columns: the sample, then those before it. All orders share the triangle of the rows that
+    # all have; each has a few rows of its own.
+    rows = np.lib.stride_tricks.sliding_window_view(
+        np.concatenate([np.zeros(most), values]), most + 1)[:, ::-1]
+    shared = triangle(rows[most:])
+    for order in [order for order in ORDERS if order <= most]:
+        few = np.vstack([rows[order:most], shared])[:, :order + 1]
+        coefficients = np.linalg.lstsq(few[:, 1:], few[:, 0],
+                                       rcond=n * np.finfo(float).eps)[0]
+        innovation = few[:, 0] - few[:, 1:] @ coefficients
         variance = float(innovation @ innovation) / max(n - 2 * order, 1)
         # As if each of the n samples had been predicted, so that orders can be compared.
         description = (n * np.log(max(variance, 1e-300))
@@ -61,12 +78,13 @@ def stable(model: Autoregression) -> Autoregression:
     return model._replace(coefficients=-np.real(np.poly(roots))[1:])
 
 
-def surrogates(model: Autoregression, samples: int, count: int, seed: int) -> Array:
-    """Return `count` records (count x samples) of Gaussian noise with the model's spectrum."""
+def surrogates(model: Autoregression, samples: int, count: int, seed: int) -> Iterator[Array]:
+    """Yield `count` records of so many samples of Gaussian noise with the model's spectrum."""
     model = stable(model)
     random = np.random.default_rng(seed)
-    roots = np.roots(np.concatenate([[1.0], -model.coefficients]))
-    settle = int(8.0 / (1.0 - np.abs(roots).max())) if len(roots) else 0
-    innovations = random.standard_normal((count, samples + settle))
     denominator = np.concatenate([[1.0], -model.coefficients])
-    return signal.lfilter([1.0], denominator, innovations, axis=1)[:, settle:]
+    roots = np.roots(denominator)
+    settle = int(8.0 / (1.0 - np.abs(roots).max())) if len(roots) else 0
+    for _ in range(count):
+        innovations = random.standard_normal(samples + settle)
+        yield signal.lfilter([1.0], denominator, innovations)[settle:]

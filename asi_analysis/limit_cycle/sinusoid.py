@@ -13,7 +13,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import fft, stats
+
+from asi_analysis.limit_cycle.noise import triangle
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +70,8 @@ def on_grid(time_s: Array, values: Array) -> tuple[Array, float]:
     """Return the samples interpolated to an even grid, and its period (s)."""
     period = float(np.median(np.diff(time_s)))
     grid = np.arange(time_s[0], time_s[-1] + 0.5 * period, period)
+    if len(grid) == len(time_s) and np.abs(grid - time_s).max() < 1e-6 * period:
+        return values, period
     return np.interp(grid, time_s, values), period
 
 
@@ -88,40 +92,48 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5)
     if len(values) < 8:
         return np.nan
     even, period = on_grid(time_s, values)
-    axis = np.arange(len(even), dtype=float)
-    even = even - _drift(axis, 3) @ np.linalg.lstsq(_drift(axis, 3), even, rcond=None)[0]
-    size = 8 * len(even)
-    power = np.abs(np.fft.rfft(even, size)) ** 2
+    drift = _drift(np.arange(len(even), dtype=float), 3)
+    even = even - drift @ _least_squares(drift, even)
+    size = fft.next_fast_len(8 * len(even), real=True)
+    power = np.abs(fft.rfft(even, size)) ** 2
     first = int(np.ceil(lowest_cycles * size / len(even)))
     if first >= len(power) - 1 or not power[first:].any():
         return np.nan
     return float((first + np.argmax(power[first:])) / (size * period))
 
 
+def _normal(gram: Array, right: Array) -> Array:
+    """Return the solution of normal equations: products of the columns, and with the values."""
+    sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / np.outer(sizes, sizes)
+    try:
+        return np.linalg.solve(scaled, right / sizes) / sizes
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(scaled, right / sizes, rcond=None)[0] / sizes
+
+
 def _least_squares(columns: Array, values: Array) -> Array:
     """Return the coefficients of the columns; by the normal equations, which are fast."""
-    sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    scaled = columns / sizes
-    gram = scaled.T @ scaled
-    try:
-        return np.linalg.solve(gram, scaled.T @ values) / sizes
-    except np.linalg.LinAlgError:
-        return np.linalg.lstsq(scaled, values, rcond=None)[0] / sizes
+    return _normal(columns.T @ columns, columns.T @ values)
 
 
 class _Solution(NamedTuple):
     nonlinear: Array   # frequency Hz, rate 1/s, sweep Hz/s
     coefficients: Array
     columns: Array
+    gram: Array        # products of the columns
     residual: Array
 
 
 def _columns(t: Array, drift: Array, nonlinear: Array, harmonics: int) -> Array:
     frequency, rate, sweep = nonlinear
-    turn = np.exp(2j * np.pi * (frequency * t + 0.5 * sweep * t * t))
+    angle = 2.0 * np.pi * (frequency * t + 0.5 * sweep * t * t)
+    turn = np.empty(len(t), np.complex128)
+    turn.real, turn.imag = np.cos(angle), np.sin(angle)
     # Kept from overflowing: a fit that runs away there is refused by its residual.
-    wave = np.exp(np.clip(rate * t, -30.0, 30.0)) * turn
-    columns = np.empty((len(t), drift.shape[1] + 2 * harmonics))
+    wave = np.exp(np.clip(rate * t, -30.0, 30.0)) * turn if rate else turn
+    # Column by column in memory, as they are filled and used.
+    columns = np.empty((len(t), drift.shape[1] + 2 * harmonics), order='F')
     columns[:, :drift.shape[1]] = drift
     for h in range(harmonics):
         columns[:, drift.shape[1] + h] = wave.real
@@ -140,13 +152,14 @@ def _solve(t: Array, values: Array, drift: Array, nonlinear: Array, harmonics: i
     step = np.zeros(3)
     for _ in range(STEPS):
         columns = _columns(t, drift, trial, harmonics)
-        coefficients = _least_squares(columns, values)
+        gram = columns.T @ columns
+        coefficients = _normal(gram, columns.T @ values)
         residual = values - columns @ coefficients
         if best is None or residual @ residual < best.residual @ best.residual:
             better = best is None or (
                 best.residual @ best.residual - residual @ residual
                 > 1e-12 * (best.residual @ best.residual))
-            best = _Solution(trial, coefficients, columns, residual)
+            best = _Solution(trial, coefficients, columns, gram, residual)
             step = _step(t, best, drift.shape[1], harmonics, grows)
             step = step * min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))
             damping = 1.0
@@ -176,32 +189,38 @@ def _slopes(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bo
 
 
 def _step(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bool) -> Array:
-    jacobian = np.hstack([_slopes(t, solution, drift, harmonics, grows), solution.columns])
-    change = _least_squares(jacobian, solution.residual)
+    slopes = _slopes(t, solution, drift, harmonics, grows)
+    mixed = slopes.T @ solution.columns
+    change = _normal(np.block([[slopes.T @ slopes, mixed], [mixed.T, solution.gram]]),
+                     np.concatenate([slopes.T @ solution.residual,
+                                     solution.columns.T @ solution.residual]))
     return change[:3] if grows else np.array([change[0], 0.0, 0.0])
 
 
-def _better(less: Array, more: Array, terms: int, parameters: int, chance: float) -> bool:
-    """Return whether `terms` more terms, `parameters` in all, lower the residual for good (F)."""
-    freedom = len(more) - parameters
+def _better(less: float, more: float, terms: int, freedom: int, chance: float) -> bool:
+    """
+    Return whether `terms` more terms lower the squares that are left for good (F test).
+
+    less, more: sums of squares with the fewer and the more terms; freedom: of the latter.
+    """
     if freedom < 2:
         return False
-    left = float(more @ more)
-    gain = (float(less @ less) - left) / terms / max(left / freedom, 1e-300)
+    gain = (less - more) / terms / max(more / freedom, 1e-300)
     return bool(stats.f.sf(gain, terms, freedom) < chance)
 
 
 def _choose_drift(t: Array, values: Array, start: Array, grows: bool, most: int) -> int:
     """Return the order of the drift: raised as long as one of the next two orders helps."""
-    residuals = {}
+    squares: dict[int, float] = {}
     order = 0
     while order < most:
         for trial in range(order, min(order + 2, most) + 1):
-            if trial not in residuals:
-                residuals[trial] = _solve(t, values, _drift(t, trial), start, 1,
-                                          grows).residual
+            if trial not in squares:
+                left = _solve(t, values, _drift(t, trial), start, 1, grows).residual
+                squares[trial] = float(left @ left)
         for trial in range(order + 1, min(order + 2, most) + 1):
-            if _better(residuals[order], residuals[trial], trial - order, trial + 4, FALSE_TERM):
+            if _better(squares[order], squares[trial], trial - order, len(t) - trial - 4,
+                       FALSE_TERM):
                 order = trial
                 break
         else:
@@ -219,11 +238,14 @@ def _choose_harmonics(t: Array, values: Array, drift: Array, start: Array, grows
     while highest < most:
         # Each against what is left: those that count make the rest stand out, so look again.
         left = solution.residual
+        squares = float(left @ left)
         waves = _columns(t, drift[:, :0], solution.nonlinear, most)
+        gram, right = waves.T @ waves, waves.T @ left
         for trial in range(most, highest, -1):
-            pair = waves[:, [trial - 1, most + trial - 1]]
-            more = left - pair @ _least_squares(pair, left)
-            if _better(left, more, 2, solution.columns.shape[1] + 3, FALSE_TERM / most):
+            pair = [trial - 1, most + trial - 1]
+            gain = float(right[pair] @ _normal(gram[np.ix_(pair, pair)], right[pair]))
+            if _better(squares, max(squares - gain, 0.0), 2,
+                       len(t) - solution.columns.shape[1] - 3, FALSE_TERM / most):
                 highest = trial
                 break
         else:
@@ -241,13 +263,17 @@ def _local_noise(t: Array, residual: Array, frequency: float, freedom: int) -> t
     """
     white = float(residual @ residual) / freedom
     span = t[-1] - t[0]
-    offsets = np.array([-8, -7, -6, -5, -4, -3, -2, 2, 3, 4, 5, 6, 7, 8]) / span
-    near = frequency + offsets
-    near = near[(near > 1.0 / span) & (near < 0.5 * len(t) / span)]
+    near = [line for line in (-8, -7, -6, -5, -4, -3, -2, 2, 3, 4, 5, 6, 7, 8)
+            if 1.0 < frequency * span + line < 0.5 * len(t)]
     if len(near) < 4 or len(t) < 40 or white == 0.0:
         return white, freedom
-    power = np.abs(np.exp(-2j * np.pi * near[:, None] * t) @ residual) ** 2 / len(t)
-    local = float(power.mean())
+    carried = residual * np.exp(-2j * np.pi * frequency * t)
+    turn = np.exp(-2j * np.pi / span * t)
+    wave, power = turn, {}
+    for line in range(2, 9):
+        wave = wave * turn
+        power[line], power[-line] = np.abs(carried @ wave) ** 2, np.abs(carried @ wave.conj()) ** 2
+    local = float(np.mean([power[line] for line in near])) / len(t)
     if stats.f.sf(local / white, 2 * len(near), freedom) < 0.01:
         return local, 2 * len(near)
     return white, freedom
@@ -291,7 +317,7 @@ def _result(time_s: Array, t: Array, solution: _Solution, drift: int, harmonics:
     variance, local_freedom = _local_noise(t, solution.residual, frequency, freedom)
     # Columns of very different size: scaled, so that the inverse is well conditioned.
     sizes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    spread = np.linalg.pinv(jacobian / sizes) / sizes[:, None]
+    spread = np.linalg.pinv(triangle(jacobian / sizes)) / sizes[:, None]
     covariance = variance * spread @ spread.T
 
     a = solution.coefficients[drift:drift + harmonics]

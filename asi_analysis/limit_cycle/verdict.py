@@ -455,11 +455,19 @@ def _surrogate_scores(t: Array, y: Array, frequency: float) -> tuple[float, floa
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
     skip = min(int(0.5 / (frequency * period)), len(even) // 8)
-    # Each at its own highest peak: that of a record stands out where a burst happens to be.
-    power = np.array([_envelope_power(even, period, frequency)] + [
-        _envelope_power(row, period, _highest_peak(row, period))
-        for row in surrogates(model, len(even), SURROGATES, len(even))])[:, skip:len(even) - skip]
-    return _score(-np.log(power.var(1) / power.mean(1) ** 2)), *_trend(power)
+    spread, fall, trend = _envelope_scores(even, period, frequency, skip)
+    others: list[tuple[float, float]] = []
+    for row in surrogates(model, len(even), SURROGATES, len(even)):
+        # Each at its own highest peak: that of a record stands out where a burst happens to be.
+        other, _, other_trend = _envelope_scores(row, period, _highest_peak(row, period), skip)
+        others.append((other, abs(other_trend)))
+        # Once a surrogate stands out as much, in both, the others can no longer change a score.
+        if all(max(column) >= own for column, own in zip(
+                zip(*others, strict=True), (spread, abs(trend)), strict=True)):
+            break
+    steadiness, size = (_score(own, np.array(column)) for own, column in zip(
+        (spread, abs(trend)), zip(*others, strict=True), strict=True))
+    return steadiness, fall, float(np.copysign(size, trend))
 
 
 def _trend_verdict(fall: float, trend: float) -> tuple[str, float, str]:
@@ -469,22 +477,28 @@ def _trend_verdict(fall: float, trend: float) -> tuple[str, float, str]:
             'deviations more than that of noise with the same spectrum')
 
 
-def _score(statistic: Array) -> float:
-    """Return how far the first stands above the others, in their standard deviations."""
-    if statistic[0] <= statistic[1:].max():
+def _score(own: float, others: Array) -> float:
+    """Return how far a statistic stands above all others, in their standard deviations."""
+    if own <= others.max():
         return 0.0
-    return float((statistic[0] - statistic[1:].mean()) / max(statistic[1:].std(), 1e-12))
+    return float((own - others.mean()) / max(others.std(), 1e-12))
 
 
-def _trend(power: Array) -> tuple[float, float]:
-    """Return the fall of the logarithm of the first envelope, and its score, negative if up."""
-    level = 0.5 * np.log(np.maximum(power, 1e-12 * power.max(1, keepdims=True)))
-    x = np.linspace(-1.0, 1.0, power.shape[1])
-    slope = level @ x / (x @ x)
+def _envelope_scores(values: Array, period: float, frequency: float, skip: int
+                     ) -> tuple[float, float, float]:
+    """
+    Return how steady the envelope about a frequency is, the fall of its logarithm, its trend.
+
+    skip: samples at either end that are left out; trend: of a straight line, negative if up.
+    """
+    power = _envelope_power(values, period, frequency)[skip:len(values) - skip]
+    level = 0.5 * np.log(np.maximum(power, 1e-12 * power.max()))
+    x = np.linspace(-1.0, 1.0, len(power))
+    slope = float(level @ x / (x @ x))
     # A straight line, not a jump: the share of the level's variance that the slope explains.
-    explained = slope * np.sqrt((x * x).mean()) / np.maximum(level.std(1), 1e-12)
-    size = np.abs(slope) * np.abs(explained)
-    return -2.0 * float(slope[0]), -float(np.sign(slope[0])) * _score(size)
+    explained = slope * np.sqrt((x * x).mean()) / max(float(level.std()), 1e-12)
+    return (-float(np.log(power.var() / power.mean() ** 2)), -2.0 * slope,
+            -slope * abs(explained))
 
 
 def _highest_peak(values: Array, period: float) -> float:
