@@ -23,6 +23,9 @@ MOST_HARMONICS: Final = 15
 # Chance of taking one harmonic, or one term of the drift, that is not there.
 FALSE_TERM: Final = 1e-3
 STEPS: Final = 30
+# A step that promises to lower the squares by less than this share of what noise has a degree of
+# freedom is not made: it would move frequency and rate by 1e-4 of their deviations.
+CLOSE: Final = 1e-8
 
 
 class Oscillation(NamedTuple):
@@ -148,27 +151,23 @@ def _solve(t: Array, values: Array, drift: Array, nonlinear: Array, harmonics: i
     span = t[-1] - t[0]
     most = np.array([0.2 / span, 2.0 / span, 1.0 / span**2])
     best: _Solution | None = None
-    trial, damping = nonlinear, 1.0
-    step = np.zeros(3)
+    least = np.inf
+    trial, damping, step, promise = nonlinear, 1.0, np.zeros(3), 0.0
     for _ in range(STEPS):
         columns = _columns(t, drift, trial, harmonics)
         gram = columns.T @ columns
         coefficients = _normal(gram, columns.T @ values)
         residual = values - columns @ coefficients
-        if best is None or residual @ residual < best.residual @ best.residual:
-            better = best is None or (
-                best.residual @ best.residual - residual @ residual
-                > 1e-12 * (best.residual @ best.residual))
+        squares = float(residual @ residual)
+        if best is None or squares < least:
+            least = squares
             best = _Solution(trial, coefficients, columns, gram, residual)
-            step = _step(t, best, drift.shape[1], harmonics, grows)
-            step = step * min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))
-            damping = 1.0
-            if not better:
-                break
+            step, promise = _step(t, best, drift.shape[1], harmonics, grows)
+            damping = min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))
         else:
             damping *= 0.3
         trial = best.nonlinear + damping * step
-        if np.all(np.abs(damping * step) < 1e-9 * most) or trial[0] <= 0.0:
+        if damping * (2.0 - damping) * promise <= CLOSE / len(t) * least or trial[0] <= 0.0:
             break
     assert best is not None
     return best
@@ -188,13 +187,15 @@ def _slopes(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bo
                             0.5 * t * with_frequency])
 
 
-def _step(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bool) -> Array:
+def _step(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bool
+          ) -> tuple[Array, float]:
+    """Return the step in frequency, rate and sweep, and how much lower it promises the squares."""
     slopes = _slopes(t, solution, drift, harmonics, grows)
     mixed = slopes.T @ solution.columns
-    change = _normal(np.block([[slopes.T @ slopes, mixed], [mixed.T, solution.gram]]),
-                     np.concatenate([slopes.T @ solution.residual,
-                                     solution.columns.T @ solution.residual]))
-    return change[:3] if grows else np.array([change[0], 0.0, 0.0])
+    right = np.concatenate([slopes.T @ solution.residual, solution.columns.T @ solution.residual])
+    change = _normal(np.block([[slopes.T @ slopes, mixed], [mixed.T, solution.gram]]), right)
+    step = change[:3] if grows else np.array([change[0], 0.0, 0.0])
+    return step, float(change @ right)
 
 
 def _better(less: float, more: float, terms: int, freedom: int, chance: float) -> bool:

@@ -430,17 +430,18 @@ def _judge_noise(t: Array, y: Array, frequency: float
     here too. Its envelope is steadier, or has more of a trend, than that of Gaussian noise of the
     same spectrum, which the surrogates show.
     """
-    piece = _describe(t, y, frequency, 0.0)
     steadiness, fall, trend = _surrogate_scores(t, y, frequency)
-    if steadiness > TELLING and piece.steady is not None:
-        confidence = float(np.clip(stats.norm.cdf(steadiness - 2.0), 0.5, 0.99))
-        verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
-        figures = _figures(piece) | _cycle_figures(piece, frequency)
-        return verdict, confidence, (
-            f'out of step from cycle to cycle, but its envelope is {steadiness:.1f} standard '
-            'deviations steadier than that of noise with the same spectrum'), figures
-    if abs(trend) > TELLING and piece.moving is not None:
-        return *_trend_verdict(fall, trend), _figures(piece)
+    if max(steadiness, abs(trend)) > TELLING:
+        piece = _describe(t, y, frequency, 0.0)
+        if steadiness > TELLING and piece.steady is not None:
+            confidence = float(np.clip(stats.norm.cdf(steadiness - 2.0), 0.5, 0.99))
+            verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
+            figures = _figures(piece) | _cycle_figures(piece, frequency)
+            return verdict, confidence, (
+                f'out of step from cycle to cycle, but its envelope is {steadiness:.1f} standard '
+                'deviations steadier than that of noise with the same spectrum'), figures
+        if abs(trend) > TELLING and piece.moving is not None:
+            return *_trend_verdict(fall, trend), _figures(piece)
     return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadiness)), 0.5, 0.99)), (
         'coloured noise with a resonance describes it in fewer bits than any oscillation'), {}
 
