@@ -35,7 +35,8 @@ def triangle(rows: Array) -> Array:
     Block by block, so that it takes no more memory than a block.
     """
     blocks = np.array_split(rows, max(1, len(rows) // BLOCK))
-    return np.linalg.qr(np.vstack([np.linalg.qr(block, mode='r') for block in blocks]), mode='r')
+    return np.asarray(np.linalg.qr(np.vstack([np.asarray(np.linalg.qr(block, mode='r'))
+                                              for block in blocks]), mode='r'))
 
 
 def autoregression(values: Array, parameters: int = 0) -> Autoregression:
