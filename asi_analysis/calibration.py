@@ -170,7 +170,8 @@ def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions,
     if one_load:
         tests = {name: test._replace(load=tests['proportional'].load)
                  for name, test in tests.items()}
-    return Candidate(actuator, base._replace(**tests))
+    return Candidate(actuator, base._replace(
+        proportional=tests['proportional'], lead_lag=tests['lead_lag'], lead4=tests['lead4']))
 
 
 def one_sided(fact: Fact) -> bool:

@@ -527,9 +527,18 @@ def calibrate(
     out: Annotated[Path, typer.Option(
         help='Directory of state and result; a search that is there is gone on with')
     ] = Path('runs/calibration'),
+    front: Annotated[str | None, typer.Option(
+        help='NAME=V1,V2,…: hold a quantity at each value, polish the rest, and show the cost')
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Fit the model's free parameters to the facts that the paper publishes."""
+    if front:
+        from asi_analysis import front as front_
+        with progress() as told:
+            document = front_.run(front, start, polish, out, told)
+        answer(document, as_json, front_.show)
+        return
     from asi_analysis import calibration
     from asi_analysis.parallel import workers
     with workers(jobs, dask), progress() as told:

@@ -295,6 +295,14 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('total', 'integer', 'rows that the fit aims at'),
         Key('not_met', '[text]', 'names of the values that are not met'),
         Key('best', 'text', 'path of the best candidate')),
+    'asi calibrate --front': (
+        Key('quantity', 'text', 'what is held'),
+        Key('front', '[object]', 'one entry a value', (
+            Key('value', 'number', 'of the quantity'),
+            Key('cost', 'number', 'of the best found there'),
+            Key('evaluations', 'integer', 'candidates measured in full'),
+            Key('not_met', '[text]', 'names of the values that are not met'))),
+        Key('out', 'text', 'directory of table and picture')),
     'asi gap': (
         Key('verdict', 'text', 'the effect, or effects joined by +; no_gap; unknown'),
         Key('probability', 'number', 'of the verdict'),

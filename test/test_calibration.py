@@ -1,5 +1,7 @@
 """The calibration: repeats, goes on where it stopped, and is not fooled by a waveform."""
 
+import math
+
 import numpy as np
 import pytest
 from study import STUDY
@@ -26,6 +28,7 @@ from asi_analysis.calibration import (
 from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import SPRING, Conditions, StepTest
 from asi_analysis.facts.measures import step_test
+from asi_analysis.front import front
 
 SOME = ('valve_flexure.coil_frequency', 'conditions.lead_lag.gain')
 
@@ -78,6 +81,25 @@ def test_structures_hold_what_they_say():
     assert result(search).actuator['force_sensor.mass_share'] == 0.0
     one = result(new_search(Candidate({}, Conditions()), STRUCTURES['one-load'], 1, 0.1))
     assert one.conditions.lead4.load == one.conditions.proportional.load
+
+
+def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
+    """Of a made-up row that only the coil moves: the rest is polished, the held is not."""
+    seen = []
+
+    def measured(problem, point):
+        found = decode(problem.whole(point))
+        seen.append(found['valve_hysteresis.radius'])
+        middle = {fact.value: 0.5 * (fact.low + fact.high) if math.isfinite(fact.high)
+                  else 2.0 * fact.low + 1.0 for fact in calibration.AIMS}
+        return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
+
+    monkeypatch.setattr(calibration.Problem, 'measure', measured)
+    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()), 8)
+    assert [each.value for each in held] == pytest.approx(sorted(set(seen), reverse=True))
+    assert [each.cost for each in held] == [0.0, 0.0]
+    assert held[0].evaluations > 1 == held[1].evaluations
+    assert not held[0].not_met
 
 
 def test_a_chattering_command_is_no_one_rise():
