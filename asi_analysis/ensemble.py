@@ -4,7 +4,7 @@ What the paper does not determine: parameter sets that meet its facts about equa
 Members are drawn about the best set along the directions to which the facts are blind, as the
 slopes of all rows tell (the sloppy directions of Gutenkunst and others, "Universally sloppy
 parameter sensitivities", PLoS Computational Biology 3, 2007), measured in full, and kept if they
-meet nearly as many rows and differ clearly from all that were kept before.
+meet as many rows and differ clearly from all that were kept before.
 """
 
 import math
@@ -36,8 +36,6 @@ Report = Callable[[str, float | None], None]
 SLOPE_STEP: Final = 0.02
 # Members differ from each other by at least this share of the range of some parameter.
 LEAST_DISTANCE: Final = 0.1
-# Rows that a member may miss beside those that the best set misses.
-MAY_MISS: Final = 2
 # First reach of the draws, in half widths of the rows; it follows the share that is kept.
 FIRST_REACH: Final = 0.5
 # Draws that are measured side by side; the reach follows them together.
@@ -120,7 +118,7 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     _, sizes, directions = np.linalg.svd(found)
     stiffness = np.zeros(point.size)
     stiffness[:sizes.size] = sizes
-    needed = _met(problem.measure(point)) - MAY_MISS
+    needed = _met(problem.measure(point))
     kept: list[tuple[Array, Member]] = []
     reach, tried = FIRST_REACH, 0
     while len(kept) < count and tried < most:
