@@ -46,7 +46,7 @@ setup(
     extras_require={
         'cluster': ['dask', 'distributed'],
         # What `make bench` compares with, over what the tests need.
-        'bench': ['mujoco'],
+        'bench': ['mujoco', 'mcap-ros2-support'],
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',
                  'ruff', 'mypy', 'types-PyYAML', 'dask', 'distributed'],
     },

@@ -153,7 +153,7 @@ class Actuator(Empty):
 
 
 def main() -> None:
-    """Run one end until it has measured, or until a signal."""
+    """Run one end until it has measured, or until it is killed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('end', choices=('actuator', 'controller'))
     parser.add_argument('--messages', choices=SENT, default='all')
@@ -168,7 +168,7 @@ def main() -> None:
     executor.add_node(node)
     try:
         executor.spin()
-    except (Finished, KeyboardInterrupt):
+    except Finished:
         pass
     if isinstance(node, Actuator):
         print(json.dumps(node.results()))

@@ -1,216 +1,224 @@
 """
-How fast the loop runs over ROS, beside what the machine can do at all in the same minutes.
+The loop over ROS beside empty nodes that exchange the same messages, in the same minutes.
 
-`python bench/loop_rate.py` prints a table. Lock-step: our two nodes against a bare ping-pong of
-the same two messages between two processes that use rclpy's SingleThreadedExecutor, in turns.
-Real time: our two nodes at 1 kHz against an empty timer.
+Lock-step: ticks a second, and where the time of a tick goes. Real time: how evenly the period is
+held beside an empty timer, and how long a command takes beside an echo. Limits are rclpy's own
+executor with message objects, which is what a user would write, and as a floor our executor with
+bytes that were serialised before.
 """
 
-import argparse
 import contextlib
+import json
 import os
-import signal
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
 
-import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
+from rclpy.signals import SignalHandlerOptions
 
+from bench.result import Result, ratios
+from bench.timed_node import OWN, PARTS
+
+ROOT: Final = Path(__file__).parents[1]
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
+RECORDER: Final = 'asi_analysis.recorder_node'
+SINE: Final = {'reference.shape': 'sine'}
+REALTIME_HZ: Final = (500.0, 1000.0, 2000.0)
+PATIENCE_S: Final = 60.0
+# Diagnostics, which tell our ticks, come twice a second; the first second warms up.
+WARM_UP_S: Final = 1.0
+EMPTY: Final = {
+    'one message each way': ('--messages', 'one'),
+    'state, clock, command': ('--messages', 'three'),
+    'all seven topics': ('--messages', 'all'),
+    'all seven, our executor, bytes': ('--messages', 'all', '--our-executor', '--serialised'),
+}
+LIMIT: Final = 'state, clock, command'
+OURS, RECORDED = 'our nodes', 'our nodes, recorded'
 
 
 @contextlib.contextmanager
 def process(*arguments: str) -> Iterator[subprocess.Popen]:
-    """Run python with arguments while the context lasts."""
-    with subprocess.Popen([sys.executable, *arguments], stderr=subprocess.DEVNULL,
-                          stdout=subprocess.PIPE, text=True) as child:
+    """Run `python -m` with arguments while the context lasts."""
+    environment = os.environ | {
+        'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'asi_actuator' / 'fastdds.xml')}
+    with subprocess.Popen([sys.executable, '-m', *arguments], stderr=subprocess.DEVNULL,
+                          stdout=subprocess.PIPE, text=True, env=environment) as child:
         try:
             yield child
         finally:
-            child.send_signal(signal.SIGINT)
+            child.terminate()
 
 
-def node(module: str, **parameters: object) -> tuple[str, ...]:
+def node(module: str, *arguments: str, **parameters: object) -> tuple[str, ...]:
     """Return the arguments that start a node."""
     given = [part for name, value in parameters.items() for part in ('-p', f'{name}:={value}')]
-    return ('-m', module, '--ros-args', *given)
+    return (module, *arguments, '--ros-args', *given)
 
 
-def state_message() -> JointState:
-    """Return a message as large as the actuator's."""
-    message = JointState(name=['piston', 'valve'], position=[0.0, 0.0], velocity=[0.0, 0.0],
-                         effort=[0.0, 0.0])
-    message.header.frame_id = 'piston'
-    return message
+def empty(arguments: tuple[str, ...], seconds: float) -> dict[str, float]:
+    """Return what two empty nodes measure of their exchange."""
+    with process('bench.empty_nodes', 'controller', *arguments), \
+            process('bench.empty_nodes', 'actuator', *arguments,
+                    '--seconds', str(seconds)) as actuator:
+        told, _ = actuator.communicate(timeout=PATIENCE_S + seconds)
+    measured: dict[str, float] = json.loads(told)
+    return measured
 
 
-def pong() -> None:
-    """Answer every state with a command, with rclpy as it is."""
-    rclpy.init()
-    pong_node = rclpy.create_node('pong')
-    command = WrenchStamped()
-    command.header.frame_id = 'piston'
-    publisher = pong_node.create_publisher(WrenchStamped, 'command', QoSProfile(depth=10))
-    pong_node.create_subscription(
-        JointState, 'state', lambda _: publisher.publish(command), QoSProfile(depth=10))
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(pong_node)
+class Listener:
+    """Hears what our nodes say of themselves on /diagnostics."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node('bench_listener')
+        self.said: dict[str, dict[str, str]] = {}
+        self.ticks: list[tuple[float, int]] = []    # of the actuator, since it was running
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._take, 10)
+
+    def _take(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {value.key: value.value for value in status.values}
+            self.said[status.name] = values
+            if status.name == 'asi_actuator: loop' and status.message == 'running':
+                self.ticks.append((time.perf_counter(), int(values['ticks'])))
+
+    def run(self, seconds: float) -> None:
+        """Listen until the loop has run for so long after it was warm."""
+        end = time.perf_counter() + PATIENCE_S + seconds
+        while not self.ticks or self.ticks[-1][0] - self.ticks[0][0] < WARM_UP_S + seconds:
+            if time.perf_counter() > end:
+                raise TimeoutError('the loop does not run')
+            rclpy.spin_once(self.node, timeout_sec=0.5)
+
+    def rate_hz(self) -> float:
+        """Return the ticks a second after the warm-up."""
+        warm = [(at, ticks) for at, ticks in self.ticks if at - self.ticks[0][0] >= WARM_UP_S]
+        (start, first), (end, last) = warm[0], warm[-1]
+        return (last - first) / (end - start)
 
 
-def ping_pong_rate(count: int) -> float:
-    """Return how many states a second are answered in a bare ping-pong."""
-    answers = 0
-    ping = rclpy.create_node('ping')
-    state = state_message()
-    publisher = ping.create_publisher(JointState, 'state', QoSProfile(depth=10))
-
-    def answered(_: WrenchStamped) -> None:
-        nonlocal answers
-        answers += 1
-        publisher.publish(state)
-
-    subscription = ping.create_subscription(
-        WrenchStamped, 'command', answered, QoSProfile(depth=10))
-    executor = SingleThreadedExecutor()
-    executor.add_node(ping)
-    with process(__file__, '--pong'):
-        while not (publisher.get_subscription_count() and subscription.get_publisher_count()):
-            executor.spin_once(timeout_sec=0.05)
-        time.sleep(0.2)
-        publisher.publish(state)
-        while answers < count // 10:
-            executor.spin_once(timeout_sec=1.0)
-        start, before = time.perf_counter(), answers
-        while answers < count:
-            executor.spin_once(timeout_sec=1.0)
-        rate = (answers - before) / (time.perf_counter() - start)
-    executor.shutdown()
-    ping.destroy_node()
-    return rate
+@contextlib.contextmanager
+def listener() -> Iterator[Listener]:
+    """Listen while the context lasts."""
+    heard = Listener()
+    yield heard
+    heard.node.destroy_node()
 
 
 def our_rate(seconds: float, recorded: bool) -> float:
-    """Return how many ticks a second our nodes make, taken from /diagnostics of the actuator."""
-    with tempfile.TemporaryDirectory() as folder, process(*node(ACTUATOR)), \
-            process(*node(CONTROLLER, **{'reference.shape': 'sine'})):
-        if not recorded:
-            return _ticks_a_second(seconds)
-        with process(*node('asi_analysis.recorder_node', output=f'{folder}/bag')):
-            return _ticks_a_second(seconds)
-
-
-def _ticks_a_second(seconds: float) -> float:
-    listener = rclpy.create_node('listener')
-    counts: list[tuple[float, int]] = []
-
-    def take(message: DiagnosticArray) -> None:
-        status = message.status[0]
-        if status.name == 'asi_actuator: loop' and status.message == 'running':
-            ticks = next(int(v.value) for v in status.values if v.key == 'ticks')
-            counts.append((time.perf_counter(), ticks))
-
-    listener.create_subscription(DiagnosticArray, '/diagnostics', take, 10)
-    # The first second warms up.
-    while not counts or counts[-1][0] - counts[0][0] < 1.0 + seconds:
-        rclpy.spin_once(listener, timeout_sec=0.5)
-    listener.destroy_node()
-    begin = next(i for i, (at, _) in enumerate(counts) if at - counts[0][0] >= 1.0)
-    (start, first), (end, last) = counts[begin], counts[-1]
-    return (last - first) / (end - start)
-
-
-def lockstep(rounds: int, seconds: float, recorded: bool) -> None:
-    """Compare our nodes in lock-step with the ping-pong, in turns."""
-    print('lock-step, ticks a second')
-    rows: dict[str, list[float]] = {'bare ping-pong': [], 'our nodes': []}
-    if recorded:
-        rows['our nodes and recorder'] = []
-    for _ in range(rounds):
-        rows['bare ping-pong'].append(ping_pong_rate(round(3000 * seconds)))
-        rows['our nodes'].append(our_rate(seconds, recorded=False))
+    """Return how many ticks a second our nodes make."""
+    with contextlib.ExitStack() as running:
+        folder = running.enter_context(tempfile.TemporaryDirectory())
         if recorded:
-            rows['our nodes and recorder'].append(our_rate(seconds, recorded=True))
-    bare = np.median(rows['bare ping-pong'])
-    for name, rates in rows.items():
-        print(f'  {name:24s} median {np.median(rates):6.0f}   {np.median(rates) / bare:4.0%}   '
-              f'all: {", ".join(f"{rate:.0f}" for rate in rates)}')
+            running.enter_context(process(*node(RECORDER, output=f'{folder}/bag')))
+        running.enter_context(process(*node(ACTUATOR, await_recorder=str(recorded).lower())))
+        running.enter_context(process(*node(CONTROLLER, **SINE)))
+        heard = running.enter_context(listener())
+        heard.run(seconds)
+        return heard.rate_hz()
 
 
-def empty_timer(seconds: float) -> None:
-    """Time a timer of 1 kHz that does nothing else."""
-    timer_node = rclpy.create_node('empty_timer')
-    times: list[float] = []
-    timer_node.create_timer(1e-3, lambda: times.append(time.perf_counter()))
-    executor = SingleThreadedExecutor()
-    executor.add_node(timer_node)
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end:
-        executor.spin_once(timeout_sec=0.1)
-    executor.shutdown()
-    timer_node.destroy_node()
-    periods_ms = np.diff(times) * 1e3
-    middle = np.median(periods_ms)
-    print(f'  empty rclpy timer: period median {middle:.4f} ms, '
-          f'jitter p99 {np.quantile(abs(periods_ms - middle), 0.99):.3f} ms, '
-          f'max {periods_ms.max():.2f} ms, periods missed {round(seconds * 1e3) - len(times)}')
+def our_realtime(rate_hz: float, seconds: float) -> dict[str, float]:
+    """Return what the actuator says of its period and of the answers."""
+    common = {'mode': 'realtime', 'rate_hz': rate_hz}
+    with process(*node(ACTUATOR, **common)), process(*node(CONTROLLER, **common, **SINE)), \
+            listener() as heard:
+        heard.run(seconds)
+        said = heard.said['asi_actuator: loop']
+    return {'jitter_p99_ms': float(said['period jitter p99 (ms)']),
+            'latency_median_ms': float(said['latency median (ms)'])}
 
 
-def realtime(seconds: float) -> None:
-    """Run our nodes at 1 kHz and print what they say of themselves."""
-    print(f'real time, 1 kHz for {seconds:g} s')
-    empty_timer(seconds)
-    listener = rclpy.create_node('listener')
-    latest: dict[str, dict[str, str]] = {}
-
-    def take(message: DiagnosticArray) -> None:
-        status = message.status[0]
-        latest[status.name] = {v.key: v.value for v in status.values} | {
-            'health': status.message}
-
-    listener.create_subscription(DiagnosticArray, '/diagnostics', take, 10)
-    with process(*node(ACTUATOR, mode='realtime')), \
-            process(*node(CONTROLLER, mode='realtime', **{'reference.shape': 'sine'})):
-        while len(latest) < 2 or 'running' not in {v['health'] for v in latest.values()}:
-            rclpy.spin_once(listener, timeout_sec=0.5)
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
-            rclpy.spin_once(listener, timeout_sec=0.5)
-    listener.destroy_node()
-    for name, values in sorted(latest.items()):
-        print(f'  {name} ({values["health"]}), the last 5000 ticks of {values["ticks"]}')
-        for key, value in values.items():
-            if 'ms' in key or key in ('overruns', 'lost samples', 'watchdog'):
-                print(f'    {key}: {value}')
+def in_turns(rivals: dict[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
+    """Return what each says, one a round; each round in the opposite order of the last."""
+    said: dict[str, list[float]] = {name: [] for name in rivals}
+    names = list(rivals)
+    for _ in range(rounds):
+        for name in names:
+            said[name].append(rivals[name]())
+        names.reverse()
+    return said
 
 
-def main() -> None:
-    """Run what the arguments ask for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--rounds', type=int, default=3)
-    parser.add_argument('--seconds', type=float, default=5.0, help='of each lock-step run')
-    parser.add_argument('--realtime-seconds', type=float, default=60.0)
-    parser.add_argument('--recorder', action='store_true', help='also with the recorder')
-    parser.add_argument('--pong', action='store_true', help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.pong:
-        pong()
-        return
+def lockstep(rounds: int, seconds: float) -> list[Result]:
+    """Return the ticks a second beside those of the empty nodes."""
+    rivals: dict[str, Callable[[], float]] = {
+        name: lambda arguments=arguments: empty(arguments, seconds)['rate_hz']
+        for name, arguments in EMPTY.items()}
+    rivals |= {OURS: lambda: our_rate(seconds, recorded=False),
+               RECORDED: lambda: our_rate(seconds, recorded=True)}
+    rates = in_turns(rivals, rounds)
+    results = []
+    for ours, key, target in ((OURS, 'rate', '>= 0.9'), (RECORDED, 'recorded', '>= 0.75')):
+        for i, name in enumerate(EMPTY):
+            ratio, spread = ratios(rates[ours], rates[name])
+            results.append(Result(
+                f'loop_rate.{key}.{i + 1}', f'lock-step, {ours}: rate, ours / empty nodes',
+                statistics.median(rates[ours]), 'ticks/s', spread,
+                f'empty nodes: {name}, {statistics.median(rates[name]):.0f} ticks/s', ratio,
+                target if name == LIMIT else '', share=ratio if name == LIMIT else None))
+    return results
+
+
+def tick(seconds: float) -> list[Result]:
+    """Return where the time of a tick goes, of both nodes together."""
+    with process(*node('bench.timed_node', 'controller', **SINE)) as controller:
+        with process(*node('bench.timed_node', 'actuator')) as actuator, listener() as heard:
+            heard.run(seconds)
+            period_us = 1e6 / heard.rate_hz()
+            actuator.terminate()
+            told = [actuator.communicate(timeout=PATIENCE_S)[0]]
+        controller.terminate()
+        told.append(controller.communicate(timeout=PATIENCE_S)[0])
+    both = [json.loads(text.splitlines()[-1]) for text in told]
+    spent = {part: sum(times[part] for times in both) for part in PARTS if part != 'waiting'}
+    own_us = sum(spent[part] for part in OWN)
+    # While one works the other mostly waits; what is left is DDS, and waking up.
+    spent['DDS, the kernel, waking up'] = period_us - sum(spent.values())
+    own = Result('loop_rate.own', 'lock-step: our own code, of a tick',
+                 100.0 * own_us / period_us, '%', target='<= 15')
+    return [own] + [Result(f'loop_rate.tick.{part.partition(",")[0]}',
+                           f'of a tick of {period_us:.0f} us, both nodes: {part}', us, 'us')
+                    for part, us in spent.items()]
+
+
+def realtime(rounds: int, seconds: float) -> list[Result]:
+    """Return jitter and latency beside an empty timer and an echo."""
+    results = []
+    for rate_hz in REALTIME_HZ:
+        rate = ('--rate', str(rate_hz))
+        timers, echoes, ours = [], [], []
+        for _ in range(rounds):
+            timers.append(empty(('--messages', 'none', *rate), seconds)['jitter_p99_ms'])
+            echoes.append(empty(('--messages', 'one', *rate), seconds)['latency_median_ms'])
+            ours.append(our_realtime(rate_hz, seconds))
+        for key, what, rivals, rival in (
+                ('jitter_p99_ms', 'period jitter, 99th percentile', timers, 'empty timer'),
+                ('latency_median_ms', 'state to command, median', echoes, 'echo of one message')):
+            values = [measured[key] for measured in ours]
+            ratio, spread = ratios(values, rivals)
+            results.append(Result(
+                f'loop_rate.{key}.{rate_hz:.0f}', f'real time at {rate_hz:g} Hz: {what}, ours / '
+                'rival', statistics.median(values), 'ms', spread,
+                f'{rival}, {statistics.median(rivals):.3f} ms', ratio, at=rate_hz))
+    return results
+
+
+def measure(quick: bool = False) -> list[Result]:
+    """Return ticks a second, the parts of a tick, jitter and latency."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    rclpy.init()
-    if arguments.rounds:
-        lockstep(arguments.rounds, arguments.seconds, arguments.recorder)
-    if arguments.realtime_seconds:
-        realtime(arguments.realtime_seconds)
-    rclpy.shutdown()
-
-
-if __name__ == '__main__':
-    main()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        return (lockstep(1 if quick else 5, 1.0 if quick else 4.0)
+                + tick(2.0 if quick else 6.0)
+                + realtime(1 if quick else 3, 1.0 if quick else 5.0))
+    finally:
+        rclpy.shutdown()

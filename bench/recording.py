@@ -1,42 +1,55 @@
 """
-What the recorder keeps up with, and how fast a bag is read; `python bench/recording.py`.
+Recording and reading: what the recorder keeps up with, what it costs, how fast a bag is read.
 
-Recording: a replay publishes the six topics of the loop at a steady rate, the recorder writes
-them; told are the rate reached, what was lost, and the processor time of the recorder. Reading: a
-bag of 20 s of the loop, by `read_bag` and by rosbags message by message.
+Recording: a replay publishes the six topics of the loop at a steady rate and the recorder writes
+them. Reading: a bag in the memory of the system into a run, beside the deserialisers of rosbags
+and of mcap, message by message, into nothing.
 """
 
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from asi_analysis.bag import read_bag, write_bag
-from asi_analysis.bag_file import read_contents
+from asi_analysis.bag_file import Topic, read_contents
 from asi_analysis.run import Run
+from bench.result import Result, ratios
 
-TICKS = 20_000
-RATES_HZ = (1000, 2000, 3000, 4000)
-ENVIRONMENT = os.environ | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+ROOT: Final = Path(__file__).parents[1]
+TICKS: Final = 20_000
+RATES_HZ: Final = (1000, 2000, 3000, 4000, 5000)
+TOPICS: Final = 6
+# The head of a message in MCAP: 9 bytes of record, 22 of message.
+HEAD_BYTES: Final = 31
 
 
 def a_run(ticks: int) -> Run:
+    """Return a run of noise at 1 kHz."""
     rng = np.random.default_rng(0)
     columns = {field: rng.normal(size=ticks) for field in (
         'reference_n', 'command_n', 'force_n', 'valve_position_m', 'position_m', 'velocity_m_s')}
-    return Run(np.arange(ticks) / 5000.0, **columns)
+    return Run(np.arange(ticks) / 1000.0, **columns)
 
 
 def node(module: str, **parameters: object) -> subprocess.Popen:
+    """Start a node."""
     given = [part for name, value in parameters.items() for part in ('-p', f'{name}:={value}')]
+    environment = os.environ | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    environment['PYTHONPATH'] = os.pathsep.join([str(ROOT), environment.get('PYTHONPATH', '')])
     return subprocess.Popen([sys.executable, '-m', module, '--ros-args', *given],
-                            env=ENVIRONMENT, stderr=subprocess.DEVNULL)
+                            env=environment, stderr=subprocess.DEVNULL)
 
 
 def processor_s(pid: int) -> float:
@@ -45,12 +58,12 @@ def processor_s(pid: int) -> float:
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf('SC_CLK_TCK')
 
 
-def record(folder: Path, played: Path, rate_hz: float) -> None:
-    """Record a replay of `played` at a rate of ticks, and print how it went."""
+def record(folder: Path, played: Path, rate_hz: float) -> tuple[float, int, float, Path]:
+    """Record a replay; return ticks a second, messages lost, processor share and the bag."""
     bag = folder / f'at_{rate_hz}'
     recorder = node('asi_analysis.recorder_node', output=bag)
     # The replay needs this long to start and to read the bag, and then waits for the recorder.
-    replay = node('asi_analysis.replay_node', bag=played, rate=rate_hz / 5000.0, delay=5.0,
+    replay = node('asi_analysis.replay_node', bag=played, rate=rate_hz / 1000.0, delay=5.0,
                   await_recorder='true')
     time.sleep(7.0)
     begin, used = time.perf_counter(), processor_s(recorder.pid)
@@ -59,39 +72,88 @@ def record(folder: Path, played: Path, rate_hz: float) -> None:
     used = processor_s(recorder.pid) - used
     recorder.terminate()
     recorder.wait()
-    counts = {name: len(topic.data) for name, topic in read_contents(bag, lambda _: True)
-              .topics.items()}
-    lost = sum(TICKS - count for count in counts.values())
-    print(f'{rate_hz:>6} {TICKS / seconds:>10.0f} {lost:>6} {100.0 * used / seconds:>8.0f} %')
+    topics = read_contents(bag, lambda _: True).topics.values()
+    return TICKS / seconds, TOPICS * TICKS - sum(map(len, topics)), used / seconds, bag
 
 
-def read(folder: Path) -> None:
-    """Print how long it takes to read a bag of 20 s, in processor time: others may be busy."""
-    write_bag(a_run(100_000), folder / 'long')
-    begin = time.process_time()
-    run = read_bag(folder / 'long')
-    ours = time.process_time() - begin
-    begin = time.process_time()
-    with AnyReader([folder / 'long'],
-                   default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-        count = 0
-        for connection, _, data in reader.messages():
-            reader.deserialize(data, connection.msgtype)
-            count += 1
-    theirs = time.process_time() - begin
-    print(f'reading {count} messages: {ours:.2f} s into a run of {len(run)} samples, '
-          f'{theirs:.2f} s by rosbags ({theirs / ours:.1f} times as long)')
+def payload_bytes(topics: list[Topic]) -> int:
+    """Return the bytes of all messages."""
+    return sum(len(data) for topic in topics for data in topic.data)
 
 
-def main() -> None:
+def recording(rates_hz: tuple[int, ...]) -> list[Result]:
+    """Return what is lost and what it costs, by rate, and the size on disk."""
+    results = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        read(folder)
         write_bag(a_run(TICKS), folder / 'played')
-        print(f'{"asked":>6} {"ticks/s":>10} {"lost":>6} {"processor":>10}   (six topics)')
-        for rate_hz in RATES_HZ:
-            record(folder, folder / 'played', rate_hz)
+        for asked_hz in rates_hz:
+            rate_hz, lost, share, bag = record(folder, folder / 'played', asked_hz)
+            results += [
+                Result(f'recording.lost.{asked_hz}', f'messages of {TOPICS * TICKS} lost at '
+                       f'{rate_hz:.0f} ticks/s ({TOPICS} topics)', lost, '', target='<= 0',
+                       at=rate_hz),
+                Result(f'recording.processor.{asked_hz}', f'the recorder, of a core, at '
+                       f'{rate_hz:.0f} ticks/s', 100.0 * share, '%', at=rate_hz)]
+        payload = payload_bytes(list(read_contents(bag, lambda _: True).topics.values()))
+        size = sum(file.stat().st_size for file in bag.iterdir())
+        results.append(Result(
+            'recording.size', f'bytes on disk at {rate_hz:.0f} ticks/s; ratio: to the payload',
+            size * rate_hz / TICKS, 'B/s', rival=f'payload, {payload * rate_hz / TICKS:.0f} B/s',
+            ratio=size / payload))
+    return results
 
 
-if __name__ == '__main__':
-    main()
+def by_rosbags(bag: Path) -> None:
+    """Deserialise every message with rosbags."""
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+
+
+def by_mcap(bag: Path) -> None:
+    """Deserialise every message with mcap and mcap-ros2-support."""
+    with next(bag.glob('*.mcap')).open('rb') as stream:
+        for _ in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            pass
+
+
+def timed(read: Callable[[Path], object], bag: Path) -> tuple[float, float]:
+    """Return wall and processor time of reading a bag, s."""
+    wall, processor = time.perf_counter(), time.process_time()
+    read(bag)
+    return time.perf_counter() - wall, time.process_time() - processor
+
+
+def reading(seconds: int, rounds: int) -> list[Result]:
+    """Return the time to read a bag of so many seconds at 1 kHz, beside both rivals."""
+    readers: dict[str, Callable[[Path], object]] = {
+        'ours': read_bag, 'rosbags': by_rosbags, 'mcap': by_mcap}
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in readers}
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / 'long'
+        write_bag(a_run(1000 * seconds), bag)
+        names = list(readers)
+        for _ in range(rounds):
+            for name in names:
+                times[name].append(timed(readers[name], bag))
+            names.reverse()
+    results = []
+    for i, kind in enumerate(('wall', 'processor')):
+        ours = [both[i] for both in times['ours']]
+        for rival in ('rosbags', 'mcap'):
+            theirs = [both[i] for both in times[rival]]
+            ratio, spread = ratios(theirs, ours)
+            results.append(Result(
+                f'recording.read.{kind}.{rival}.{seconds}',
+                f'reading {seconds} s of six topics at 1 kHz, {kind} time; ratio: rival / ours',
+                statistics.median(ours), 's', spread,
+                f'{rival}, {statistics.median(theirs):.1f} s', ratio, '>= 10', at=seconds))
+    return results
+
+
+def measure(quick: bool = False) -> list[Result]:
+    """Return what the recorder keeps up with, its cost, and the times to read a bag."""
+    if quick:
+        return recording(RATES_HZ[:1]) + reading(10, 1)
+    return recording(RATES_HZ) + reading(60, 3) + reading(600, 1)
