@@ -8,8 +8,9 @@ import csv
 import gzip
 import io
 import itertools
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -22,14 +23,25 @@ from asi_analysis.run import SIGNALS, Array, Run
 
 # unit → SI unit, factor
 UNITS: Final = {
-    's': ('s', 1.0), 'ms': ('s', 1e-3), 'us': ('s', 1e-6),
+    's': ('s', 1.0), 'ms': ('s', 1e-3), 'us': ('s', 1e-6), 'ns': ('s', 1e-9),
     'N': ('N', 1.0), 'kN': ('N', 1e3), 'kgf': ('N', 9.80665), 'tf': ('N', 9806.65),
     'lbf': ('N', 4.4482216152605),
     'm': ('m', 1.0), 'cm': ('m', 1e-2), 'mm': ('m', 1e-3), 'um': ('m', 1e-6), 'in': ('m', 0.0254),
-    'm/s': ('m/s', 1.0), 'cm/s': ('m/s', 1e-2), 'mm/s': ('m/s', 1e-3)}
-# A servo's reference is in the unit of what it controls.
+    'm/s': ('m/s', 1.0), 'cm/s': ('m/s', 1e-2), 'mm/s': ('m/s', 1e-3),
+    'Nm': ('Nm', 1.0), 'mNm': ('Nm', 1e-3), 'Ncm': ('Nm', 1e-2), 'kgfcm': ('Nm', 0.0980665),
+    'rad': ('rad', 1.0), 'mrad': ('rad', 1e-3), 'deg': ('rad', math.pi / 180.0),
+    'rev': ('rad', 2.0 * math.pi),
+    'rad/s': ('rad/s', 1.0), 'deg/s': ('rad/s', math.pi / 180.0),
+    'rev/s': ('rad/s', 2.0 * math.pi), 'rpm': ('rad/s', math.pi / 30.0),
+    'V': ('V', 1.0), 'mV': ('V', 1e-3), 'A': ('A', 1.0), 'mA': ('A', 1e-3),
+    '1': ('1', 1.0), '%': ('1', 1e-2)}
+# A joint may turn; a servo's reference is in the unit of what it controls; a drive may be
+# commanded by a voltage, a current or a share of what it has (PWM).
 TAKES: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
-                'reference': ('N', 'm', 'm/s')}
+                'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
+                'command': ('N', 'Nm', 'V', 'A', '1'),
+                'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s')}
+MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
 _NUMBER: Final = r'[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _TERM: Final = re.compile(
     rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_NUMBER})?$')
@@ -80,8 +92,10 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
         'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
-    if units.get('reference', 'N') != 'N':
-        information['signals'] = {'reference': units['reference']}
+    usual = {signal.name: signal.unit for signal in SIGNALS}
+    unusual = {name: unit for name, unit in units.items() if unit != usual[name]}
+    if unusual:
+        information['signals'] = unusual
     arrays: dict[str, Any] = {signal.field: values.get(signal.name) for signal in SIGNALS}
     run = Run(time_s, **arrays, source=str(path), information=information)
     if out is not None:
@@ -102,8 +116,11 @@ def parse_mapping(text: str) -> Assignment:
         term, unit = found[1], found[2].strip()
         allowed = [name for name, (si, _) in UNITS.items() if si in TAKES[signal]]
         if unit not in allowed:
-            raise InputError(f'{text!r}: {signal} takes {", ".join(allowed)}, not {unit!r}; scale '
-                             'other quantities, as in force=volts*250[N]')
+            hint = ('a commanded motion is a reference' if signal == 'command' and UNITS.get(
+                unit, ('',))[0] in ('m', 'rad', 'm/s', 'rad/s') else
+                'scale other quantities, as in force=volts*250[N] or position=counts*0.088[deg]')
+            raise InputError(f'{text!r}: {signal} takes {", ".join(allowed)}, not {unit!r}; '
+                             + hint)
     return Assignment(text, signal, term, unit or TAKES[signal][0])
 
 
@@ -219,9 +236,23 @@ def _read_mat(path: Path) -> Table:
         variables = loadmat(path)
     except MatReadError as error:
         raise ValueError(error) from None
-    return {name: np.ravel(values) for name, values in variables.items()
-            if not name.startswith('__') and np.issubdtype(values.dtype, np.number)
-            and values.size == max(values.shape, default=0)}
+    return {name: column for variable, values in variables.items()
+            if not variable.startswith('__') for name, column in _columns_of(variable, values)}
+
+
+def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArray]]:
+    """Yield what a variable of a MAT file holds: a vector, columns name#1 ..., fields name.x."""
+    if values.dtype.names and values.size == 1:
+        for field in values.dtype.names:
+            yield from _columns_of(f'{name}.{field}', np.asarray(values[field].item()))
+    elif not np.issubdtype(values.dtype, np.number):
+        return
+    elif values.size == max(values.shape, default=0):
+        yield name, np.ravel(values)
+    elif values.ndim == 2 and min(values.shape) <= MOST_COLUMNS:
+        by_column = values if values.shape[0] > values.shape[1] else values.T
+        for number, column in enumerate(by_column.T, 1):
+            yield f'{name}#{number}', column
 
 
 def _read_parquet(path: Path) -> Table:

@@ -37,14 +37,20 @@ SIGNALS = (
 )
 
 
+# What a reference in a unit asks for; of a joint that turns, in N m, rad and rad/s.
+CONTROLLED = {'N': 'force', 'Nm': 'force', 'm': 'position', 'rad': 'position', 'm/s': 'velocity',
+              'rad/s': 'velocity'}
+
+
 @dataclass(frozen=True)
 class Run:
     """
     A recording: arrays of n samples on one time base.
 
     An absent signal is None, a missing sample is NaN. Command k is the answer to
-    state k, and acts from it to the next. Time counts from the first state. The reference of an
-    imported position servo is in metres, not newtons: ask `unit`.
+    state k, and acts from it to the next. Time counts from the first state. What was imported may
+    be in other units (the reference of a position servo in metres, a joint that turns in rad and
+    N m, a command in volts): ask `unit`.
     """
 
     time_s: Array
@@ -96,7 +102,7 @@ class Run:
 
     def controlled(self) -> str:
         """Return the name of the signal that the reference asks for, by the reference's unit."""
-        return {'N': 'force', 'm': 'position', 'm/s': 'velocity'}[self.unit('reference')]
+        return CONTROLLED[self.unit('reference')]
 
     @property
     def period_s(self) -> float:

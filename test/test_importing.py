@@ -62,6 +62,33 @@ def test_mapping_scales_shifts_and_converts(tmp_path: Path) -> None:
     assert import_recording(file, ['force=Load cell-1 (V)'], 10.0).rate_hz == 10.0
 
 
+def test_joint_that_turns_keeps_its_units(tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('t,counts,rpm,torque,pwm\n' + ''.join(
+        f'{k},{k * 1024},30,{k * 100},{k}\n' for k in range(4)))
+    import_recording(file, ['time=t[ms]', 'position=counts*0.087890625[deg]', 'velocity=rpm[rpm]',
+                            'force=torque[mNm]', 'command=pwm[%]', 'reference=counts[mrad]'],
+                     out=tmp_path / 'bag')
+    run = read_bag(tmp_path / 'bag')
+    np.testing.assert_allclose(run.signal('position'), np.pi / 2.0 * np.arange(4))
+    np.testing.assert_allclose(run.signal('velocity'), np.pi)
+    np.testing.assert_allclose(run.signal('force'), [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(run.signal('command'), [0.0, 0.01, 0.02, 0.03])
+    assert [run.unit(name) for name in ('position', 'velocity', 'force', 'command', 'reference')
+            ] == ['rad', 'rad/s', 'Nm', '1', 'rad']
+    assert run.controlled() == 'position'
+    with pytest.raises(InputError, match='commanded motion is a reference'):
+        import_recording(file, ['command=counts[deg]'], 10.0)
+
+
+def test_matrices_and_structures_of_a_mat_file(tmp_path: Path) -> None:
+    savemat(tmp_path / 'a.mat', {'y': np.arange(12.0).reshape(2, 6),
+                                 'log': {'u': np.arange(6.0), 'note': 'x'}})
+    run = import_recording(tmp_path / 'a.mat', ['position=y#2', 'command=log.u[V]'], 10.0)
+    assert run.signal('position').tolist() == [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]
+    assert run.signal('command').tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
 def test_zero_takes_off_the_start(tmp_path: Path) -> None:
     file = tmp_path / 'a.tsv'
     file.write_text('\n'.join(f'{3 + (k > 4)}\t{k}' for k in range(10)))
