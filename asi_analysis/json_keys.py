@@ -326,8 +326,18 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('regimes', '[object]', 'where in frequency, amplitude, motion and time the gap is', (
             Key('kind', 'text', 'frequency, amplitude, velocity ...'),
             Key('regime', 'text', 'which part'),
-            Key('relative', 'number', 'rms of the gap there over that everywhere'),
+            Key('relative', 'number', 'rms of the gap there over that everywhere, model refitted'),
+            Key('after', 'number', 'the same, with the effects of the verdict'),
             Key('share', 'number', 'of the samples'))),
+        Key('unexplained', 'text?', 'what the unexplained part depends on; null: unknown is not '
+            'among the answers'),
+        Key('consequences', '[object]', 'what the gap does to the closed loop; none for a joint', (
+            Key('quantity', 'text', 'onset_gain, rise_time_s ...'),
+            Key('nominal', 'number?', 'of the model as given; null: none, such as no onset'),
+            Key('improved', 'number?', 'of the model with the verdict put in'),
+            Key('improved_low', 'number?', '95 % interval'),
+            Key('improved_high', 'number?', '95 % interval'),
+            Key('measured', 'number?', 'in the first recording; null: it does not show it'))),
         Key('next_experiment', 'object?', 'what would separate what is left; null: nothing to '
             'separate, or no experiment of the catalogue does'),
         Key('notes', '[text]', 'what is doubtful, or cannot be told from these signals'),

@@ -28,9 +28,9 @@ REAL = {**TEXTBOOK, 'load.stiffness': 2.2e5, 'load.mass': 0.45,
         'hydraulic_damping.linear_gain': 1100.0, 'valve_characteristic.gain': 0.5}
 
 
-def recorded(**changed: object) -> Run:
+def recorded(seed: int = 5, **changed: object) -> Run:
     """Return 6 s of a machine under steps and sines, with noise."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed)
     time = np.arange(6000) * 1e-3
     steps = np.repeat(rng.uniform(-1.0, 1.0, 30), 200)
     sines = sum(np.sin(2.0 * np.pi * f * time) for f in (2.3, 11.0, 31.0))

@@ -49,6 +49,13 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
     diagnosis = diagnose(runs, values, plant, tolerance,
                          [False] * len(bags) + [True] * len(held_out), drive, told)
     answer = plain(document(diagnosis))
+    if plant == 'actuator':
+        from asi_analysis.gap.consequences import consequences
+        told('in the loop', None)
+        answer['consequences'] = plain([each._asdict() for each
+                                        in consequences(diagnosis, values, runs[0])])
+        if model is not None and answer['next_experiment']:
+            answer['next_experiment']['command'] += f' --actuator {model}'
     answer['report'] = None
     if report is not None:
         from asi_analysis.gap.report import write_report

@@ -129,10 +129,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     left = ambiguity_set(joined)
     experiment, chain = None, None
     if plant == 'actuator' and len(left) > 1:
-        nominal = groups[-1].nominal
         force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0
-        experiment = next_experiment.choose(weighed, left, nominal, round(force, -1),
-                                            str(model.get('load.type', 'locked')))
+        experiment = next_experiment.choose(weighed, left, model, max(round(force, -1), 10.0))
     if [g.channels for g in groups] == [('valve',), ('force', 'load')]:
         chain = where.along_the_chain(groups[0], groups[1], groups[0].nominal, groups[1].nominal)
     return Diagnosis(answer.sources, weighed, joined, verdict, shrinks, notes, experiment, chain)
@@ -183,8 +181,12 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     left = ambiguity_set(diagnosis.joined)
     main = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)
+    best = diagnosis.best(weighed).fitted.record
     regimes = where.by_regime(weighed.group, main.channel,
-                              weighed.candidates[()].fitted.record)
+                              weighed.candidates[()].fitted.record, best)
+    unexplained = None
+    if UNKNOWN in diagnosis.verdict or UNKNOWN in {name for names in left for name in names}:
+        unexplained = where.in_words(regimes, where.dependence(weighed.group, main.channel, best))
     return {
         'verdict': told(diagnosis.verdict),
         'probability': diagnosis.joined[diagnosis.verdict],
@@ -204,6 +206,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
                      for s in diagnosis.shrinks],
         'chain': diagnosis.chain,
         'regimes': [regime._asdict() for regime in regimes],
+        'unexplained': unexplained,
+        'consequences': [],
         'next_experiment': diagnosis.next_experiment,
         'notes': diagnosis.notes, 'sources': diagnosis.sources,
         'nuisance': {weighed.group.channels[-1]: {
@@ -229,9 +233,16 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
               f'{100 * gap["before_nrmse"]:.1f} % to {100 * gap["after_nrmse"]:.1f} % of the '
               f'signal (shrink {gap["shrink"]:.2f}, 95 % interval {gap["shrink_low"]:.2f} to '
               f'{gap["shrink_high"]:.2f}; noise {100 * gap["noise_floor_nrmse"]:.1f} %).')
+    if verdict == NO_GAP:
+        second = (f'The error of the {gap["channel"]} is {100 * gap["before_nrmse"]:.1f} % of the '
+                  f'signal, and {100 * gap["refitted_nrmse"]:.1f} % with the parameters refitted '
+                  f'within their tolerance; noise alone makes '
+                  f'{100 * gap["noise_floor_nrmse"]:.1f} %.')
     rest = [name for name in answer['ambiguity_set'] if name != verdict]
     third = ('Nothing else explains it nearly as well.' if not rest else
              f'It could also be {" or ".join(rest)}.')
+    if UNKNOWN in verdict.split('+') and answer['unexplained']:
+        third = f'{answer["unexplained"]} {third}'
     if answer['next_experiment']:
         third += f' To tell: {answer["next_experiment"]["command"]}'
     return [first, second, third]

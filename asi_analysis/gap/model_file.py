@@ -1,7 +1,7 @@
 """The nominal model with what was found put in, as a ROS parameter file for the actuator node."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -81,9 +81,10 @@ def left_out(p: np.void) -> list[str]:
             if p[name] != 0.0 and name not in (*HELD, *SHAPE)]
 
 
-def write_model(path: Path, model: Mapping[str, Value], records: list[np.void]) -> list[str]:
+def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
+                   ) -> tuple[dict[str, Value], list[str]]:
     """
-    Write the improved parameters; return what of the effects they cannot hold.
+    Return the improved parameters, and what of the effects they cannot hold.
 
     model: nominal parameters by dotted name; records: the verdict's, one a group of channels.
     """
@@ -93,13 +94,18 @@ def write_model(path: Path, model: Mapping[str, Value], records: list[np.void]) 
     for p in records:
         for parameter in ACTUATOR_PARAMETERS:
             field = field_name(parameter.name)
-            default = values.get(parameter.name, parameter.default)
+            given = model.get(parameter.name, parameter.default)
             if (isinstance(parameter.default, float) and not parameter.read_only
-                    and p[field] != as_number(parameter, default)):
+                    and p[field] != as_number(parameter, given)):
                 values[parameter.name] = float(min(max(p[field], parameter.low), parameter.high))
     for p in records:
         values |= improved(p, kind)
         missing += left_out(p)
+    return values, missing
+
+
+def write_model(path: Path, values: Mapping[str, Value]) -> None:
+    """Write parameters by dotted name as a ROS parameter file."""
     tree: dict[str, object] = {}
     for name, value in sorted(values.items()):
         *outer, last = name.split('.')
@@ -109,4 +115,3 @@ def write_model(path: Path, model: Mapping[str, Value], records: list[np.void]) 
         branch[last] = value
     path.write_text(yaml.safe_dump({'/**/asi_actuator': {'ros__parameters': tree}},
                                    sort_keys=False))
-    return missing

@@ -2,63 +2,100 @@
 
 import itertools
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from asi_actuator.parameters import as_record
-from asi_analysis.gap import blocks
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value
+from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.gap.fit import Group, Values, predict
 from asi_analysis.gap.prepare import Recording, prepare
 from asi_analysis.gap.verdict import Names, Weighed
 from asi_analysis.run import Run
-from asi_controller.parameters import REFERENCE_PARAMETERS
-from asi_controller.reference import reference_force
 
-PERIOD_S, DURATION_S = 1e-3, 6.0
+RATE_HZ, DURATION_S = 1000.0, 6.0
+LOADS = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type').choices
+# So small a gain leaves the reference alone, which goes straight to the valve.
+OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
+LOOP: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
+# Options of `asi run` by the parameter that they set; what is missing goes by --set.
+OPTIONS = {'compensator': '--compensator', 'gain': '--gain', 'reference.shape': '--reference',
+           'reference.amplitude': '--amplitude', 'reference.offset': '--offset',
+           'reference.frequency': '--frequency', 'reference.end_frequency': '--end-frequency'}
 
 
 class Experiment(NamedTuple):
-    """An excitation of the catalogue: parameters of the reference that the controller plays."""
+    """
+    An excitation of the catalogue.
+
+    controller: parameters of the controller, but for the size; size, offset: shares of the largest
+    force; load: its type, None for that of the recordings.
+    """
 
     name: str
-    reference: dict[str, str | float]
-    options: str     # of `asi run`; {force}, {small}, {part}, {rest}: forces, N
+    controller: Mapping[str, Value]
+    size: float = 1.0
+    offset: float = 0.0
+    load: str | None = None
 
 
+def _reference(shape: str, frequency: float, **more: Value) -> dict[str, Value]:
+    return {'reference.shape': shape, 'reference.frequency': frequency,
+            **{f'reference.{name}': value for name, value in more.items()}}
+
+
+_TRIANGLE = _reference('triangle', 0.25)
+_CHIRP = _reference('chirp', 0.5, end_frequency=150.0)
+_SINES = _reference('multisine', 0.5, end_frequency=60.0, tones=30)
+_STEPS = _reference('prbs', 1.5)
 CATALOGUE = (
-    Experiment('slow triangle through zero', {'shape': 'triangle', 'frequency': 0.2},
-               '--reference triangle --frequency 0.2 --amplitude {force}'),
-    Experiment('small slow triangle', {'shape': 'triangle', 'frequency': 0.5, 'size': 0.2},
-               '--reference triangle --frequency 0.5 --amplitude {small}'),
-    Experiment('chirp to 150 Hz', {'shape': 'chirp', 'frequency': 0.5, 'end_frequency': 150.0,
-                                   'duration': DURATION_S},
-               '--reference chirp --frequency 0.5 --end-frequency 150 --amplitude {force}'),
-    Experiment('small chirp to 150 Hz', {'shape': 'chirp', 'frequency': 0.5, 'size': 0.2,
-                                         'end_frequency': 150.0, 'duration': DURATION_S},
-               '--reference chirp --frequency 0.5 --end-frequency 150 --amplitude {small}'),
-    Experiment('multisine to 60 Hz', {'shape': 'multisine', 'frequency': 0.5,
-                                      'end_frequency': 60.0, 'tones': 30},
-               '--reference multisine --frequency 0.5 --end-frequency 60 --amplitude {force}'),
-    Experiment('steps that are held', {'shape': 'prbs', 'frequency': 1.5},
-               '--reference prbs --frequency 1.5 --amplitude {force}'),
-    Experiment('sine about a bias', {'shape': 'sine', 'frequency': 5.0, 'size': 0.4,
-                                     'offset': 0.6},
-               '--reference sine --frequency 5 --amplitude {part} --offset {rest}'),
+    Experiment('slow triangle through zero', {**OPEN, **_TRIANGLE}),
+    Experiment('small slow triangle', {**OPEN, **_TRIANGLE}, 0.2),
+    Experiment('chirp to 150 Hz', {**OPEN, **_CHIRP}),
+    Experiment('small chirp to 150 Hz', {**OPEN, **_CHIRP}, 0.2),
+    Experiment('multisine to 60 Hz', {**OPEN, **_SINES}),
+    Experiment('steps that are held', {**OPEN, **_STEPS}),
+    Experiment('sine about a bias', {**OPEN, **_reference('sine', 5.0)}, 0.4, 0.6),
+    Experiment('steps in a closed loop', {**LOOP, **_STEPS}),
+    Experiment('multisine in a closed loop', {**LOOP, **_SINES}),
+    Experiment('slow triangle in a closed loop', {**LOOP, **_TRIANGLE}),
+    Experiment('steps against a locked piston', {**LOOP, **_STEPS}, load='locked'),
 )
 
 
-def played(experiment: Experiment, force: float) -> npt.NDArray[np.float64]:
-    """Return the desired force (N) of an experiment."""
-    values = dict(experiment.reference)
-    size, offset = float(values.pop('size', 1.0)), float(values.pop('offset', 0.0))
-    named = {f'reference.{name}': value for name, value in values.items()}
-    named |= {'reference.amplitude': size * force, 'reference.offset': offset * force,
-              'reference.start': 0.0}
-    record = as_record(named, REFERENCE_PARAMETERS)
-    return np.array([reference_force(k * PERIOD_S, record)
-                     for k in range(int(DURATION_S / PERIOD_S))])
+def settings(experiment: Experiment, force: float) -> dict[str, Value]:
+    """Return the controller's parameters of an experiment; force: the largest, N."""
+    return {**experiment.controller, 'reference.amplitude': experiment.size * force,
+            'reference.offset': experiment.offset * force, 'reference.start': 0.05} | (
+        {'reference.duration': DURATION_S - 0.05}
+        if experiment.controller['reference.shape'] == 'chirp' else {})
+
+
+def command_line(experiment: Experiment, force: float, load: str) -> str:
+    """Return the `asi run` that plays an experiment."""
+    words = ['asi run']
+    for name, value in settings(experiment, force).items():
+        if name in ('reference.start', 'reference.duration'):
+            continue   # what asi run takes of itself
+        text = f'{value:g}' if isinstance(value, float) else str(value)
+        if name in OPTIONS:
+            words.append(f'{OPTIONS[name]} {text}')
+        else:
+            words.append(f'--set controller.{name}={text}')
+    return ' '.join([*words, f'--load {experiment.load or load}', f'--rate {RATE_HZ:g}',
+                     f'--duration {DURATION_S:g}'])
+
+
+def imagined(experiment: Experiment, nominal: Mapping[str, Value], force: float) -> Recording:
+    """
+    Return what the nominal actuator would record in an experiment.
+
+    Raises InputError if it would not move.
+    """
+    load = {'load.type': experiment.load} if experiment.load else {}
+    run = simulate_loop({**nominal, **load}, settings(experiment, force), DURATION_S, RATE_HZ)
+    return prepare([Run(**run._asdict(), source=experiment.name)])[0]
 
 
 def separation(group: Group, recording: Recording, first: np.void, second: np.void) -> float:
@@ -71,49 +108,52 @@ def separation(group: Group, recording: Recording, first: np.void, second: np.vo
     return math.sqrt(apart)
 
 
-def imagined(experiment: Experiment, nominal: np.void, force: float) -> Recording:
-    """Return what the nominal chain would record in an experiment, open loop, without noise."""
-    gain = float(nominal['valve_characteristic_gain'])
-    command = np.divide(played(experiment, force), gain)
-    valve = np.empty(command.size)
-    blocks.valve(command, *blocks.parts(nominal), PERIOD_S, 10, valve)
-    time = np.arange(command.size, dtype=np.float64) * PERIOD_S
-    static = (valve / nominal['valve_characteristic_full_opening']
-              * nominal['valve_characteristic_maximum_force'])
-    omega = 2.0 * np.pi * np.fft.rfftfreq(command.size, PERIOD_S)
-    stiffness = blocks.load_constants(nominal)[2]
-    whole = blocks.impedance(omega, nominal) * 1j * omega + stiffness
-    whole[0] = whole[0] or 1.0
-    position = np.fft.irfft(np.fft.rfft(static) / whole, command.size)
-    return prepare([Run(time, command_n=command, force_n=static, valve_position_m=valve,
-                        position_m=position, velocity_m_s=np.gradient(position, PERIOD_S),
-                        source=experiment.name)])[0]
+def pairs_of(groups: list[Weighed], left: list[Names]) -> list[tuple[Group, np.void, np.void]]:
+    """
+    Return each two predictions that are to be told apart, with their group.
+
+    Where `unknown` leaves a group a single prediction, it is told from the next most probable.
+    """
+    pairs = []
+    wanted = set().union(*map(set, left))
+    for weighed in groups:
+        own = {tuple(name for name in names if any(name in key for key in weighed.candidates))
+               for names in left}
+        known = [names for names in own if names in weighed.candidates]
+        if len(known) == 1 and wanted & {'unknown'}:
+            others = sorted((names for names in weighed.candidates if names not in known),
+                            key=lambda names: -weighed.probability[names])
+            known += others[:1]
+        records = [weighed.candidates[names].fitted.record for names in sorted(known)]
+        pairs += [(weighed.group, a, b) for a, b in itertools.combinations(records, 2)]
+    return pairs
 
 
-def choose(groups: list[Weighed], left: list[Names], nominal: np.void, force: float,
-           load: str) -> dict[str, object] | None:
+def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value], force: float
+           ) -> dict[str, object] | None:
     """
     Return the experiment of the catalogue that separates the hypotheses `left` best.
 
-    Each pair counts by the group in which it differs; the experiment is judged by the pair that it
-    separates worst. None if fewer than two hypotheses with a prediction are left.
+    It is judged by the pair that it separates worst. model: the actuator's nominal parameters;
+    force: the largest, N. None if fewer than two hypotheses with a prediction are left.
     """
-    pairs = []
-    for weighed in groups:
-        own = {tuple(name for name in names if (name,) in weighed.candidates or any(
-            name in key for key in weighed.candidates)) for names in left}
-        records = [weighed.candidates[names].fitted.record for names in own
-                   if names in weighed.candidates]
-        pairs += [(weighed.group, a, b) for a, b in itertools.combinations(records, 2)]
-    if not pairs:
-        return None
+    pairs = pairs_of(groups, left)
+    own = str(model.get('load.type', LOADS[0]))
     worst: Values = {}
-    for experiment in CATALOGUE:
-        recording = imagined(experiment, nominal, force)
-        worst[experiment.name] = min(separation(group, recording, a, b) for group, a, b in pairs)
+    for experiment in CATALOGUE if pairs else ():
+        recording = imagined(experiment, model, force)
+        load = LOADS.index(experiment.load or own)
+        worst[experiment.name] = min(separation(group, recording, _under(a, load), _under(b, load))
+                                     for group, a, b in pairs)
+    if not worst:
+        return None
     best = max(CATALOGUE, key=lambda experiment: worst[experiment.name])
-    options = best.options.format(force=f'{force:.0f}', small=f'{0.2 * force:.0f}',
-                                  part=f'{0.4 * force:.0f}', rest=f'{0.6 * force:.0f}')
-    return {'excitation': best.name, 'separation': worst[best.name],
-            'separations': worst,
-            'command': f'asi run {options} --load {load} --duration {DURATION_S:.0f}'}
+    return {'excitation': best.name, 'separation': worst[best.name], 'separations': worst,
+            'command': command_line(best, force, own)}
+
+
+def _under(record: np.void, load: int) -> np.void:
+    """Return a record with another type of load."""
+    changed = record.copy()
+    changed['load_type'] = load
+    return changed

@@ -67,16 +67,33 @@ def plane(x: Array, before: Array, after: Array, x_label: str) -> Figure:
 
 
 def regimes(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw where in frequency, amplitude, motion and time the gap is: 1 is its mean size."""
+    """Draw where in frequency, amplitude, motion and time the gap is, over its mean size."""
     with style():
-        figure = _new(0.7 + 0.2 * len(rows))
+        figure = _new(0.9 + 0.22 * len(rows))
         axes = figure.subplots()
         place = np.arange(len(rows))[::-1]
-        axes.barh(place, [row['relative'] for row in rows], height=0.75, color=[
-            BLUE if row['kind'] == 'frequency' else GREY for row in rows])
+        axes.barh(place, [row['relative'] for row in rows], height=0.8, color=ORANGE,
+                  label='refitted nominal')
+        axes.barh(place, [row['after'] for row in rows], height=0.45, color=BLUE, label='verdict')
         axes.set_yticks(place, [f'{row["kind"]}: {row["regime"]}' for row in rows])
-        axes.axvline(1.0, color=ORANGE)
+        axes.axvline(1.0, color=GREY)
         axes.set_xlabel('rms of the gap there, over that of all')
+        axes.legend(loc='upper right')
+    return figure
+
+
+def spectrum(frequency: Array, powers: Mapping[str, Array], unit: str) -> Figure:
+    """Draw the spectral density of a signal, and of what is left of it by each model."""
+    with style():
+        figure = _new(2.8)
+        axes = figure.subplots()
+        colours = {'real': GREY, 'nominal': ORANGE, 'refitted': GREEN, 'improved': BLUE}
+        for name, power in powers.items():
+            axes.loglog(frequency[1:], np.sqrt(power[1:]), color=colours[name],
+                        label=name if name == 'real' else f'real - {name}')
+        axes.set_xlabel('frequency (Hz)')
+        axes.set_ylabel(f'{unit} per root Hz')
+        axes.legend()
     return figure
 
 

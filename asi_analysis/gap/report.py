@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import welch
 
 from asi_actuator.parameters import Value
 from asi_analysis import figures
@@ -13,7 +14,8 @@ from asi_analysis.experiment import versions
 from asi_analysis.gap import pictures
 from asi_analysis.gap.diagnose import Diagnosis, sentences, told
 from asi_analysis.gap.fit import measured, predict
-from asi_analysis.gap.model_file import write_model
+from asi_analysis.gap.model_file import improved_model, write_model
+from asi_analysis.gap.prepare import BURN_IN_S
 from asi_analysis.gap.verdict import Weighed
 from asi_analysis.report import environment
 
@@ -35,19 +37,22 @@ def write_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
     drawn = {'overlay': _overlay(diagnosis, weighed, channel),
              'ranking': _ranking(weighed, channel, answer),
              'plane': _plane(diagnosis, weighed, channel),
+             'spectrum': _spectrum(diagnosis, weighed, channel),
              'regimes': pictures.regimes(answer['regimes'])}
     described = {
         'overlay': 'Real, nominal and improved, and what each model leaves',
         'ranking': 'What each hypothesis leaves on held-out data',
         'plane': 'What the model leaves, before and after, in the plane of the effect',
+        'spectrum': 'Spectrum of the signal and of what each model leaves of it',
         'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
     for name, figure in drawn.items():
         with figures.style():
             figure.savefig(out / f'{name}.png')
     missing = None
     if model is not None and diagnosis.verdict:
-        missing = write_model(out / 'improved.yaml', model,
-                              [diagnosis.best(w).fitted.record for w in diagnosis.groups])
+        values, missing = improved_model(model, [diagnosis.best(w).fitted.record
+                                                 for w in diagnosis.groups])
+        write_model(out / 'improved.yaml', values)
     page = out / 'report.html'
     page.write_text(environment().get_template('gap.html').render(
         answer=answer, sentences=sentences(answer), versions=versions(), missing=missing,
@@ -68,6 +73,23 @@ def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
     chosen = slice(max(0, middle - count // 2), middle + count // 2)
     return pictures.overlay(recording.time_s[chosen], real[chosen], nominal[chosen],
                             improved[chosen], recording.held_out[chosen], LABELS[channel])
+
+
+def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
+    recording = weighed.group.recordings[-1]
+    real = measured(recording, channel)
+    left = {'real': real} | {name: real - predict(recording, channel, p) for name, p in (
+        ('nominal', weighed.group.nominal), ('refitted', weighed.candidates[()].fitted.record),
+        ('improved', diagnosis.best(weighed).fitted.record))}
+    kept = slice(int(BURN_IN_S / recording.period_s), None)
+    frequency, _ = welch(real[kept], 1.0 / recording.period_s, nperseg=_window(real))
+    powers = {name: welch(values[kept], 1.0 / recording.period_s, nperseg=_window(real))[1]
+              for name, values in left.items()}
+    return pictures.spectrum(frequency, powers, LABELS[channel])
+
+
+def _window(values: Any) -> int:
+    return min(values.size // 4, 2048)
 
 
 def _ranking(weighed: Weighed, channel: str, answer: Mapping[str, Any]) -> Any:

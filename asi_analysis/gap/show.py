@@ -7,6 +7,12 @@ from rich.console import Console
 from rich.table import Table
 
 from asi_analysis.gap.diagnose import sentences
+from asi_analysis.gap.effects import NO_GAP
+
+
+def figure(value: float | None) -> str:
+    """Return a number with four digits; a dash for none."""
+    return '-' if value is None else f'{value:.4g}'
 
 
 def show(document: Mapping[str, Any]) -> None:
@@ -26,8 +32,14 @@ def show(document: Mapping[str, Any]) -> None:
              ('channel', 'nominal', 'refitted', 'with the effect', 'noise', 'shrink'),
              [(row['channel'], *(f'{100 * row[key]:.2f} %' for key in (
                  'before_nrmse', 'refitted_nrmse', 'after_nrmse', 'noise_floor_nrmse')),
+               '-' if document['verdict'] == NO_GAP else
                f'{row["shrink"]:.3f} [{row["shrink_low"]:.3f}, {row["shrink_high"]:.3f}]')
-              for row in document['channels']])):
+              for row in document['channels']]),
+            ('in the loop', ('quantity', 'nominal', 'improved (95 % interval)', 'measured'),
+             [(row['quantity'], figure(row['nominal']), figure(row['improved']) + (
+                 '' if row['improved_low'] is None else
+                 f' ({figure(row["improved_low"])} to {figure(row["improved_high"])})'),
+               figure(row['measured'])) for row in document['consequences']])):
         if rows:
             table = Table(title=title, title_justify='left', box=None, pad_edge=False)
             for column in columns:

@@ -19,12 +19,23 @@ ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
          'load': ('mechanics', 'sensor')}
 
 
+LEAST_SHARE = 0.01     # of the samples: what is rarer is no regime
+BINS = 16
+TOLD_SHARE = 0.2       # of what is left, that is worth a word
+TOLD_FACTOR = 1.6      # between the regime with most and that with least
+
+
 class Regime(NamedTuple):
-    """The gap in one regime: rms there over the rms everywhere, and the share of the samples."""
+    """
+    The gap in one regime, over its rms everywhere: of the refitted model, and of the verdict.
+
+    share: of the samples.
+    """
 
     kind: str
     regime: str
     relative: float
+    after: float
     share: float
 
 
@@ -97,53 +108,120 @@ def along_the_chain(valve: Group, force: Group, p_valve: np.void, p_force: np.vo
     return {name: max(part, 0.0) / total for name, part in parts.items()}
 
 
-def by_regime(group: Group, channel: str, p: np.void) -> list[Regime]:
-    """Return where in frequency, amplitude, motion and time the gap of a channel is large."""
-    recording = group.recordings[0]
+def regimes_of(recording: Recording, channel: str) -> dict[tuple[str, str], Mask]:
+    """Return the samples in each regime of amplitude, motion, valve and time."""
     real = measured(recording, channel)
-    left = real - predict(recording, channel, p)
-    kept = recording.fit | recording.held_out
-    whole = float(np.sqrt(np.mean(left[kept] ** 2))) or 1.0
-    found: list[Regime] = []
-
-    def add(kind: str, masks: Mapping[str, Mask]) -> None:
-        for name, mask in masks.items():
-            chosen = kept & mask
-            if chosen.mean() > 0.01:
-                rms = float(np.sqrt(np.mean(left[chosen] ** 2)))
-                found.append(Regime(kind, name, rms / whole, float(chosen.sum() / kept.sum())))
-
-    for low, high in BANDS_HZ:
-        if high < 0.45 / recording.period_s:
-            kind = 'lowpass' if low == 0.0 else 'bandpass'
-            edge = (high if low == 0.0 else np.array([low, high])) * 2.0 * recording.period_s
-            band = sosfiltfilt(butter(2, edge, kind, output='sos'), left)
-            found.append(Regime('frequency', f'{low:g} to {high:g} Hz',
-                                float(np.sqrt(np.mean(band[kept] ** 2))) / whole, 1.0))
-    size = np.abs(real)
-    cuts = np.quantile(size, [0.0, 1 / 3, 2 / 3, 1.0])
-    add('amplitude', {name: (size >= low) & (size <= high) for name, low, high in zip(
-        ('small', 'medium', 'large'), cuts[:-1], cuts[1:], strict=True)})
-    velocity = recording.velocity
-    if velocity is None and recording.motion is not None:
-        motion = recording.motion
-        velocity = motion.velocity[motion.pad:motion.pad + real.size]
+    size = np.abs(real - np.median(real))
+    low, high = np.quantile(size, [1 / 3, 2 / 3])
+    found = {('amplitude', 'small'): size <= low, ('amplitude', 'medium'):
+             (size > low) & (size <= high), ('amplitude', 'large'): size > high}
+    velocity = velocity_of(recording)
     if velocity is not None:
         fast = np.quantile(np.abs(velocity), 0.5)
-        add('velocity', {'forward, fast': velocity > fast, 'forward, slow': (velocity > 0.0) & (
-            velocity <= fast), 'backward, slow': (velocity <= 0.0) & (velocity >= -fast),
-            'backward, fast': velocity < -fast})
         turns = np.flatnonzero(np.diff(np.signbit(velocity)))
         last = np.searchsorted(turns, np.arange(real.size)) - 1
-        since = (np.arange(real.size) - turns[np.maximum(last, 0)]) * recording.period_s \
-            if turns.size else np.full(real.size, np.inf)
-        add('time since reversal', {'below 5 ms': since < 0.005, '5 to 50 ms': (
-            since >= 0.005) & (since < 0.05), 'above 50 ms': since >= 0.05})
+        since = np.where(last >= 0, np.arange(real.size) - turns[last], np.inf) \
+            * recording.period_s if turns.size else np.full(real.size, np.inf)
+        found |= {
+            ('velocity', 'forward, fast'): velocity > fast,
+            ('velocity', 'forward, slow'): (velocity > 0.0) & (velocity <= fast),
+            ('velocity', 'backward, slow'): (velocity <= 0.0) & (velocity >= -fast),
+            ('velocity', 'backward, fast'): velocity < -fast,
+            ('time since reversal', 'below 5 ms'): since < 0.005,
+            ('time since reversal', '5 to 50 ms'): (since >= 0.005) & (since < 0.05),
+            ('time since reversal', 'above 50 ms'): since >= 0.05}
     if recording.valve_position is not None and channel != 'valve':
         opening = np.abs(recording.valve_position)
         middle = np.quantile(opening, 0.5)
-        add('valve opening', {'small': opening <= middle, 'large': opening > middle})
+        found |= {('valve opening', 'small'): opening <= middle,
+                  ('valve opening', 'large'): opening > middle}
     third = np.arange(real.size) * 3 // real.size
-    add('time in the run', {name: third == i for i, name in enumerate(('first third',
-        'second third', 'last third'))})
-    return found
+    return found | {('time in the run', name): third == number for number, name in enumerate(
+        ('first third', 'second third', 'last third'))}
+
+
+def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> list[Regime]:
+    """
+    Return where in frequency, amplitude, motion and time the gap of a channel is large.
+
+    before, after: records of the refitted nominal model and of the verdict.
+    """
+    square: dict[tuple[str, str], Array] = {}   # sums over all recordings: before, after, samples
+    total = np.zeros(3)
+    for recording in group.recordings:
+        kept = recording.fit | recording.held_out
+        real = measured(recording, channel)
+        left = np.array([real - predict(recording, channel, p) for p in (before, after)])
+        total += [*np.sum(left[:, kept] ** 2, axis=1), kept.sum()]
+        for low, high in BANDS_HZ:
+            if high < 0.45 / recording.period_s:
+                edge = (high if low == 0.0 else np.array([low, high])) * 2.0 * recording.period_s
+                kind = 'lowpass' if low == 0.0 else 'bandpass'
+                band = sosfiltfilt(butter(2, edge, kind, output='sos'), left)
+                _add(square, ('frequency', f'{low:g} to {high:g} Hz'), band, kept)
+        for regime, mask in regimes_of(recording, channel).items():
+            _add(square, regime, left, kept & mask)
+    whole = np.sqrt(total[:2] / total[2])
+    return [Regime(kind, name, float(np.sqrt(part[0] / part[2]) / (whole[0] or 1.0)),
+                   float(np.sqrt(part[1] / part[2]) / (whole[0] or 1.0)),
+                   float(part[2] / total[2]))
+            for (kind, name), part in square.items() if part[2] > LEAST_SHARE * total[2]]
+
+
+def _add(square: dict[tuple[str, str], Array], regime: tuple[str, str], left: Array, kept: Mask
+         ) -> None:
+    sums = np.array([*np.sum(left[:, kept] ** 2, axis=1), kept.sum()])
+    square[regime] = square.get(regime, np.zeros(3)) + sums
+
+
+def velocity_of(recording: Recording) -> Array | None:
+    """Return the velocity (m/s), measured or from the position; None if nothing tells it."""
+    motion = recording.motion
+    if recording.velocity is not None or motion is None:
+        return recording.velocity
+    return motion.velocity[motion.pad:motion.pad + recording.fit.size]
+
+
+def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
+    """
+    Return how much of what a model leaves is a function of one quantity alone, 0 to 1.
+
+    The share of its mean square that the means in BINS bins explain, less what chance would.
+    """
+    left, kinds = [], []
+    for recording in group.recordings:
+        kept = recording.fit | recording.held_out
+        left.append((measured(recording, channel) - predict(recording, channel, p))[kept])
+        motion = recording.motion
+        inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
+        kinds.append({name: values[kept] for name, values in (
+            ('position', motion.position[inner] if motion and motion.measured else None),
+            ('velocity', velocity_of(recording)), ('command', recording.command),
+            ('valve position', recording.valve_position),
+            ('force', recording.force), ('time in the run', recording.time_s),
+            ) if values is not None and not (name == 'valve position' and channel == 'valve')})
+    rest = np.concatenate(left)
+    found = {}
+    for name in set.intersection(*(set(kind) for kind in kinds)):
+        values = np.concatenate([kind[name] for kind in kinds])
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+        place = np.clip(np.searchsorted(edges, values, 'right') - 1, 0, max(edges.size - 2, 0))
+        count = np.maximum(np.bincount(place), 1)
+        mean = np.bincount(place, rest) / count
+        found[name] = float(np.sum(count * mean ** 2) / max(float(rest @ rest), 1e-300))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
+    """Return what the unexplained part of a gap depends on, in a sentence."""
+    said = [f'{100 * share:.0f} % of it is a function of the {name}'
+            for name, share in list(depends.items())[:2] if share > TOLD_SHARE]
+    for kind in dict.fromkeys(regime.kind for regime in regimes):
+        own = [regime for regime in regimes if regime.kind == kind]
+        most = max(own, key=lambda regime: regime.after)
+        least = min(own, key=lambda regime: regime.after)
+        if most.after > TOLD_FACTOR * least.after:
+            said.append(f'by {kind} it is largest at {most.regime}'
+                        if kind != 'frequency' else f'it is strongest at {most.regime}')
+    return ('What is left: ' + '; '.join(said) + '.' if said else
+            'What is left depends on nothing that was recorded more than on anything else.')
