@@ -89,6 +89,13 @@ def _late(run: Run, samples: int) -> Run:
     (lambda r: dataclasses.replace(r, valve_position_m=1e-5 * np.sin(
         np.cumsum(np.random.default_rng(2).normal(0.0, 0.1, len(r))))),
      'valve_position.*nothing in common'),
+    (lambda r: dataclasses.replace(r, force_n=1e-3 * r.force_n), 'force.*factor of 0.001'),
+    (lambda r: dataclasses.replace(r, position_m=1e3 * r.position_m, velocity_m_s=None),
+     'position.*factor of 0.00'),
+    (lambda r: dataclasses.replace(r, time_s=np.where(np.arange(len(r)) == 3000, 2.999, r.time_s)),
+     'time does not rise at sample 3001'),
+    (lambda r: dataclasses.replace(r, time_s=np.where(np.arange(len(r)) == 3000, 1.0, r.time_s)),
+     'time does not rise at sample 3001'),
 ])
 def test_recording_that_would_mislead_is_refused(spoil, words):
     with pytest.raises(InputError, match=words):
@@ -100,6 +107,17 @@ def test_velocity_in_another_unit_is_said():
     with pytest.warns(UserWarning, match='velocity is not the derivative of position'):
         diagnosis = diagnose([dataclasses.replace(run, velocity_m_s=-run.velocity_m_s)], TEXTBOOK)
     assert any('velocity' in note for note in diagnosis.notes)
+
+
+def test_clipped_and_constant_signals_are_said_and_left_out():
+    run = recorded()
+    limit = 0.6 * np.abs(run.force_n).max()
+    spoilt = dataclasses.replace(run, force_n=np.clip(run.force_n, -limit, limit),
+                                 position_m=np.zeros(len(run)))
+    with pytest.warns(UserWarning, match='force is cut off'):
+        diagnosis = diagnose([spoilt], TEXTBOOK)
+    assert any('position is constant' in note for note in diagnosis.notes)
+    assert diagnosis.verdict == ()
 
 
 def test_diagnosis_does_not_know_the_examiner():

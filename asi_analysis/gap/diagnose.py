@@ -105,6 +105,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         groups, notes = joint_groups(runs, model, tolerance, out, drive or drive_of(runs))
     else:
         groups, notes = actuator_groups(runs, model, tolerance, out)
+    notes = [note for run in runs for note in quality.check_signals(run)] + notes
     steps, done = 4 * sum(len(group.effects) for group in groups), 0
 
     def tick() -> None:
@@ -112,15 +113,17 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         done += 1
         report('fitting effects', min(done / steps, 1.0))
 
+    for note in notes:
+        warnings.warn(note, InputWarning, stacklevel=2)
     weighed = []
     for group in groups:
         if plant == 'actuator':
             quality.check_against_model(group)
+        else:
+            quality.check_joint(group)
         weighed.append(weigh(group, candidates_of(group, fit_null(group), tick)))
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
-    for note in notes:
-        warnings.warn(note, InputWarning, stacklevel=2)
     answer = Diagnosis([run.source for run in runs], weighed, joined, verdict, [], notes, None,
                        None)
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,

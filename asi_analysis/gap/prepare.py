@@ -27,7 +27,9 @@ LOWEST_BAND_HZ = 20.0
 # A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
 RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
+CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
 SHARED = 0.3            # a signal with fewer values than this share of its samples comes in steps
+MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
@@ -90,6 +92,22 @@ def noise_of(signal: Array) -> float:
     return white
 
 
+def clipped(signal: Array) -> Mask:
+    """
+    Return where a signal stands still at its largest or smallest value.
+
+    A measured signal hardly ever takes the same value twice: one that often takes its extreme is
+    cut off there. Of one that comes in steps nothing can be told.
+    """
+    cut = np.zeros(signal.size, bool)
+    if np.unique(signal).size > SHARED * signal.size:
+        for extreme in (signal.max(), signal.min()):
+            at = signal == extreme
+            if at.mean() > CLIPPED:
+                cut |= at
+    return cut
+
+
 def _bridged(name: str, values: Array, source: str) -> Array:
     """Return a signal with its missing samples bridged; refuse one that misses too many."""
     missing = ~np.isfinite(values)
@@ -109,6 +127,9 @@ def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
     if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
         raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, it '
                          f'takes at least {SHORTEST_S:g} s')
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if back.size:
+        raise InputError(f'{run.source}: time does not rise at sample {int(back[0]) + 2}')
     steps = round((time[-1] - time[0]) / run.period_s)
     period = float((time[-1] - time[0]) / steps)
     even = time[0] + period * np.arange(steps + 1)
@@ -254,6 +275,9 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             motion = _motion(moving.get('position'), moving.get('velocity'), band, period)
         force = moving.get('force')
         fit, held = split(next(iter(moving.values())).size, period)
+        for name in MEASURED & moving.keys():   # what is cut off was not measured
+            sound = ~clipped(moving[name])
+            fit, held = fit & sound, held & sound
         if held_out is not None and held_out[number]:
             fit, held = np.zeros_like(fit), fit | held
         recordings.append(Recording(

@@ -10,18 +10,65 @@ from scipy.signal import correlate
 
 from asi_analysis.errors import InputError
 from asi_analysis.gap.fit import Group, measured, predict
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import MEASURED, Array, Recording, clipped
+from asi_analysis.run import Run
 
 LEAST_SWING = 5.0      # times the noise that a signal must move
 FACTOR = 4.0           # no actuator differs so much from its own model
 UNLIKE = 0.3           # correlation with the model below which it is another machine
 ALIKE = 0.6            # correlation above which a factor or a sign is told apart from the shape
+BRAKED = 0.2           # correlation of force and velocity that no load has against the motion
 EARLY_S, LATE_S = 0.004, 0.08
 IMPROVED = 0.1         # by which a shift of the clock must raise the correlation
 
 # What a channel compares: what is measured, and what it is driven by.
 COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
             'load': ('force', 'velocity or position')}
+
+
+def check_signals(run: Run) -> list[str]:
+    """Return a warning of each signal that is constant, or cut off at its extremes."""
+    notes = []
+    for name, values in run.signals().items():
+        known = values[np.isfinite(values)]
+        if known.size and np.ptp(known) == 0.0:
+            notes.append(f'{run.source}: {name} is constant, and taken as not recorded')
+        elif name in MEASURED and known.size and (cut := clipped(known)).any():
+            notes.append(f'{run.source}: {name} is cut off at its extremes, in '
+                         f'{100 * cut.mean():.1f} % of the samples; these are left out')
+    return notes
+
+
+def check_joint(group: Group) -> None:
+    """Refuse a joint whose signals have nothing in common, or the opposite sign."""
+    for recording in group.recordings:
+        for channel in group.channels:
+            real, model = measured(recording, channel), predict(recording, channel, group.nominal)
+            kept = recording.fit | recording.held_out
+            if channel == 'load':
+                what = 'force (or command) against what the motion takes'
+                against = recording.motion
+                assert against is not None
+                inner = slice(against.pad, against.pad + real.size)
+                # A load takes power, whatever it is made of, and friction always does.
+                alike = float(np.corrcoef(real[kept], against.velocity[inner][kept])[0, 1])
+                reversed_ = alike < -BRAKED
+            else:
+                what = 'what the drive did against its command'
+                reversed_ = float(np.corrcoef(real[kept], model[kept])[0, 1]) < -ALIKE
+                shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
+                if abs(shifted) < UNLIKE and not reversed_:
+                    raise InputError(f'{recording.source}: {what}: nothing in common')
+                slope = float(np.std(real[kept]) / np.std(model[kept]))
+                if shifted > ALIKE and not 1.0 / FACTOR < slope < FACTOR:
+                    raise InputError(f'{recording.source}: {what}: a factor of {slope:.3g}; check '
+                                     'the units')
+                if shift < -EARLY_S and shifted > ALIKE:
+                    raise InputError(f'{recording.source}: {what}: it comes {-1e3 * shift:.0f} ms '
+                                     'before it; the clocks differ')
+            if reversed_:
+                raise InputError(f'{recording.source}: {what}: the sign is reversed; check the '
+                                 'signs of both')
 
 
 def check_excitation(recording: Recording) -> None:

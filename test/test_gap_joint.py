@@ -1,0 +1,86 @@
+"""Joints that turn, simulated by other equations than the diagnosis: LuGre friction, a hold."""
+
+import dataclasses
+
+import numba
+import numpy as np
+import pytest
+
+from asi_analysis.errors import InputError
+from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.run import Run
+
+RATE_HZ, SUB_STEPS = 500.0, 40
+INERTIA, DAMPING = 0.02, 0.05       # kg m2, N m s/rad
+PENDULUM = {'signals': {'position': 'rad', 'command': 'Nm'}}
+
+
+@numba.njit(cache=True)
+def _joint(reference, friction, breakaway, late, gravity, out):
+    """Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n)."""
+    step = 1.0 / RATE_HZ / SUB_STEPS
+    angle, speed, bristle, before, rate = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(reference.size):
+        rate += 0.5 * ((angle - before) * RATE_HZ - rate)
+        before = angle
+        out[0, k] = 20.0 * (reference[k] - angle) - 0.9 * rate
+        out[1, k] = angle
+        for j in range(SUB_STEPS):
+            # Held, and `late` sub-steps late.
+            torque = out[0, max(k + (j - late) // SUB_STEPS, 0)]
+            slope = 0.0
+            if friction > 0.0:
+                level = friction * (1.0 + (breakaway - 1.0) * np.exp(-(speed / 0.1) ** 2))
+                slope = speed - friction / 1e-3 * abs(speed) / level * bristle
+                bristle += step * slope
+            rub = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
+            speed += step / INERTIA * (torque - DAMPING * speed - rub
+                                       - gravity * np.sin(angle))
+            angle += step * speed
+
+
+def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
+          gravity: float = 0.0) -> Run:
+    """Return 16 s of the joint on a smooth course with rests, read by a 14 bit encoder."""
+    time = np.arange(int(16.0 * RATE_HZ)) / RATE_HZ
+    course = 0.8 * np.sin(2.0 * np.pi * 0.3 * time) ** 3 + 0.2 * np.sin(2.0 * np.pi * 1.7 * time)
+    out = np.empty((2, time.size))
+    _joint(course, friction, breakaway, round(late_s * RATE_HZ * SUB_STEPS), gravity, out)
+    count = 2.0 * np.pi / 2 ** 14
+    return Run(time, command_n=out[0], position_m=count * np.round(out[1] / count),
+               source='joint', information=PENDULUM)
+
+
+def test_rigid_joint_has_no_gap():
+    answer = document(diagnose([joint()], {}, 'joint'))
+    assert answer['verdict'] == 'no_gap'
+    assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
+    assert answer['nuisance']['load']['load_damping'] == pytest.approx(DAMPING, rel=0.05)
+
+
+def test_friction_of_a_joint_that_turns():
+    answer = document(diagnose([joint(friction=0.15)], {}, 'joint'))
+    assert answer['which'][0]['effect'] == 'coulomb_friction'
+    assert 'coulomb_friction' in answer['ambiguity_set']
+    assert answer['where'][0]['block'] == 'mechanics'
+    assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
+
+
+def test_late_command_of_a_joint():
+    answer = document(diagnose([joint(late_s=0.012)], {}, 'joint'))
+    assert answer['verdict'] == 'transport_delay'
+    # A hold adds half a sample, which is the nominal model's.
+    assert answer['which'][0]['parameters']['drive_delay'] == pytest.approx(0.012, abs=0.0015)
+
+
+def test_what_no_effect_explains_is_described():
+    """Gravity is in no effect of the vocabulary: what is left is a function of the position."""
+    answer = document(diagnose([joint(gravity=1.0)], {}, 'joint'))
+    assert answer['unknown_probability'] > 0.5
+    assert 'a function of the position' in answer['unexplained']
+
+
+def test_joint_with_a_reversed_sign_is_refused():
+    run = joint(friction=0.15)
+    with pytest.raises(InputError, match='joint: .*sign is reversed'):
+        diagnose([dataclasses.replace(run, command_n=-run.command_n)], {}, 'joint')
