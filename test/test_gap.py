@@ -85,7 +85,7 @@ def _late(run: Run, samples: int) -> Run:
     (lambda r: dataclasses.replace(
         r, command_n=np.random.default_rng(1).normal(0.0, 1.0, len(r))), 'no excitation: command'),
     (lambda r: _late(r, 150), 'force.*late by 1[45]'),
-    (lambda r: _late(r, -50), 'force.*early by (49|50)'),
+    (lambda r: _late(r, -50), 'force.*early by (4[89]|50)'),
     (lambda r: dataclasses.replace(r, valve_position_m=1e-5 * np.sin(
         np.cumsum(np.random.default_rng(2).normal(0.0, 0.1, len(r))))),
      'valve_position.*nothing in common'),
@@ -117,7 +117,7 @@ def test_clipped_and_constant_signals_are_said_and_left_out():
     with pytest.warns(UserWarning, match='force is cut off'):
         diagnosis = diagnose([spoilt], TEXTBOOK)
     assert any('position is constant' in note for note in diagnosis.notes)
-    assert diagnosis.verdict == ()
+    assert set(diagnosis.verdict) <= {'unknown'}   # no effect is made up
 
 
 def test_diagnosis_does_not_know_the_examiner():

@@ -102,7 +102,8 @@ def check_motion(recording: Recording, position: Array | None) -> list[str]:
 def check_against_model(group: Group) -> None:
     """Refuse what no effect could do to these channels."""
     for recording in group.recordings:
-        for channel in group.channels:
+        # The load before the force, which takes its velocity from the same motion.
+        for channel in sorted(group.channels, reverse=True):
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
             kept = recording.fit | recording.held_out
             output, driven = COMPARED[channel]
