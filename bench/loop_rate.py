@@ -208,7 +208,7 @@ def realtime(rounds: int, seconds: float) -> list[Result]:
             results.append(Result(
                 f'loop_rate.{key}.{rate_hz:.0f}', f'real time at {rate_hz:g} Hz: {what}, ours / '
                 'rival', statistics.median(values), 'ms', spread,
-                f'{rival}, {statistics.median(rivals):.3f} ms', ratio, at=rate_hz))
+                f'{rival}, {statistics.median(rivals):.3f} ms', ratio))
     return results
 
 

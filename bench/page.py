@@ -95,6 +95,22 @@ def _bars(ax: Axes, bars: Sequence[Result]) -> None:
     ax.set_xlabel("share of the limit's speed, %")
 
 
+def parts_of_tick(measured: Measured) -> Figure:
+    """Draw where the time of a lock-step tick goes, as one bar."""
+    picture = Figure(figsize=(7.0, 1.6), layout='constrained')
+    ax = picture.subplots()
+    begin = 0.0
+    for result in results_of(measured['loop_rate']):
+        if result.name.startswith('loop_rate.tick.'):
+            ax.barh([0], [result.value], left=[begin],
+                    label=result.what.rpartition(': ')[2])
+            begin += result.value
+    ax.set_yticks([])
+    ax.set_xlabel('a tick of both nodes, us')
+    ax.legend(fontsize=7, ncols=5, loc='lower center', bbox_to_anchor=(0.5, 1.0))
+    return picture
+
+
 def write_page(measured: Measured, folder: Path) -> Path:
     """Write performance.md and its pictures into a folder; return its path."""
     drawn: dict[str, Figure] = {}
@@ -104,6 +120,8 @@ def write_page(measured: Measured, folder: Path) -> Path:
             drawn['performance_size'] = cost_against_size(measured)
         if 'rivals' in measured:
             drawn['performance_error'] = error_against_time(measured)
+        if 'loop_rate' in measured:
+            drawn['performance_tick'] = parts_of_tick(measured)
         for name, picture in drawn.items():
             picture.savefig(folder / f'{name}.png', dpi=110.0)
     template = jinja2.Environment(

@@ -91,10 +91,9 @@ def recording(rates_hz: tuple[int, ...]) -> list[Result]:
             rate_hz, lost, share, bag = record(folder, folder / 'played', asked_hz)
             results += [
                 Result(f'recording.lost.{asked_hz}', f'messages of {TOPICS * TICKS} lost at '
-                       f'{rate_hz:.0f} ticks/s ({TOPICS} topics)', lost, '', target='<= 0',
-                       at=rate_hz),
+                       f'{rate_hz:.0f} ticks/s ({TOPICS} topics)', lost, '', target='<= 0'),
                 Result(f'recording.processor.{asked_hz}', f'the recorder, of a core, at '
-                       f'{rate_hz:.0f} ticks/s', 100.0 * share, '%', at=rate_hz)]
+                       f'{rate_hz:.0f} ticks/s', 100.0 * share, '%')]
         payload = payload_bytes(list(read_contents(bag, lambda _: True).topics.values()))
         size = sum(file.stat().st_size for file in bag.iterdir())
         results.append(Result(
@@ -148,7 +147,7 @@ def reading(seconds: int, rounds: int) -> list[Result]:
                 f'recording.read.{kind}.{rival}.{seconds}',
                 f'reading {seconds} s of six topics at 1 kHz, {kind} time; ratio: rival / ours',
                 statistics.median(ours), 's', spread,
-                f'{rival}, {statistics.median(theirs):.1f} s', ratio, '>= 10', at=seconds))
+                f'{rival}, {statistics.median(theirs):.1f} s', ratio, '>= 10'))
     return results
 
 
