@@ -1,6 +1,7 @@
 """The diagnosis of the gap: what it finds, what it refuses, how it is scored."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis import json_keys
 from asi_analysis.errors import InputError
+from asi_analysis.gap import check
 from asi_analysis.gap.check import score
 from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.run import Run
@@ -146,3 +148,17 @@ def test_score_counts_what_was_said_against_the_truth():
     assert figures['confidently_wrong_rate'] == pytest.approx(1 / 3)
     assert figures['interval_coverage'] == 0.0
     assert figures['unknown_rate'] is None
+
+
+def test_check_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    (tmp_path / 'cases.json').write_text(json.dumps([{'bag': bag} for bag in 'abc']))
+    kept = tmp_path / 'rows.jsonl'
+    kept.write_text('{"bag": "a", "verdict": "no_gap"}\n{"bag": "b", "verd')
+    examined = []
+    monkeypatch.setattr(check, 'examine', lambda folder, entry: examined.append(entry['bag']) or {
+        **entry, 'verdict': 'unknown'})
+    rows = check.run_cases(tmp_path, lambda text, share: None)
+    assert examined == ['b', 'c']
+    assert [(row['bag'], row['verdict']) for row in rows] == [
+        ('a', 'no_gap'), ('b', 'unknown'), ('c', 'unknown')]
+    assert [json.loads(line)['bag'] for line in kept.read_text().splitlines()] == ['a', 'b', 'c']

@@ -78,9 +78,13 @@ def run_cases(folder: Path, told: Told) -> list[Row]:
     except (OSError, ValueError) as error:
         raise InputError(f'{folder / "cases.json"} cannot be read: {error}') from None
     kept = folder / 'rows.jsonl'
-    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    lines = kept.read_text().splitlines(keepends=True) if kept.exists() else []
+    whole = [line for line in lines if line.endswith('\n')]   # a kill may have torn the last
+    rows = [json.loads(line) for line in whole]
     done = {row['bag'] for row in rows}
-    with kept.open('a') as file:
+    with kept.open('w') as file:
+        file.writelines(whole)
+        file.flush()
         for row in each(examine, ((folder, entry) for entry in index if entry['bag'] not in done)):
             rows.append(row)
             file.write(json.dumps(rows[-1]) + '\n')

@@ -76,7 +76,7 @@ def command_line(experiment: Experiment, force: float, load: str) -> str:
     """Return the `asi run` that plays an experiment."""
     words = ['asi run']
     for name, value in settings(experiment, force).items():
-        if name in ('reference.start', 'reference.duration'):
+        if name in ('reference.start', 'reference.duration') or value == 0.0:
             continue   # what asi run takes of itself
         text = f'{value:g}' if isinstance(value, float) else str(value)
         if name in OPTIONS:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import NullFormatter, PercentFormatter
 
 from asi_analysis.figures import BLUE, GREEN, GREY, ORANGE, WIDTH_IN, style
 from asi_analysis.gap.prepare import Array, Mask
@@ -47,6 +47,7 @@ def ranking(names: Sequence[str], errors: Sequence[float], nominal: float, noise
         axes.axvline(nominal, color=ORANGE, label='nominal, refitted')
         axes.axvline(noise, color=GREEN, label='noise')
         axes.set_xscale('log')
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel('left on held-out data, share of the signal')
         axes.legend(loc='lower right')
     return figure

@@ -153,12 +153,13 @@ def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> li
         real = measured(recording, channel)
         left = np.array([real - predict(recording, channel, p) for p in (before, after)])
         total += [*np.sum(left[:, kept] ** 2, axis=1), kept.sum()]
+        inner = slice(*np.flatnonzero(kept)[[0, -1]])   # without what is not judged at the start
         for low, high in BANDS_HZ:
             if high < 0.45 / recording.period_s:
                 edge = (high if low == 0.0 else np.array([low, high])) * 2.0 * recording.period_s
                 kind = 'lowpass' if low == 0.0 else 'bandpass'
-                band = sosfiltfilt(butter(2, edge, kind, output='sos'), left)
-                _add(square, ('frequency', f'{low:g} to {high:g} Hz'), band, kept)
+                band = sosfiltfilt(butter(2, edge, kind, output='sos'), left[:, inner])
+                _add(square, ('frequency', f'{low:g} to {high:g} Hz'), band, kept[inner])
         for regime, mask in regimes_of(recording, channel).items():
             _add(square, regime, left, kept & mask)
     whole = np.sqrt(total[:2] / total[2])
