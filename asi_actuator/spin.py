@@ -91,25 +91,28 @@ class LoopExecutor(SingleThreadedExecutor):
         """Call the callbacks of subscriptions and timers until `end_ns`."""
         if not subscriptions and not timers:
             time.sleep(SERVICE_PERIOD_S)
+        # Looked up once: each takes its time, and here they would be asked for in every tick.
+        heard = [(s.handle, s.handle.pointer, s.msg_type, s.raw, s.callback)
+                 for s in subscriptions]
+        timed = [(t.handle, t.callback) for t in timers]
         while not self.stopped and (left_ns := end_ns - time.monotonic_ns()) > 0:
             wait_set.clear_entities()
-            for subscription in subscriptions:
-                wait_set.add_subscription(subscription.handle)
-            for timer in timers:
-                wait_set.add_timer(timer.handle)
+            for handle, *_ in heard:
+                wait_set.add_subscription(handle)
+            for handle, _ in timed:
+                wait_set.add_timer(handle)
             wait_set.wait(left_ns)
             ready = wait_set.get_ready_entities('subscription')
-            for subscription in subscriptions:
-                if subscription.handle.pointer in ready:
-                    taken = subscription.handle.take_message(
-                        subscription.msg_type, subscription.raw)
+            for handle, pointer, kind, raw, callback in heard:
+                if pointer in ready:
+                    taken = handle.take_message(kind, raw)
                     if taken is not None:
-                        subscription.callback(taken[0])
+                        callback(taken[0])
             # Asked one by one: what came may have taken long enough for one to become ready.
-            for timer in timers:
-                if timer.handle.is_timer_ready():
-                    timer.handle.call_timer()
-                    timer.callback()
+            for handle, callback in timed:
+                if handle.is_timer_ready():
+                    handle.call_timer()
+                    callback()
 
     def _asked(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
         """Tell whether a service, a client, or a task or change of a node waits for spin_once."""

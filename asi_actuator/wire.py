@@ -2,8 +2,8 @@
 The messages of the loop as the bytes that go over the wire (CDR, little endian).
 
 rclpy takes 4 to 11 us to make bytes of one of these messages and 4 to 31 us to make a message of
-bytes, which is more than all else that a node does in a tick; `python -m bench.loop_rate` shows
-both. So the nodes publish bytes and subscribe to bytes (`raw`), packed and unpacked here.
+bytes, more than all else that a node does in a tick; here each way takes one or two
+(`make bench BENCH=loop_rate`). So the nodes publish bytes and subscribe to bytes (`raw`).
 Whatever is laid out in another way, as with another frame or other joints, rclpy unpacks.
 """
 

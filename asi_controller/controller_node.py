@@ -173,7 +173,7 @@ class LockStep:
         self.repeats = 0
         self.wrong_since: float | None = None
         self.resent = 0
-        self.clock = ROSClock()
+        self.clock, self.clock_ns = ROSClock(), 0
         # ROS time as with use_sim_time, but /clock is heard raw: rclpy's own subscription takes
         # ten times as long (bench/loop_rate.py).
         source = TimeSource()
@@ -203,8 +203,9 @@ class LockStep:
         self._answer_if_due()
 
     def _on_clock(self, message: bytes) -> None:
+        self.clock_ns = wire.time(message)
         self.clock.set_ros_time_override(
-            Time(nanoseconds=wire.time(message), clock_type=ClockType.ROS_TIME))
+            Time(nanoseconds=self.clock_ns, clock_type=ClockType.ROS_TIME))
 
     def health(self) -> tuple[bytes, str]:
         if self.pending is not None:
@@ -247,8 +248,7 @@ class LockStep:
         return False
 
     def _answer_if_due(self) -> None:
-        if (self.pending is None or not self.node.ready()
-                or self.clock.now().nanoseconds < self.pending[0]):
+        if self.pending is None or self.clock_ns < self.pending[0] or not self.node.ready():
             return
         stamp_ns, force_n = self.pending
         self.pending = None

@@ -17,13 +17,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
-from bench.result import Result, ratios
+from asi_actuator import wire
+from bench.empty_nodes import messages
+from bench.result import Result, interleaved, ratios
 from bench.timed_node import OWN, PARTS
 
 ROOT: Final = Path(__file__).parents[1]
@@ -32,6 +35,7 @@ RECORDER: Final = 'asi_analysis.recorder_node'
 SINE: Final = {'reference.shape': 'sine'}
 REALTIME_HZ: Final = (500.0, 1000.0, 2000.0)
 PATIENCE_S: Final = 60.0
+CONVERSIONS: Final = 10_000
 # Diagnostics, which tell our ticks, come twice a second; the first second warms up.
 WARM_UP_S: Final = 1.0
 EMPTY: Final = {
@@ -190,6 +194,37 @@ def tick(seconds: float) -> list[Result]:
                     for part, us in spent.items()]
 
 
+def conversions(rounds: int) -> list[Result]:
+    """Return how long bytes take to pack and unpack beside rclpy's message objects."""
+    sent = messages()
+    found = []
+    for topic, pack, unpack in (
+            ('joint_states', lambda: wire.state(1, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)),
+             wire.piston_effort),
+            ('valve_command', lambda: wire.wrench(1, 0.0), wire.force),
+            ('/clock', lambda: wire.clock(1), wire.time)):
+        message, data = sent[topic], pack()
+
+        def by_rclpy(message: Any = message, data: bytes = data) -> None:
+            for _ in range(CONVERSIONS):
+                serialize_message(message)
+                deserialize_message(data, type(message))
+
+        def ours(pack: Callable = pack, unpack: Callable = unpack, data: bytes = data) -> None:
+            for _ in range(CONVERSIONS):
+                pack()
+                unpack(data)
+
+        times = interleaved({'rclpy': by_rclpy, 'ours': ours}, rounds)
+        ratio, spread = ratios(times['rclpy'], times['ours'])
+        us = 1e6 / CONVERSIONS
+        found.append(Result(
+            f'loop_rate.bytes.{topic.strip("/")}', f'a message of {topic} into bytes and back; '
+            'ratio: rival / ours', statistics.median(times['ours']) * us, 'us', spread,
+            f'rclpy, {statistics.median(times["rclpy"]) * us:.0f} us', ratio))
+    return found
+
+
 def realtime(rounds: int, seconds: float) -> list[Result]:
     """Return jitter and latency beside an empty timer and an echo."""
     results = []
@@ -219,6 +254,7 @@ def measure(quick: bool = False) -> list[Result]:
     try:
         return (lockstep(1 if quick else 5, 1.0 if quick else 4.0)
                 + tick(2.0 if quick else 6.0)
+                + conversions(1 if quick else 9)
                 + realtime(1 if quick else 3, 1.0 if quick else 5.0))
     finally:
         rclpy.shutdown()
