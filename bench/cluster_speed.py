@@ -21,7 +21,7 @@ from asi_analysis.parallel import each, workers
 from bench.local_cluster import cluster
 from bench.result import Result, interleaved, ratios, show
 
-PIECES: Final = 8
+PIECES: Final = 6
 
 
 def piece(problem: Problem, number: int) -> str:
@@ -49,7 +49,7 @@ def measure(quick: bool) -> list[Result]:
         for name in ('processes', 'cluster'):
             if ways[name]() != expected:
                 raise RuntimeError(f'the results of {name} differ from those of one process')
-        times = interleaved(ways, 1 if quick else 3)
+        times = interleaved(ways, 1 if quick else 2)
     results = []
     for name, what in (('processes', f'--jobs {cores}'),
                        ('cluster', f'--dask, {cores} worker processes')):

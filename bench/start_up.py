@@ -57,7 +57,7 @@ def node_ready(module: str, folder: str) -> None:
 def measure(quick: bool) -> list[Result]:
     """Return the times by the clock."""
     import rclpy
-    rounds = 2 if quick else 10
+    rounds = 2 if quick else 5
     empty, helped = interleaved({'python': partial(run, '-c', ''),
                                  'help': partial(run, '-m', *HELP)}, rounds).values()
     warm = [float(run('-c', FIRST)) for _ in range(rounds)]
@@ -76,7 +76,7 @@ def measure(quick: bool) -> list[Result]:
     rclpy.init()
     with tempfile.TemporaryDirectory() as folder:
         for name, module in NODES.items():
-            times = interleaved({name: partial(node_ready, module, folder)}, 1 if quick else 5)
+            times = interleaved({name: partial(node_ready, module, folder)}, 1 if quick else 3)
             results.append(Result(f'start.{name}', f'{name}: start to end, seen by another node '
                                   'in between', float(np.median(times[name])), 's'))
     rclpy.shutdown()
