@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -12,6 +13,7 @@ from typing import Any, Final
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -23,6 +25,8 @@ from asi_actuator.parameters import ParameterError
 # How long services, parameters and new entities may wait, and events of the middleware.
 SERVICE_PERIOD_S: Final = 0.01
 EVENT_PERIOD_S: Final = 0.5
+# How long a node that waits may notice nothing, if the system clock is set back.
+WAKE_PERIOD_S: Final = 0.02
 # How long a node that ends waits at most for others to receive what it has published last; it
 # takes 50 ms, unless a subscriber has died.
 FAREWELL_S: Final = 2.0
@@ -52,12 +56,25 @@ class LoopExecutor(SingleThreadedExecutor):
     def __init__(self) -> None:
         super().__init__()
         self.stopped = False
+        self._awake = GuardCondition(None, None, self.context)
 
     def spin(self) -> None:
         """Serve the nodes until `stopped` is true or the context is shut down."""
+        threading.Thread(target=self._wake, daemon=True).start()
         while not self.stopped and self.context.ok():
             self.spin_once(timeout_sec=0.0)
             self._spin_loop(time.monotonic_ns() + int(EVENT_PERIOD_S * 1e9))
+
+    def _wake(self) -> None:
+        """
+        End every wait after WAKE_PERIOD_S of the steady clock.
+
+        Fast DDS, as built for wheels, waits until a time of the system clock: if that is set back
+        by an hour meanwhile, for an hour, unless a message comes (`python -m torture clocks`).
+        """
+        while not self.stopped:
+            self._awake.trigger()
+            time.sleep(WAKE_PERIOD_S)
 
     def can_execute(self, entity: Any) -> bool:
         """Keep spin_once away from what the loop serves."""
@@ -74,11 +91,12 @@ class LoopExecutor(SingleThreadedExecutor):
         clients: list[Any] = [c for node in nodes for c in node.clients]
         context: Any = self.context.handle
         with ExitStack() as in_use:
-            for entity in (*subscriptions, *timers, *services, *clients, self._guard):
+            for entity in (*subscriptions, *timers, *services, *clients, self._guard,
+                           self._awake):
                 in_use.enter_context(entity.handle)
             in_use.enter_context(context)
             fast = rclpy_implementation.WaitSet(
-                len(subscriptions), 0, len(timers), 0, 0, 0, context)
+                len(subscriptions), 1, len(timers), 0, 0, 0, context)
             slow = rclpy_implementation.WaitSet(
                 0, 1, 0, len(clients), len(services), 0, context)
             while not self.stopped and (now_ns := time.monotonic_ns()) < end_ns:
@@ -95,12 +113,14 @@ class LoopExecutor(SingleThreadedExecutor):
         heard = [(s.handle, s.handle.pointer, s.msg_type, s.raw, s.callback)
                  for s in subscriptions]
         timed = [(t.handle, t.callback) for t in timers]
+        awake: Any = self._awake.handle
         while not self.stopped and (left_ns := end_ns - time.monotonic_ns()) > 0:
             wait_set.clear_entities()
             for handle, *_ in heard:
                 wait_set.add_subscription(handle)
             for handle, _ in timed:
                 wait_set.add_timer(handle)
+            wait_set.add_guard_condition(awake)
             wait_set.wait(left_ns)
             ready = wait_set.get_ready_entities('subscription')
             for handle, pointer, kind, raw, callback in heard:

@@ -96,10 +96,10 @@ def _soak(rig: Rig, tally: Tally, leg: Leg, end: float,
     # What is looked at is not how fast the machine is: a late command is no fault.
     loop = {'mode': leg.mode, 'rate_hz': leg.rate_hz, 'await_recorder': True}
     nodes = {'recorder': rig.start(RECORDER, output=bag),
-             'controller': rig.start(CONTROLLER, **loop, gain=1.0, state_timeout=5.0,
+             'controller': rig.start(CONTROLLER, **loop, gain=1.0, state_timeout=60.0,
                                      **{'reference.shape': 'prbs'}),
              'actuator': rig.start(ACTUATOR, **loop, duration=leg.duration_s,
-                                   command_timeout=5.0)}
+                                   command_timeout=60.0, give_up_after=60.0)}
 
     def ticks() -> int:
         return int(rig.diagnostics.get('asi_actuator', {}).get('ticks', 0))

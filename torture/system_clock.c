@@ -53,10 +53,13 @@ time_t time(time_t *now)
 }
 
 /* A wait until a time of the system clock ends when that clock says so, as the kernel's does: early
-   if it is set forth, late if it is set back. Looked at every millisecond. */
+   if it is set forth, late if it is set back. Looked at every millisecond. Who has asked for the
+   steady clock (Python does) is told by its small numbers. */
 int pthread_cond_timedwait(pthread_cond_t *condition, pthread_mutex_t *mutex,
                            const struct timespec *end)
 {
+    if (end->tv_sec < 1000000000)
+        return pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, end);
     for (;;) {
         struct timespec now;
         clock_gettime(CLOCK_REALTIME, &now);
