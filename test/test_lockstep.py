@@ -158,6 +158,28 @@ def test_controller_begins_anew_with_the_next_actuator(
     assert controller.stop() == 0
 
 
+def test_stray_state_is_ignored_and_counted(
+        start_node: Callable, ros_node: Any, recording: Recording) -> None:
+    """At a wrong distance from the last, by one who should not speak; the run stays the same."""
+    from sensor_msgs.msg import JointState
+
+    expected = simulate_loop(NOISY, LEAD_LAG | STEP, 0.3, RATE_HZ)
+    controller = start_node(CONTROLLER, await_recorder=True, **LEAD_LAG, **STEP)
+    strays = ros_node.create_publisher(JointState, 'joint_states', 10)
+    wait_until(lambda: strays.get_subscription_count() > 1, 'the controller')
+    actuator = start_node(ACTUATOR, duration=0.3, resend_after=0.02, await_recorder=True, **NOISY)
+    wait_until(lambda: recording.messages['valve_command'], 'a command')
+    stray = JointState(name=['piston', 'valve'], effort=[1e3, 0.0])
+    stray.header.stamp.sec = 7
+    strays.publish(stray)
+    controller.wait_for('s apart, but rate_hz = 5000 asks for 0.0002 s')
+    assert actuator.exit_status() == 0, actuator.text
+    messages = recording.messages['joint_states']
+    messages[:] = [m for m in messages if m.header.stamp.sec != 7]
+    assert_same_run(recording, expected)
+    assert controller.stop() == 0
+
+
 def test_different_rates_are_an_error_that_says_both(start_node: Callable) -> None:
     start_node(ACTUATOR, rate_hz=2000.0)
     controller = start_node(CONTROLLER, rate_hz=5000.0)
