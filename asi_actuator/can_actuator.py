@@ -182,7 +182,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                           else (options.interface, options.channel))
     try:
         bus = open_bus(interface, channel, options.bitrate)
-    except (can.CanError, OSError, ValueError) as error:
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         print(f'{interface} {channel}: {error}', file=sys.stderr)
         return 2
     print(f'slcan {link.second}' if link else f'{interface} {channel}', flush=True)

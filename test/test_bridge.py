@@ -1,5 +1,7 @@
 """The bridge: frames, what a firmware does, and the node over a real slcan link and real DDS."""
 
+import json
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -30,6 +32,7 @@ ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_
 PEER = 'asi_actuator.can_actuator'
 FRAMES = Frames()
 COMMAND = FRAMES.identifiers['COMMAND']
+MULTICAST = '239.74.163.2'
 # A busy machine is no fault of the bridge.
 SLOW: dict[str, Any] = {'mode': 'realtime', 'rate_hz': 200.0}
 PATIENT: dict[str, Any] = SLOW | {'driver': 'can', 'can.interface': 'slcan',
@@ -60,6 +63,16 @@ def test_frame_tells_what_was_put_in_within_its_resolution(name: str, data: st.D
                if s.scale < 1)
 
 
+def test_number_beyond_the_bits_of_a_signal_is_at_their_end(tmp_path: Path) -> None:
+    file = tmp_path / 'no_ranges.dbc'
+    file.write_text(re.sub(r'\[[-+.E0-9]*\|[-+.E0-9]*\]', '[0|0]',
+                           frames_module.default_path().read_text()))
+    frames = Frames(str(file))
+    for force, bits in ((1e9, 2**23 - 1), (-1e9, -2**23)):
+        decoded = frames.decode(257, frames.encode('STATE_FORCE', {'force': force}))
+        assert decoded is not None and decoded[1]['force'] == pytest.approx(1e-3 * bits)
+
+
 @given(st.sampled_from(sorted(SIGNALS)), st.data())
 def test_changed_bits_are_noticed(name: str, data: st.DataObject) -> None:
     identifier = FRAMES.identifiers[name]
@@ -83,7 +96,20 @@ def test_layout_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
     broken = tmp_path / 'broken.dbc'
     broken.write_text('BO_ not a database')
     poor = tmp_path / 'poor.dbc'
-    poor.write_text(frames_module.default_path().read_text().replace('SG_ velocity', 'SG_ speed'))
+    own = frames_module.default_path().read_text()
+    poor.write_text(own.replace('SG_ velocity', 'SG_ speed'))
+    for number, (old, new, words) in enumerate((
+            ('"N" BRIDGE', '"kN" BRIDGE', 'STATE_FORCE: force is in kN, it takes N'),
+            ('"m" BRIDGE', '"mm" BRIDGE', 'STATE_FORCE: valve_position is in mm, it takes m'),
+            ('"m/s" BRIDGE', '"" BRIDGE', 'STATE_MOTION: velocity is in no unit, it takes m/s'),
+            ('counter : 48|8@1+', 'counter : 48|4@1+', 'counter takes 8 bits'),
+            ('checksum : 56|8@1+', 'checksum : 56|4@1+', 'checksum takes 8 bits'),
+            ('BO_ 257 ', 'BO_ 2147483905 ', 'STATE_FORCE: it takes an 11-bit identifier'),
+            ('BO_ 256 COMMAND: 6', 'BO_ 256 COMMAND: 8', 'checksum must be the last byte'))):
+        path = tmp_path / f'{number}.dbc'
+        path.write_text(own.replace(old, new))
+        with pytest.raises(ParameterError, match=words):
+            Frames(str(path))
     for path, words in ((broken, 'cannot be read'), (tmp_path / 'no.dbc', 'cannot be read'),
                         (poor, 'STATE_MOTION lacks the signals velocity')):
         with pytest.raises(ParameterError, match=words) as caught:
@@ -278,11 +304,11 @@ def peer(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Callable[.
     """Return start(*options), which starts the simulated actuator on pseudo-terminals."""
     started: list[NodeProcess] = []
 
-    def start(*options: str) -> NodeProcess:
+    def start(*options: str, pty: bool = True) -> NodeProcess:
         started.append(NodeProcess(
-            [sys.executable, '-m', PEER, '--pty', '--command-timeout', '0.5', *options],
-            ros_environment, tmp_path / f'peer-{len(started)}.log'))
-        started[-1].wait_for('slcan /dev/pts/')
+            [sys.executable, '-m', PEER, *(['--pty'] if pty else []), '--command-timeout', '0.5',
+             *options], ros_environment, tmp_path / f'peer-{len(started)}.log'))
+        started[-1].wait_for('slcan /dev/pts/' if pty else MULTICAST)
         return started[-1]
 
     yield start
@@ -334,10 +360,20 @@ def ask(call: Callable) -> Callable[[str], tuple[bool, str]]:
     return ask
 
 
-def test_force_loop_over_can(start_node: Callable, peer: Callable, states: States,
-                             ask: Callable) -> None:
-    actuator_peer = peer()
-    actuator = start_node(ACTUATOR, **PATIENT, **{'can.channel': channel(actuator_peer)})
+@pytest.mark.parametrize('interface', ['slcan', 'udp_multicast'])
+def test_force_loop_over_can(
+        interface: str, start_node: Callable, peer: Callable, states: States, ask: Callable,
+        ros_environment: dict[str, str], tmp_path: Path) -> None:
+    if interface == 'slcan':
+        actuator_peer = peer()
+        bus = PATIENT | {'can.channel': channel(actuator_peer)}
+    else:
+        # A port of its own, by python-can's way for options that are not ours.
+        ros_environment['CAN_CONFIG'] = json.dumps(
+            {'port': 43_000 + int(ros_environment['ROS_DOMAIN_ID']), 'hop_limit': 0})
+        actuator_peer = peer('--interface', interface, '--channel', MULTICAST, pty=False)
+        bus = PATIENT | {'can.interface': interface, 'can.channel': MULTICAST}
+    actuator = start_node(ACTUATOR, **bus)
     start_node(CONTROLLER, **SLOW, gain=1.0, state_timeout=10.0,
                **{'reference.shape': 'step', 'reference.amplitude': 200.0})
     # Hardware powers up disabled.
@@ -435,6 +471,19 @@ def test_bus_that_is_not_there_is_waited_for_and_named(
     link.symlink_to(channel(peer()))
     states.wait(10)
     assert actuator.stop() == 0
+
+
+@pytest.mark.parametrize('interface', sorted(can.VALID_INTERFACES))
+def test_interface_that_is_not_there_is_a_problem_in_one_line(interface: str) -> None:
+    values = completed({'mode': 'realtime', 'driver': 'can', 'can.interface': interface,
+                        'can.channel': '239.74.163.2'}, ACTUATOR_NODE_PARAMETERS)
+    driver = CanActuator(values, 1.0)
+    driver.open()
+    problem = driver.health().problem
+    driver.close()
+    assert '\n' not in problem
+    if interface not in ('virtual', 'udp_multicast'):  # these need nothing
+        assert problem.startswith(f'{interface} 239.74.163.2: ')
 
 
 @pytest.mark.parametrize(('parameters', 'words'), [

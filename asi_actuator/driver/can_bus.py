@@ -52,7 +52,13 @@ class SlcanBus(slcanBus):
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
-    """Return an open bus; raises can.CanError, OSError or ValueError if that is not possible."""
+    """
+    Return an open bus.
+
+    What an interface takes beyond channel and bit rate comes from python-can's own configuration
+    (CAN_CONFIG, ~/.canrc). Raises can.CanError, OSError, ValueError, TypeError or ImportError if
+    it cannot be opened.
+    """
     if interface == 'slcan':
         # An adapter may start anew when it is opened; a terminal does not.
         terminal = Path(channel).resolve().parent == Path('/dev/pts')
@@ -121,7 +127,8 @@ class CanActuator:
             for _ in range(MOST_FRAMES):
                 if not any(received(self._bus)):  # from before anybody listened
                     break
-        except (can.CanError, OSError, ValueError) as error:
+        except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+            # The last two: an option that is missing, a library that is not installed.
             self._problem = self._words(error)
         else:
             self._problem = ''

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import cantools
-from cantools.database.can import Database, Message
+from cantools.database.can import Database, Message, Signal
 
 from asi_actuator.parameters import ParameterError
 
@@ -22,8 +22,12 @@ SIGNALS: Final = {
                     'checksum'},
     'STATE_MOTION': {'position', 'velocity', 'counter', 'checksum'},
 }
-# The counter counts modulo this.
+# A number in another unit would be taken for one in this.
+UNITS: Final = {'valve_command': 'N', 'force': 'N', 'valve_position': 'm', 'position': 'm',
+                'velocity': 'm/s'}
+# The counter counts modulo this; it and the checksum take a byte each.
 COUNTER: Final = 256
+BYTE: Final = 8
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -70,21 +74,19 @@ class Frames:
             if missing := signals.difference(have):
                 raise ParameterError(f'can.dbc = {str(place)!r}: frame {name} lacks the signals '
                                      + ', '.join(sorted(missing)))
+            if problem := _problem(self.messages[name]):
+                raise ParameterError(f'can.dbc = {str(place)!r}: frame {name}: {problem}')
+        # By frame and signal, where it ends: its range, and what its bits can tell.
+        self._ends = {name: {s.name: _ends(s) for s in self.messages[name].signals}
+                      for name in SIGNALS}
         self.identifiers = {name: self.messages[name].frame_id for name in SIGNALS}
         self._by_identifier = {m.frame_id: m for m in self.messages.values() if m.name in SIGNALS}
 
     def encode(self, name: str, values: Mapping[str, float]) -> bytes:
         """Return the data of a frame; a value beyond the range of its signal becomes its end."""
         message = self.messages[name]
-        complete: dict[str, float] = {'checksum': 0}
-        for signal in message.signals:
-            if signal.name in values:
-                value = values[signal.name]
-                if signal.minimum is not None:
-                    value = max(value, signal.minimum)
-                if signal.maximum is not None:
-                    value = min(value, signal.maximum)
-                complete[signal.name] = value
+        complete = {signal: min(max(values.get(signal, 0), low), high)
+                    for signal, (low, high) in self._ends[name].items()}
         data = message.encode(complete)[:-1]
         return data + bytes((checksum(message.frame_id, data),))
 
@@ -104,6 +106,31 @@ class Frames:
         values: dict[str, float] = message.decode(  # type: ignore[assignment]
             data, decode_choices=False)
         return message.name, values
+
+
+def _problem(message: Message) -> str:
+    """Return why a frame cannot be used, '' if it can."""
+    if message.is_extended_frame or message.is_fd or message.length > BYTE:
+        return 'it takes an 11-bit identifier and at most 8 bytes'
+    for signal in message.signals:
+        unit = UNITS.get(signal.name)
+        if unit is not None and signal.unit != unit:
+            return f'{signal.name} is in {signal.unit or "no unit"}, it takes {unit}'
+        whole = signal.length == BYTE and not signal.is_signed and signal.scale == 1
+        if signal.name in ('counter', 'checksum') and not whole:
+            return f'{signal.name} takes 8 bits, unsigned, factor 1'
+        if signal.name == 'checksum' and signal.start // BYTE != message.length - 1:
+            return 'checksum must be the last byte'
+    return ''
+
+
+def _ends(signal: Signal) -> tuple[float, float]:
+    """Return the smallest and the largest value that a signal may have."""
+    codes = 1 << signal.length
+    raw = (-codes // 2, codes // 2 - 1) if signal.is_signed else (0, codes - 1)
+    low, high = sorted(signal.offset + signal.scale * code for code in raw)
+    return (low if signal.minimum is None else max(low, signal.minimum),
+            high if signal.maximum is None else min(high, signal.maximum))
 
 
 def longest_bits(length: int) -> int:
