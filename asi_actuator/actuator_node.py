@@ -171,7 +171,8 @@ class ActuatorNode(Node):
     def _safety_changed(self) -> None:
         """Tell a change of state at once, in the log and on /diagnostics, so in the bag."""
         if self.safety.state is State.FAULT:
-            self.get_logger().error(f'fault, the valve command is 0: {self.safety.reason}')
+            self.get_logger().error(f'fault, the valve command is 0: {self.safety.reason}; '
+                                    '~/reset when the cause is gone')
         else:
             self.get_logger().info(self.safety.state)
         self.diagnostics.publish()
@@ -284,6 +285,8 @@ class LockStep:
         self.tick = 0
         self.stamp_ns = 0
         self.command_n: float | None = None
+        # The newest state that was answered, and how.
+        self.answered = (0, 0.0)
         self.resent = 0
         self.begun = False
         self.silent_since = self.sent_at = time.monotonic()
@@ -295,7 +298,13 @@ class LockStep:
     def on_command(self, stamp_ns: int, command_n: float) -> None:
         if stamp_ns != self.stamp_ns or self.command_n is not None:
             self.node.ignored += 1
+            # A lost answer is asked for again, and is the same.
+            if (stamp_ns, command_n) != self.answered and stamp_ns == self.answered[0]:
+                self.node.safety.trip(
+                    f'valve_command = {self.answered[1]:g} N and {command_n:g} N answer the same '
+                    'state: do two controllers run?')
             return
+        self.answered = stamp_ns, command_n
         self.node.statistics.latency((time.monotonic() - self.silent_since) * 1e9)
         self.begun = True
         self.command_n = command_n
@@ -382,6 +391,8 @@ class RealTime:
         self.command_n = 0.0
         self.commanded_at: float | None = None
         self.clock = SteadyClock()
+        # In the second that goes on.
+        self.commands = self.periods = 0
         self.start: float | None = None
         self.done = 0
         self.overruns = 0
@@ -395,6 +406,7 @@ class RealTime:
             self.node.ignored += 1
             return
         self.node.statistics.latency(latency_ns)
+        self.commands += 1
         self.command_n = command_n
         self.commanded_at = time.monotonic()
 
@@ -406,6 +418,7 @@ class RealTime:
     def on_reset(self) -> None:
         self.command_n = 0.0
         self.commanded_at = None
+        self.commands = self.periods = 0
 
     def next_stamp_ns(self) -> int:
         return self.clock.now_ns()
@@ -415,7 +428,9 @@ class RealTime:
             return WARN, 'waiting for ' + ', '.join(
                 self.node.missing() or [f'a state of the actuator; {self.node.health.problem}'])
         if self.commanded_at is None:
-            return WARN, 'no valve_command yet, the valve command is 0'
+            return WARN, 'no valve_command yet, the valve command is 0' + (
+                f' ({self.node.ignored} were stamped too far from now)' if self.node.ignored
+                else '')
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
@@ -433,6 +448,10 @@ class RealTime:
         # At least one: where jitter rounds a tick down and the next one up, nothing is lost.
         due = max(1, round((now - self.start) * node.rate_hz) - self.done)
         self.done += due
+        self.periods += due
+        if self.periods >= node.rate_hz:
+            node.safety.watch_number_of_commands(self.commands, self.periods)
+            self.commands = self.periods = 0
         # A timer that fires late has missed samples; the actuator catches up within bounds.
         self.overruns += due > 1
         self.lost += max(0, due - 1)

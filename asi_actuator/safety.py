@@ -9,10 +9,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from enum import StrEnum
+from typing import Final
 
 from asi_actuator.driver import Health
 from asi_actuator.model.actuator import Measurement
 from asi_actuator.parameters import Value
+
+# Commands a control period: one, and a few more where the machine is busy.
+MOST_COMMANDS: Final = 1.5
 
 
 class State(StrEnum):
@@ -104,7 +108,14 @@ class Safety:
         """Look at the age (s) of the newest command."""
         if self.state is State.ENABLED and age_s > self._command_age_s:
             self._exceeded('age of valve_command', age_s, 's', 'command_timeout',
-                           self._command_age_s)
+                           self._command_age_s,
+                           ': the controller is silent, or the machine too busy for this limit')
+
+    def watch_number_of_commands(self, commands: int, periods: int) -> None:
+        """Look at how many commands have come in so many control periods, about a second."""
+        if self.state is State.ENABLED and commands > MOST_COMMANDS * periods:
+            self.trip(f'{commands} valve_commands in {periods} control periods: do two '
+                      'controllers run, or one with another rate_hz?')
 
     def watch_link(self, health: Health) -> None:
         """Look at the link to the actuator; once a period."""
@@ -157,10 +168,10 @@ class Safety:
             self._exceeded('valve_position less that of the command', self._disagreement, 'm',
                            'limit.valve_disagreement', self._disagreement_m)
 
-    def _exceeded(self, signal: str, value: float, unit: str, limit_name: str,
-                  limit: float) -> None:
+    def _exceeded(self, signal: str, value: float, unit: str, limit_name: str, limit: float,
+                  advice: str = '') -> None:
         unit = f' {unit}' if unit else ''
-        self.trip(f'{signal} = {value:.6g}{unit} exceeds {limit_name} = {limit:g}{unit}')
+        self.trip(f'{signal} = {value:.6g}{unit} exceeds {limit_name} = {limit:g}{unit}{advice}')
 
     def _forget(self) -> None:
         self._command_n = 0.0

@@ -318,9 +318,13 @@ class Recorder(Node):
         counts = self._writer.counts()
         self.get_logger().info('recorded ' + (', '.join(
             f'{count} {name}' for name, count in counts.items()) or 'nothing'))
-        for topic in self._topics:
-            if topic.lost and topic.one_publisher:
-                self.get_logger().error(f'{topic.lost} messages of {topic.name} were lost')
+        for name, count in self.lost().items():
+            self.get_logger().error(f'{count} messages of {name} were lost')
+
+    def lost(self) -> dict[str, int]:
+        """Return how many messages of each topic were lost on the way, if it is known."""
+        return {topic.name: topic.lost for topic in self._topics
+                if topic.lost and topic.one_publisher}
 
 
 def _configuration(path: str) -> dict[str, Any]:
@@ -346,7 +350,7 @@ def main() -> int:
         return nodes[0]
 
     # Writing may also fail at the very end, after the node has been run.
-    return run_node(make) or int(any(node.failed for node in nodes))
+    return run_node(make) or int(any(node.failed or node.lost() for node in nodes))
 
 
 if __name__ == '__main__':

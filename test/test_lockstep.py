@@ -180,6 +180,14 @@ def test_stray_state_is_ignored_and_counted(
     assert controller.stop() == 0
 
 
+def test_two_controllers_that_disagree_are_a_fault(start_node: Callable) -> None:
+    start_node(CONTROLLER, gain=1.0, **STEP)
+    start_node(CONTROLLER, '-r', '__node:=second', gain=2.0, **STEP)
+    actuator = start_node(ACTUATOR, **NOISY)
+    actuator.wait_for('N answer the same state: do two controllers run?')
+    assert actuator.stop() == 0
+
+
 def test_different_rates_are_an_error_that_says_both(start_node: Callable) -> None:
     start_node(ACTUATOR, rate_hz=2000.0)
     controller = start_node(CONTROLLER, rate_hz=5000.0)

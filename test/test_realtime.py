@@ -233,6 +233,13 @@ def test_diagnostics_say_how_the_loop_does(
     assert controller['compensator'] == 'lead2' and 'states ignored' in controller
 
 
+def test_two_controllers_are_a_fault(start_node: Callable) -> None:
+    start_node(CONTROLLER, **PATIENT)
+    start_node(CONTROLLER, '-r', '__node:=second', **PATIENT)
+    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
+    actuator.wait_for('control periods: do two controllers run, or one with another rate_hz?')
+
+
 @pytest.mark.skipif(COMPILER is None, reason='needs a C compiler')
 @pytest.mark.parametrize('set_by_s', [-7200.0, 7200.0])
 def test_loop_and_its_bag_go_on_when_the_system_clock_is_set(

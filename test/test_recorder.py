@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 from asi_analysis.analysis import analyze
 from asi_analysis.bag import read_bag, write_bag
 from asi_analysis.bag_file import read_contents
-from asi_analysis.errors import InputWarning
+from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.run import Run
 
 RECORDER = 'asi_analysis.recorder_node'
@@ -177,6 +177,39 @@ def test_real_time_hears_best_effort_publishers_and_logs_the_receipt(
     now_ns = time.time_ns()
     assert all(now_ns - 60 * 10**9 < time_ns < now_ns for time_ns in
                contents.topics['/force'].log_ns)
+
+
+def test_lost_messages_are_told_and_the_exit_status_is_1(
+        start_node: Start, ros_node: Any, tmp_path: Path) -> None:
+    recorder = start_node(RECORDER, output=tmp_path / 'bag', topics='[force]')
+    # Keeps one message only, so a recorder that stands still misses most.
+    publisher = ros_node.create_publisher(WrenchStamped, 'force', 1)
+    wait_until(publisher.get_subscription_count, 'the recorder')
+    message = WrenchStamped()
+    message.header.frame_id = 'x' * 10_000
+
+    def publish(count: int) -> None:
+        for _ in range(count):
+            message.header.stamp = ros_node.get_clock().now().to_msg()
+            publisher.publish(message)
+
+    def is_recorded_since(time_ns: int) -> bool:
+        publish(1)
+        try:
+            topics = read_contents(tmp_path / 'bag', lambda _: True).topics
+        except InputError:  # nothing is written yet
+            return False
+        return any(max(topic.log_ns) > time_ns for topic in topics.values())
+
+    wait_until(lambda: is_recorded_since(0), 'the first message in the bag')
+    recorder.send(signal.SIGSTOP)
+    publish(10_000)
+    recorder.send(signal.SIGCONT)
+    since_ns = time.time_ns()
+    wait_until(lambda: is_recorded_since(since_ns), 'a later message in the bag')
+    assert recorder.stop() == 1
+    assert 'messages of /force were lost' in recorder.text and 'Traceback' not in recorder.text
+    assert len(read_bag(tmp_path / 'bag')) > 1
 
 
 def test_asks_the_nodes_for_their_parameters(start_node: Start, tmp_path: Path) -> None:

@@ -105,7 +105,41 @@ def test_old_command_is_a_fault_only_while_enabled() -> None:
     assert watched.safety.enable() == ''
     watched.safety.watch_command(0.2)
     assert watched.safety.reason == (
-        'age of valve_command = 0.2 s exceeds command_timeout = 0.1 s')
+        'age of valve_command = 0.2 s exceeds command_timeout = 0.1 s: the controller is silent, '
+        'or the machine too busy for this limit')
+
+
+def test_more_commands_than_one_controller_gives_are_a_fault_only_while_enabled() -> None:
+    watched = Watched()
+    watched.safety.watch_number_of_commands(1400, 1000)
+    assert watched.safety.state is State.ENABLED
+    watched.safety.disable()
+    watched.safety.watch_number_of_commands(2000, 1000)
+    assert watched.safety.state is State.DISABLED
+    watched.safety.enable()
+    watched.safety.watch_number_of_commands(2000, 1000)
+    assert watched.safety.reason.startswith('2000 valve_commands in 1000 control periods: do two')
+
+
+LIMITS = [p for p in TABLE if p.name.startswith(('limit.', 'command_'))
+          or p.name.startswith('valve_characteristic.') and isinstance(p.default, float)]
+
+
+@given(st.data())
+def test_limits_may_be_set_to_anything_allowed_at_any_time(data: st.DataObject) -> None:
+    """The command stays a finite number within its limit, and 0 once anything has tripped."""
+    watched = Watched()
+    for _ in range(data.draw(st.integers(1, 5))):
+        values = {p.name: data.draw(
+            st.integers(int(p.low), int(p.high)) if isinstance(p.default, int)
+            else st.sampled_from([float(p.low), float(p.high), float(p.default)])
+            | st.floats(float(p.low), float(p.high))) for p in LIMITS}
+        watched.safety.configure(completed(values, TABLE))
+        shut = watched.safety.state is State.FAULT
+        given_n = watched.period(data.draw(st.floats(-1e9, 1e9)), Measurement(
+            *(data.draw(st.floats(-1e9, 1e9)) for _ in range(4))))
+        assert math.isfinite(given_n) and abs(given_n) <= float(values['command_limit'])
+        assert not (shut and given_n)
 
 
 def test_few_bad_frames_in_a_long_time_are_no_fault() -> None:

@@ -6,11 +6,15 @@ from typing import Any, Final
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
+from asi_actuator.model.actuator import measure, rest, step
+from asi_actuator.parameters import as_record
 from asi_actuator.topics import nanoseconds, set_time
+from asi_analysis.bag import read_bag
 from asi_analysis.closed_loop import simulate_loop
-from torture.rig import ACTUATOR, CONTROLLER, NodeProcess, Rig, Tally, is_alive, pause
+from asi_analysis.run import Run
+from torture.rig import ACTUATOR, CONTROLLER, RECORDER, NodeProcess, Rig, Tally, is_alive, pause
 
 DURATION_S: Final = 0.4
 RATE_HZ: Final = 5000.0
@@ -48,8 +52,49 @@ def lockstep(rig: Rig, tally: Tally, end: float) -> None:
             tally.count(side, _difference(actuators[side], states[side], expected.force_n, tally),
                         1 + faults // 2)
             controllers[side].stop()
+        resets, problem = _reset_in_mid_run(rig)
+        tally.count('reset', problem, resets + 1)
         if tally.failures:
             return
+
+
+def _reset_in_mid_run(rig: Rig) -> tuple[int, str]:
+    """Pause, reset and resume a recorded run; return how often, and what its bag has wrong."""
+    physics = {'force_sensor.noise': 0.7, 'force_sensor.noise_seed': rig.random.randrange(2**31)}
+    bag = rig.folder / f'bag-{time.monotonic_ns()}'
+    recorder = rig.start(RECORDER, output=bag)
+    controller = rig.start(CONTROLLER, await_recorder=True, **{'reference.shape': 'prbs'})
+    actuator = rig.start(ACTUATOR, await_recorder=True, duration=DURATION_S, resend_after=0.02,
+                         give_up_after=60.0, **physics)
+    pauses = rig.node.create_client(SetBool, '/asi_actuator/pause')
+    resets = rig.node.create_client(Trigger, '/asi_actuator/reset')
+    while is_alive(actuator):
+        for client, request in ((pauses, SetBool.Request(data=True)), (resets, Trigger.Request()),
+                                (pauses, SetBool.Request(data=False))):
+            if client.service_is_ready():
+                client.call_async(request)
+            time.sleep(rig.random.uniform(0.0, 0.05))
+    statuses = [actuator.exit_status(), recorder.stop(), controller.stop()]
+    if any(statuses):
+        return 0, f'exit statuses {statuses}: {actuator.text[-300:]}'
+    return _explained(read_bag(bag), as_record(physics), actuator.text.count('reset: enabled'))
+
+
+def _explained(run: Run, p: np.void, asked: int) -> tuple[int, str]:
+    """Return how often the recorded model began anew, and where it did not do as the model does."""
+    signals = [run.signal(name) for name in ('force', 'valve_position', 'position', 'velocity')]
+    state, resets = rest(), 0
+    measure(state, p)
+    for k, command in enumerate(run.signal('command')[:-1]):
+        recorded = tuple(signal[k + 1] for signal in signals)
+        step(state, command, p, 1.0 / RATE_HZ)
+        if measure(state, p) != recorded:
+            resets, state = resets + 1, rest()
+            step(state, command, p, 1.0 / RATE_HZ)
+            if resets > asked or measure(state, p) != recorded:
+                return resets, f'state {k + 2} is neither the next nor the first after a reset'
+    missing = round(DURATION_S * RATE_HZ) - len(run)
+    return resets, f'{missing} states are missing' if missing else ''
 
 
 def _disturb(rig: Rig, side: str, actuator: NodeProcess, controller: NodeProcess, clocks: Any,

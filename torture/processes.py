@@ -166,7 +166,8 @@ def _break(loop: Loop, name: str, number: signal.Signals, tally: Tally) -> str:
         # The actuator whose terminal is full may lose it; all others go on.
         return problem or ('' if is_alive(process) else f'has ended: {process.text[-300:]}')
     status = process.exit_status()
-    if number == signal.SIGTERM and status != 0:
+    # A recorder that has lost messages says so: they are counted by themselves.
+    if number == signal.SIGTERM and status != 0 and 'were lost' not in process.text:
         return f'exit status {status}: {process.text[-300:]}'
     if name == 'recorder':
         missing_s = (hit_ns - max(loop.stamps_in_bag(), default=0)) * 1e-9
