@@ -54,6 +54,7 @@ def lockstep(rig: Rig, tally: Tally, end: float) -> None:
             controllers[side].stop()
         resets, problem = _reset_in_mid_run(rig)
         tally.count('reset', problem, resets + 1)
+        tally.notes['resets in mid-run'] = tally.notes.get('resets in mid-run', 0) + resets
         if tally.failures:
             return
 
@@ -81,7 +82,7 @@ def _reset_in_mid_run(rig: Rig) -> tuple[int, str]:
 
 
 def _explained(run: Run, p: np.void, asked: int) -> tuple[int, str]:
-    """Return how often the recorded model began anew, and where it did not do as the model does."""
+    """Return how often the recorded model began anew, and where it did not do as it must."""
     signals = [run.signal(name) for name in ('force', 'valve_position', 'position', 'velocity')]
     state, resets = rest(), 0
     measure(state, p)
