@@ -171,8 +171,9 @@ def run_node(make_node: Callable[[], Node]) -> int:
     signal.signal(signal.SIGTERM, stop)
     try:
         node = make_node()
-    except ParameterError as error:
-        print(error, file=sys.stderr)
+    except (ParameterError, rclpy_implementation.RCLError) as error:
+        # The second: the middleware cannot do what the environment asks for, such as security.
+        print(' '.join(str(error).split()), file=sys.stderr)
         rclpy.try_shutdown()
         return 2
     executor.add_node(node)

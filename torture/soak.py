@@ -19,6 +19,7 @@ import yaml
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+from scipy.stats import theilslopes
 
 from torture.rig import ACTUATOR, CONTROLLER, RECORDER, NodeProcess, Rig, Tally, is_alive, until
 
@@ -52,12 +53,17 @@ class Series(NamedTuple):
     start: Use
     warm: Use
     end: Use
-    megabytes_per_hour: float   # of the loop, by least squares, after the first third
+    megabytes_per_hour: float   # of the loop, after the first third; see _series
+
+    @property
+    def megabytes(self) -> float:
+        """How much memory has grown steadily after the first third."""
+        return self.megabytes_per_hour * (self.end.loop_s - self.warm.loop_s) / 3600.0
 
     @property
     def problem(self) -> str:
         """What has grown after the first third, '' if nothing."""
-        if (self.end.megabytes - self.warm.megabytes > MORE_MB
+        if (self.megabytes > MORE_MB
                 or self.end.files - self.warm.files > MORE_FILES
                 or self.end.threads - self.warm.threads > MORE_THREADS):
             return f'uses {self.end}, {self.warm} at a third of the time'
@@ -73,11 +79,15 @@ def _use(process: NodeProcess, loop_s: float) -> Use:
 
 
 def _series(uses: list[Use]) -> Series:
+    """
+    Return what was used; the growth is the median slope of all pairs (Theil and Sen).
+
+    A leak goes on and on. A step does not count: where the machine stands still for a second, what
+    waits takes memory that the process keeps for the next time.
+    """
     warm = len(uses) // 3
     time_h, megabytes = np.array([(use.loop_s / 3600.0, use.megabytes) for use in uses[warm:]]).T
-    time_h, megabytes = time_h - time_h.mean(), megabytes - megabytes.mean()
-    return Series(uses[0], uses[warm], uses[-1],
-                  float(time_h @ megabytes / max(time_h @ time_h, 1e-12)))
+    return Series(uses[0], uses[warm], uses[-1], float(theilslopes(megabytes, time_h).slope))
 
 
 def soak(rig: Rig, tally: Tally, end: float) -> None:
@@ -134,8 +144,7 @@ def _soak(rig: Rig, tally: Tally, leg: Leg, end: float,
     series = {name: _series(of_node[:-1]) for name, of_node in uses.items()}
     worst = 'more memory, worst (MB)'
     for name, of_node in series.items():
-        tally.notes[worst] = max(of_node.end.megabytes - of_node.warm.megabytes,
-                                 tally.notes.get(worst, 0.0))
+        tally.notes[worst] = max(of_node.megabytes, tally.notes.get(worst, 0.0))
         tally.count(f'{leg.mode}: {name}', of_node.problem)
     return series
 
