@@ -36,7 +36,8 @@ MULTICAST = '239.74.163.2'
 # A busy machine is no fault of the bridge.
 SLOW: dict[str, Any] = {'mode': 'realtime', 'rate_hz': 200.0}
 PATIENT: dict[str, Any] = SLOW | {'driver': 'can', 'can.interface': 'slcan',
-                                  'limit.state_age': 2.0, 'command_timeout': 2.0}
+                                  'limit.state_age': 2.0, 'command_timeout': 2.0,
+                                  'limit.lost_states': 10**6}
 
 
 def test_checksum_is_crc_8_sae_j1850() -> None:
