@@ -4,6 +4,7 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from conftest import NodeProcess, wait_until
 from asi_actuator.parameters import Value
 from asi_actuator.topics import nanoseconds
 from asi_analysis.bag_file import read_contents
+from asi_controller import controller_node
 from torture.clocks import COMPILER, SystemClock
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
@@ -120,6 +122,33 @@ def test_controller_says_that_the_actuator_is_gone_and_gives_no_command(
     start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
     commands.wait(10)
     assert controller.stop() == 0
+
+
+@pytest.mark.parametrize('begin', [0.1, 0.45, 0.7, 0.95])
+@pytest.mark.parametrize('rate_hz', [500.0, 1000.0, 5000.0])
+def test_ticks_of_the_controller_get_in_step_with_the_states(
+        monkeypatch: pytest.MonkeyPatch, rate_hz: float, begin: float) -> None:
+    """Whatever part of a period after the states they begin; the states jitter a little."""
+    node = MagicMock(rate_hz=rate_hz)
+    node.parameters.values = {'state_timeout': 1.0}
+    loop = controller_node.RealTime(node)
+    period_s = 1.0 / rate_hz
+    node.create_timer.return_value.timer_period_ns = round(period_s * 1e9)
+    jitter_s = 0.1 * period_s * np.random.default_rng(1).uniform(-1.0, 1.0, 400)
+    states_s = 1000.0 + period_s * np.arange(400) + jitter_s
+    tick_s, ages_s = 1000.0 + begin * period_s, []
+    for state_s, next_s in zip(states_s[:-1], states_s[1:], strict=True):
+        monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=state_s: now_s)
+        loop.on_state(loop.clock.now_ns(), 0.0)
+        while tick_s < next_s:
+            if tick_s >= state_s:
+                monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=tick_s: now_s)
+                loop._tick()
+                ages_s.append(tick_s - state_s)
+            tick_s += loop.timer.timer_period_ns * 1e-9
+    wanted_s = min(controller_node.AFTER_STATE_S, 0.25 * period_s)
+    assert abs(np.mean(ages_s[-100:]) - wanted_s) < 0.05 * period_s
+    assert node.answer.call_count == len(ages_s)
 
 
 def test_stray_state_of_another_clock_does_not_end_the_controller(
