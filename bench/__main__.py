@@ -13,6 +13,7 @@ import platform
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Mapping
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
@@ -70,13 +71,21 @@ def main() -> None:
     if unknown := set(options.names) - set(MODULES):
         parser.error(f'{", ".join(unknown)}: there are {", ".join(MODULES)}')
     last: dict[str, Mapping[str, Any]] = json.loads(LAST.read_text()) if LAST.exists() else {}
+    failed: list[str] = []
     for name in options.names or MODULES:
-        last[name] = run(name, options.quick)
+        try:
+            last[name] = run(name, options.quick)
+        except Exception:
+            # The others are still worth their minutes.
+            traceback.print_exc()
+            failed.append(name)
         if not options.quick:
             LAST.parent.mkdir(exist_ok=True)
             LAST.write_text(json.dumps(last, indent=1))
     if not options.quick:
         print(write_page({name: last[name] for name in MODULES if name in last}, ROOT / 'doc'))
+    if failed:
+        sys.exit(f'failed: {", ".join(failed)}')
 
 
 if __name__ == '__main__':
