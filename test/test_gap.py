@@ -15,6 +15,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap import check
 from asi_analysis.gap.check import score
 from asi_analysis.gap.diagnose import diagnose, document, plain
+from asi_analysis.gap.prepare import prepare
 from asi_analysis.run import Run
 
 TEXTBOOK = {'load.type': 'spring', 'valve_hysteresis.model': 'off',
@@ -109,6 +110,20 @@ def test_velocity_in_another_unit_is_said():
     with pytest.warns(UserWarning, match='velocity is not the derivative of position'):
         diagnosis = diagnose([dataclasses.replace(run, velocity_m_s=-run.velocity_m_s)], TEXTBOOK)
     assert any('velocity' in note for note in diagnosis.notes)
+
+
+def test_repeated_runs_show_the_noise():
+    run = recorded()
+    rng = np.random.default_rng(8)
+    hum = [5.0 * np.sin(6.0 * run.time_s + phase) for phase in rng.uniform(0.0, 2.0 * np.pi, 2)]
+    repeats = [dataclasses.replace(run, force_n=run.force_n + each) for each in hum]
+    alone = prepare(repeats[:1])[0].noise['force']
+    assert alone == pytest.approx(1.0, rel=0.1)   # white noise alone
+    level = np.std(hum[0] - hum[1]) / np.sqrt(2.0)
+    for recording in prepare(repeats):
+        assert recording.noise['force'] == pytest.approx(level, rel=0.1)
+    other = dataclasses.replace(repeats[1], command_n=1.01 * run.command_n)
+    assert prepare([repeats[0], other])[0].noise['force'] == alone
 
 
 def test_clipped_and_constant_signals_are_said_and_left_out():

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ LOWEST_BAND_HZ = 20.0
 # A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
 RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
+REPEATED = 1e-6         # of its range: how far commands that are the same may differ
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
 SHARED = 0.3            # a signal with fewer values than this share of its samples comes in steps
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
@@ -287,4 +288,31 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},
             fit=fit, held_out=held))
-    return recordings
+    return _with_repeats(recordings)
+
+
+def _with_repeats(recordings: list[Recording]) -> list[Recording]:
+    """
+    Return recordings whose noise is at least that which runs with the same command show.
+
+    What differs between them no model can tell, slow noise too; each has its share of it.
+    """
+    noisier = list(recordings)
+    for i, first in enumerate(recordings):
+        for second in recordings[:i]:
+            if not _same_command(first, second):
+                continue
+            kept = (first.fit | first.held_out) & (second.fit | second.held_out)
+            for name in ('force', 'valve_position', 'velocity'):
+                one, other = getattr(first, name), getattr(second, name)
+                if one is not None and other is not None:
+                    level = float(np.std((one - other)[kept])) / math.sqrt(2.0)
+                    noisier = [replace(r, noise=r.noise | {name: max(r.noise[name], level)})
+                               if name in r.noise else r for r in noisier]
+    return noisier
+
+
+def _same_command(first: Recording, second: Recording) -> bool:
+    a, b = first.command, second.command
+    return (a is not None and b is not None and a.size == b.size
+            and bool(np.abs(a - b).max() <= REPEATED * np.ptp(a)))
