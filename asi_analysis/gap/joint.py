@@ -31,6 +31,7 @@ SERVO_SHARE = 0.1   # of the motion: a servo that follows better is not where th
 BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of the dynamics
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
+QUASI_STATIC = 0.05 # share of the force below which the mass shows nothing
 TYPICAL = 0.3       # share of the force that mass or damper may take and hide behind friction
 
 
@@ -71,7 +72,24 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     sensed = all(run.force_n is not None for run in runs)
-    return [*groups, _mechanics(recordings, given, tolerance, sensed)], notes
+    return [*groups, _telling(_mechanics(recordings, given, tolerance, sensed))], notes
+
+
+def _telling(group: Group) -> Group:
+    """
+    Return a group without the compliance of a load that is moved so slowly that no mass shows.
+
+    What is behind a compliance cannot show then either; it would pass for friction.
+    """
+    mass = float(group.nominal['load_mass'])
+    for recording in group.recordings:
+        motion, force = recording.motion, recording.force_judged
+        assert motion is not None and force is not None
+        moved = np.gradient(motion.velocity, recording.period_s)
+        if mass * float(moved.std()) > QUASI_STATIC * float(force.std()):
+            return group
+    return replace(group, effects=tuple(effect for effect in group.effects
+                                        if effect.name != 'load_compliance'))
 
 
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool) -> Group:
