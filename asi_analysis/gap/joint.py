@@ -158,7 +158,9 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
                     'sensor_drift_curve'}
     low, high = (share * travel for share in BRISTLE)
     wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
-             'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force')}
+             'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
+             # Slower than that is no force sensor, but a load that gives way.
+             'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
 
     def kept(variant: Variant) -> bool:
         fields = {free.field for free in variant.free}
