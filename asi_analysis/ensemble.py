@@ -23,6 +23,7 @@ from asi_analysis.calibration import (
     Problem,
     decode,
     encode,
+    one_sided,
     position,
     quantities,
 )
@@ -40,6 +41,8 @@ LEAST_DISTANCE: Final = 0.1
 FIRST_REACH: Final = 0.5
 # Draws that are measured side by side; the reach follows them together.
 GENERATION: Final = 8
+# Points that are drawn for each of these, most of which the slopes rule out.
+DRAWS: Final = 4096
 # The actuator's parameters: the conditions of the experiments stay.
 PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
                         if not free.name.startswith('conditions'))
@@ -118,20 +121,29 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     _, sizes, directions = np.linalg.svd(found)
     stiffness = np.zeros(point.size)
     stiffness[:sizes.size] = sizes
-    needed = _met(problem.measure(point))
+    at_best = problem.measure(point)
+    needed, here = _met(at_best), _positions(at_best)
+    two_sided = np.array([not one_sided(fact) for fact in AIMS])
     kept: list[tuple[Array, Member]] = []
     reach, tried = FIRST_REACH, 0
     while len(kept) < count and tried < most:
         report(f'{len(kept)} of {count} members', tried / most)
         # A direction of stiffness s moves some row by s; none moves by more than the box allows.
-        along = (random.normal(size=(min(GENERATION, most - tried), point.size))
+        along = (random.normal(size=(DRAWS, point.size))
                  / np.hypot(stiffness / reach, 1.0 / 0.3))
         drawn = np.clip(point + along @ directions, 0.0, 1.0)
+        # Only those that should meet all rows, were these straight, are worth the measurement.
+        expected = here + (drawn - point) @ found.T
+        inside = (expected <= 1.0) & ((expected >= -1.0) | ~two_sided)
+        drawn = drawn[inside.all(axis=1)][:min(GENERATION, most - tried)]
+        if not len(drawn):
+            reach *= 0.8
+            continue
         tried += len(drawn)
         for one, measured in zip(drawn, each(_measured, ((problem, one) for one in drawn)),
                                  strict=True):
             met = _met(measured)
-            reach *= 1.1 if met >= needed else 0.97
+            reach *= 1.1 if met >= needed else 0.95
             near = any(np.abs(one - other).max() < LEAST_DISTANCE for other, _ in kept)
             if met >= needed and not near and len(kept) < count:
                 whole = decode(problem.whole(one))
