@@ -37,8 +37,9 @@ Report = Callable[[str, float | None], None]
 SLOPE_STEP: Final = 0.02
 # Members differ from each other by at least this share of the range of some parameter.
 LEAST_DISTANCE: Final = 0.1
-# First reach of the draws, in half widths of the rows; it follows the share that is kept.
-FIRST_REACH: Final = 0.5
+# First reach of the draws, in half widths of the rows; it falls when a draw misses a row, and
+# grows when one is too near to another.
+FIRST_REACH: Final = 0.1
 # Draws that are measured side by side; the reach follows them together.
 GENERATION: Final = 8
 # Points that are drawn for each of these, most of which the slopes rule out.
@@ -143,9 +144,12 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
         for one, measured in zip(drawn, each(_measured, ((problem, one) for one in drawn)),
                                  strict=True):
             met = _met(measured)
-            reach *= 1.1 if met >= needed else 0.95
             near = any(np.abs(one - other).max() < LEAST_DISTANCE for other, _ in kept)
-            if met >= needed and not near and len(kept) < count:
+            if met < needed:
+                reach *= 0.98
+            elif near:
+                reach *= 1.1
+            elif len(kept) < count:
                 whole = decode(problem.whole(one))
                 kept.append((one, Member({FREE[k].name: whole[FREE[k].name]
                                           for k in problem.free}, met)))
