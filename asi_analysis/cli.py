@@ -550,7 +550,7 @@ def calibrate(
 @command('ensemble', 'asi ensemble --count 20')
 def ensemble(
     count: Annotated[int, typer.Option(help='Members wanted')] = 20,
-    most: Annotated[int, typer.Option(help='Candidates to try at most')] = 1000,
+    most: Annotated[int, typer.Option(help='Candidates to try at most')] = 1500,
     seed: Annotated[int, typer.Option(help='Seed of the draws')] = 1,
     out: Annotated[Path, typer.Option(help='Directory of the members')] = Path('config/ensemble'),
     pictures: Annotated[Path, typer.Option(
