@@ -28,6 +28,7 @@ MORE_MB: Final = 10.0
 MORE_FILES: Final = 2
 MORE_THREADS: Final = 1
 LOOK_S: Final = 0.5
+FEWEST_LOOKS: Final = 6
 
 
 class Leg(NamedTuple):
@@ -117,7 +118,9 @@ def _soak(rig: Rig, tally: Tally, leg: Leg, end: float,
     until(lambda: ticks() > 1000, 'the loop')
     task = progress and progress.add_task(leg.mode, total=leg.duration_s or None)
     uses: dict[str, list[Use]] = {name: [] for name in nodes}
-    while all(map(is_alive, nodes.values())) and time.monotonic() < end:
+    # A few looks at least, however little time is left.
+    while all(map(is_alive, nodes.values())) and (
+            time.monotonic() < end or len(uses['actuator']) < FEWEST_LOOKS):
         loop_s = ticks() / leg.rate_hz
         for name, node in nodes.items():
             if not uses[name] or loop_s > uses[name][-1].loop_s:
