@@ -200,6 +200,8 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('load.frequency', 0.0, 'Hz', 'Frequency of the prescribed motion; 0: constant',
               0.0, 1000.0),
     Parameter('load.external_force', 0.0, 'N', 'Push from outside on the piston', -1e5, 1e5),
+    Parameter('load.external_force_end', 0.0, 's', 'Time at which the push lets go; 0: never',
+              0.0, 1e5),
 
     _model('force_sensor', 'linear_gain, no dynamics', 'no dynamics'),
     Parameter('force_sensor.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',

@@ -56,6 +56,8 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('reference.offset', 0.0, 'N', 'Force about which the signal moves', -1e4, 1e4),
     Parameter('reference.start', 0.05, 's', 'Rest at the offset before the signal begins',
               0.0, 1e4),
+    Parameter('reference.end', 0.0, 's', 'Time from its start at which the signal ends, at the '
+              'offset; 0: never', 0.0, 1e5),
     Parameter('reference.duration', 1.0, 's', "Time of the ramp; time of the chirp's sweep",
               1e-3, 1e5),
     Parameter('reference.frequency', 1.0, 'Hz',

@@ -67,6 +67,8 @@ def reference_force(time, r):
     if t < -1e-9:
         return r.reference_offset
     t = max(t, 0.0)
+    if 0.0 < r.reference_end <= t + 1e-9:
+        return r.reference_offset
     shape = int(r.reference_shape)
     value = 0.0
     if shape == STEP:

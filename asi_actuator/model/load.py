@@ -39,6 +39,13 @@ def prescribed_velocity(time_s, p):
     return p.load_velocity * math.sin(2.0 * math.pi * p.load_frequency * time_s)
 
 
+@jit
+def external_force(time_s, p):
+    """Return the push from outside (N) at a time (s)."""
+    lasts = p.load_external_force_end == 0.0 or time_s < p.load_external_force_end - 1e-9
+    return p.load_external_force if lasts else 0.0
+
+
 @inlined
 def felt_force(state, p):
     """
@@ -55,7 +62,7 @@ def felt_force(state, p):
         inertia = p.load_mass * p.load_velocity * w * math.cos(w * state.time)
     else:
         stiffness, damper = load_spring(p)
-        inertia = (transmitted + p.load_external_force - stiffness * state.position
+        inertia = (transmitted + external_force(state.time, p) - stiffness * state.position
                    - damper * state.velocity)
     return transmitted - p.force_sensor_mass_share * inertia
 
@@ -80,7 +87,7 @@ def load(state, static_before, static_after, opening, fluid, p, h):
     velocity = (state.velocity + state.velocity_change if moves
                 else prescribed_velocity(state.time + h, p))
     # Half of the forces at the start, and what the spring holds there.
-    begin = (p.load_external_force - stiffness * state.position
+    begin = (external_force(state.time, p) - stiffness * state.position
              + 0.5 * (state.hydraulic_force - state.friction_force))
     low, high = -math.inf, math.inf
     change = 0.0

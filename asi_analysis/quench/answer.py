@@ -76,11 +76,12 @@ def as_text(document: dict[str, Any]) -> str:
     for worst in document['worst'][:3]:
         if not worst['sustained']:
             continue
-        c = worst['condition']
+        c, r = worst['condition'], worst['condition']['reference']
         size = worst['amplitude_n']
         lines.append(f'  {"unbounded" if size is None else f"{size:.3g} N"} at '
                      f'{c["rate_hz"]:g} Hz control, load {c["actuator"]["load.type"]}, '
-                     f'{c["shape"]} of {c["amplitude_n"]:.0f} N about {c["offset_n"]:.0f} N')
+                     f'{r["reference.shape"]} of {r["reference.amplitude"]:.0f} N about '
+                     f'{r["reference.offset"]:.0f} N')
     lines += [f'over ROS: {row["bag"]}: {row["verdict"]}'
               + (f', {row["amplitude_n"]:.3g} N at {row["frequency_hz"]:.4g} Hz'
                  if row['amplitude_n'] is not None else '') for row in document['replayed']]

@@ -1,8 +1,9 @@
 """
 A search for conditions under which a compensator's loop cycles: random, then guided.
 
-References, initial states, loads, pushes, parameter errors of ±20 % and control rates. Every
-condition excites the loop and then leaves it alone; what swings on after that is sustained.
+References, loads, pushes that let go (so that the motion begins off its rest), parameter errors
+of ±20 % and control rates. Every condition excites the loop and then leaves it alone; what swings
+on after that is sustained. A condition is nothing but parameters, so that it can be run over ROS.
 """
 
 import math
@@ -18,7 +19,6 @@ from asi_analysis.closed_loop import close_many, loops_of
 from asi_analysis.parallel import each
 from asi_analysis.prediction.simulation import Values
 from asi_controller.parameters import REFERENCE_PARAMETERS
-from asi_controller.reference import STEP
 
 Report = Callable[[str, float | None], None]
 
@@ -54,7 +54,7 @@ class Condition(NamedTuple):
     numbers: Mapping[str, float]
 
     def settings(self, rates_hz: tuple[float, ...]) -> dict[str, Any]:
-        """Return what the numbers mean: actuator, reference, kick, push and rate."""
+        """Return what the numbers mean: parameters of actuator and reference, control rate."""
         n = self.numbers
         table = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
         actuator: dict[str, Value] = {}
@@ -66,14 +66,21 @@ class Condition(NamedTuple):
         if actuator['load.type'] != 'locked':
             actuator['load.mass'] = 0.3 * 30.0 ** n['mass']
             actuator['load.stiffness'] = 1e4 * 50.0 ** n['stiffness']
-        return {'actuator': actuator, 'rate_hz': _choice(rates_hz, n['rate']),
-                'shape': _choice(SHAPES, n['shape']), 'amplitude_n': 900.0 * n['amplitude'] ** 2,
-                'offset_n': 800.0 * (n['offset'] - 0.5), 'frequency_hz': 3.0 * 60.0 ** n['speed'],
-                'kick_m': 1e-4 * (n['kick'] - 0.5), 'push_n': 600.0 * (n['push'] - 0.5)}
+        actuator['load.external_force'] = 900.0 * (n['push'] - 0.5)
+        actuator['load.external_force_end'] = EXCITED_S
+        frequency = 3.0 * 60.0 ** n['speed']
+        reference: dict[str, Value] = {
+            'reference.shape': _choice(SHAPES, n['shape']), 'reference.start': 0.0,
+            'reference.amplitude': 900.0 * n['amplitude'] ** 2,
+            'reference.offset': 800.0 * (n['offset'] - 0.5), 'reference.frequency': frequency,
+            'reference.end_frequency': 2.0 * frequency, 'reference.duration': EXCITED_S,
+            'reference.end': EXCITED_S}
+        return {'actuator': actuator, 'reference': reference,
+                'rate_hz': _choice(rates_hz, n['rate'])}
 
 
 NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitude', 'offset',
-                'speed', 'kick', 'push')
+                'speed', 'push')
 
 
 class Trial(NamedTuple):
@@ -107,19 +114,13 @@ def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Val
     names = {parameter.name for parameter in REFERENCE_PARAMETERS}
     gains = {k: v for k, v in controller.items() if k not in names}
     loops = loops_of(
-        [{**actuator, **s['actuator'], 'load.external_force': s['push_n']} for s in settings],
-        [{**gains, 'reference.shape': s['shape'], 'reference.start': 0.0,
-          'reference.amplitude': s['amplitude_n'], 'reference.offset': s['offset_n'],
-          'reference.frequency': s['frequency_hz'],
-          'reference.end_frequency': 2.0 * s['frequency_hz'],
-          'reference.duration': EXCITED_S} for s in settings], rate)
-    loops.states['position'] = [s['kick_m'] for s in settings]
-    close_many(loops, EXCITED_S, 0.0)
-    loops.plants['load_external_force'] = 0.0
-    loops.references['reference_shape'] = STEP
-    loops.references['reference_amplitude'] = 0.0
+        [{**actuator, **s['actuator']} for s in settings],
+        [{**gains, **s['reference']} for s in settings], rate)
     kept = 2 * int(WATCHED_S * rate) / rate
-    found = [_left(force, rate) for force in close_many(loops, LEFT_ALONE_S, kept)[:, 2]]
+    found = [_left(force, rate)
+             for force in close_many(loops, EXCITED_S + LEFT_ALONE_S, kept)[:, 2]]
+    # The next run counts its time from 0 again: the reference must not begin once more.
+    loops.references['reference_amplitude'] = 0.0
     # A slow ring could look like it for so short a time: watched for long.
     doubtful = np.array([k for k, (swing, lasts, _) in enumerate(found)
                          if lasts and math.isfinite(swing)], np.intp)

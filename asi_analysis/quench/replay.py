@@ -18,24 +18,19 @@ def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
            rates_hz: tuple[float, ...], out: Path, report: Progress = lambda *_: None
            ) -> list[dict[str, Any]]:
     """
-    Return bag and verdict of each trial.
+    Return bag and verdict of each trial, under the same condition: the same parameters.
 
-    The reference is a chirp of the condition's size, which ends by itself; the kick and the push
-    of the condition have no counterpart over ROS and are left out.
+    The verdict is on what is left when reference and push have ended.
     """
     rows = []
     for number, trial in enumerate(trials):
         s = trial.condition.settings(rates_hz)
-        bag = run_experiment(checked(Experiment(
-            {**actuator, **s['actuator']},
-            {**controller, 'reference.shape': 'chirp', 'reference.start': 0.0,
-             'reference.amplitude': s['amplitude_n'], 'reference.offset': s['offset_n'],
-             'reference.frequency': s['frequency_hz'],
-             'reference.end_frequency': 2.0 * s['frequency_hz'],
-             'reference.duration': EXCITED_S},
-            EXCITED_S + LEFT_ALONE_S, 'lockstep', s['rate_hz'])), out / f'worst_{number + 1}',
-            report)
-        last = judge_run(read_bag(bag))[-1]
+        experiment = checked(Experiment(
+            {**actuator, **s['actuator']}, {**controller, **s['reference']},
+            EXCITED_S + LEFT_ALONE_S, 'lockstep', s['rate_hz']))
+        bag = run_experiment(experiment, out / f'worst_{number + 1}', report)
+        run = read_bag(bag)
+        last = judge_run(run.between(EXCITED_S, run.time_s[-1] + run.period_s))[-1]
         found = last.verdict in ('limit_cycle', 'saturating', 'growing', 'unsteady')
         rows.append({'bag': str(bag), 'verdict': last.verdict, 'confidence': last.confidence,
                      'amplitude_n': last.amplitude if found else None,
