@@ -2,7 +2,8 @@
 The weights of the attribution by shape, from simulated loops, and how well they do on others.
 
 `python -m asi_analysis.attribution.calibration COUNT` makes shape_weights.json anew: COUNT loops
-of each cause to learn from, two fifths as many to judge by.
+of each cause of the world 'learn' to learn from; of the world 'judge', whose equations are others
+(`loops.py`), a fifth as many to find out how much less sure to be, and a fifth to judge by.
 """
 
 import json
@@ -19,22 +20,24 @@ from asi_analysis.attribution.shape import FEATURES, shape
 from asi_analysis.errors import InputError
 
 Array = npt.NDArray[np.float64]
+Causes = npt.NDArray[np.int64]
 
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
 # Strength of the prior that keeps weights small, in loops.
-RIDGE: Final = 2.0
+RIDGE: Final = 20.0
 # Percentile of the distance from the centre of all examples beyond which a record is strange.
-USUAL: Final = 95.0
+USUAL: Final = 99.0
+SURE: Final = 0.8
 
 
-def examples(count: int, seed: int) -> tuple[Array, npt.NDArray[np.int64]]:
+def examples(world: str, count: int, seed: int) -> tuple[Array, Causes]:
     """Return features (n x features) and causes (indices) of `count` loops of each cause."""
-    random = np.random.default_rng(seed)
     rows, causes = [], []
     for number, cause in enumerate(CAUSES):
+        random = np.random.default_rng([seed, number])
         made = 0
         while made < count:
-            run = loop(cause, random)
+            run = loop(cause, random, world)
             if run is None:
                 continue
             assert run.command_n is not None and run.force_n is not None
@@ -59,7 +62,7 @@ def softmax(scores: Array) -> Array:
     return relative / relative.sum(1, keepdims=True)
 
 
-def learn(features: Array, causes: npt.NDArray[np.int64]) -> dict[str, Any]:
+def learn(features: Array, causes: Causes) -> dict[str, Any]:
     """Return centre, scale and weights of the logistic regression."""
     centre, scale = features.mean(0), features.std(0) + 1e-9
     x = expanded(features, centre, scale)
@@ -76,11 +79,20 @@ def learn(features: Array, causes: npt.NDArray[np.int64]) -> dict[str, Any]:
 
     found = optimize.minimize(loss, np.zeros(x.shape[1] * len(CAUSES)), jac=True,
                               method='L-BFGS-B', options={'maxiter': 2000})
-    relative = (features - centre) / scale
+    relative = np.clip((features - centre) / scale, -5.0, 5.0)
     return {'features': list(FEATURES), 'causes': list(CAUSES), 'centre': centre.tolist(),
-            'scale': scale.tolist(),
+            'scale': scale.tolist(), 'temperature': 1.0,
             'usual_size': float(np.percentile(np.linalg.norm(relative, axis=1), USUAL)),
             'weights': found.x.reshape(x.shape[1], len(CAUSES)).tolist()}
+
+
+def temperature(features: Array, causes: Causes, learnt: dict[str, Any]) -> float:
+    """Return by how much to divide the scores, so that probabilities mean what they say."""
+    def loss(value: float) -> float:
+        p = probabilities(features, learnt | {'temperature': value})
+        return -float(np.log(np.maximum(p[np.arange(len(p)), causes], 1e-12)).mean())
+
+    return float(optimize.minimize_scalar(loss, bounds=(0.5, 5.0), method='bounded').x)
 
 
 def probabilities(features: Array, learnt: dict[str, Any]) -> Array:
@@ -90,31 +102,35 @@ def probabilities(features: Array, learnt: dict[str, Any]) -> Array:
     The further a record is from all that was learnt from, the more even they become.
     """
     centre, scale = np.array(learnt['centre']), np.array(learnt['scale'])
-    known = softmax(expanded(features, centre, scale) @ np.array(learnt['weights']))
-    size = np.linalg.norm((np.atleast_2d(features) - centre) / scale, axis=1, keepdims=True)
+    scores = expanded(features, centre, scale) @ np.array(learnt['weights'])
+    known = softmax(scores / learnt['temperature'])
+    relative = np.clip((np.atleast_2d(features) - centre) / scale, -5.0, 5.0)
+    size = np.linalg.norm(relative, axis=1, keepdims=True)
     strange = np.clip(size / learnt['usual_size'] - 1.0, 0.0, 1.0)
     return (1.0 - strange) * known + strange / len(CAUSES)
 
 
-def judged(features: Array, causes: npt.NDArray[np.int64], learnt: dict[str, Any]
-           ) -> dict[str, Any]:
+def judged(features: Array, causes: Causes, learnt: dict[str, Any]) -> dict[str, Any]:
     """Return how often the most probable cause is right, and what stated probabilities mean."""
     p = probabilities(features, learnt)
     best = p.argmax(1)
-    sure = p.max(1) > 0.9
+    sure = p.max(1) > SURE
     confusion = np.zeros((len(CAUSES), len(CAUSES)), int)
     np.add.at(confusion, (causes, best), 1)
     return {'right': float((best == causes).mean()), 'sure': float(sure.mean()),
             'right_when_sure': float((best == causes)[sure].mean()) if sure.any() else None,
             'mean_probability': float(p.max(1).mean()),
+            'mean_probability_when_sure': float(p.max(1)[sure].mean()) if sure.any() else None,
             'confusion': confusion.tolist()}
 
 
 def main() -> None:
     """Learn, judge, write."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    learnt = learn(*examples(count, 1))
-    learnt['judged_on_others'] = judged(*examples(max(2 * count // 5, 10), 2), learnt)
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    learnt = learn(*examples('learn', count, 1))
+    few = max(count // 5, 10)
+    learnt['temperature'] = temperature(*examples('judge', few, 2), learnt)
+    learnt['judged_on_others'] = judged(*examples('judge', few, 3), learnt)
     WEIGHTS.write_text(json.dumps(learnt, indent=1) + '\n')
     print(json.dumps(learnt['judged_on_others'], indent=1))
 

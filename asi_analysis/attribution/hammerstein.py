@@ -17,36 +17,37 @@ from asi_analysis.attribution import valves
 
 Array = npt.NDArray[np.float64]
 
-WIDTHS: Final = (0.08, 0.16, 0.26, 0.38, 0.5, 0.62, 0.74, 0.84, 0.92)
-# A valve that slips to `slip` times its width passes a swing of (1 + slip) widths or more: these
-# are shares of the largest width that the swing of the command moves.
-STUCK: Final = (0.3, 0.5, 0.65, 0.78, 0.88, 0.95)
-SLIPS: Final = (0.0, 0.2, 0.4, 0.6, 0.75)
+WIDTHS: Final = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
+# Of a valve that sticks: its leap as a share of its band, and its band as a share of the widest
+# that the command's swing still moves.
+LEAPS: Final = (0.15, 0.4, 0.7, 1.0)
+BANDS: Final = (0.25, 0.45, 0.65, 0.82, 0.95)
 # Cycles at the begin that do not count: the valve's position there is not known.
 UNKNOWN: Final = 1.3
 CLIPS: Final = (0.85, 0.7, 0.5, 0.3)
 # Lags in cycles; the last is an integrator in all but name.
-LAGS: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 1.0, 5.0)
+LAGS: Final = (0.0, 0.03, 0.08, 0.2, 0.6, 5.0)
 LONGEST_DELAY: Final = 0.45      # cycles
-DELAYS: Final = 18
-SAMPLES_A_CYCLE: Final = 40
+DELAYS: Final = 14
 
 
 class Explanation(NamedTuple):
     """
     The best of one kind of valve: share of the output's power that it leaves unexplained.
 
-    width: in the unit of the command; slip: dynamic over static friction; lag and delay in cycles.
+    width: in the unit of the command; leap: as a share of it; lag and delay in cycles; residual:
+    what it leaves of the output from sample `start` on.
     """
 
     kind: str
     unexplained: float
     width: float
-    slip: float
+    leap: float
     lag: float
     delay: float
     gain: float
     residual: Array
+    start: int
 
 
 def around(values: Array, cycle: float) -> Array:
@@ -59,17 +60,16 @@ def around(values: Array, cycle: float) -> Array:
 def _candidates(command: Array, first: int) -> list[tuple[str, float, float, Array]]:
     # Without the extremes of noise.
     half = 0.5 * float(np.subtract(*np.percentile(command, [98.5, 1.5])))
-    found = [('linear', 0.0, 1.0, command)]
-    for slip in SLIPS:
-        for share in STUCK:
-            width = share * 2.0 * half / (1.0 + slip)
-            found.append(('stiction', width, slip,
-                          valves.stick(command, width, slip * width, first)))
+    found = [('linear', 0.0, 0.0, command)]
+    for leap in LEAPS:
+        for share in BANDS:
+            band = share * 2.0 * half
+            found.append(('stiction', band, leap, valves.stick(command, band, leap * band, first)))
     for share in WIDTHS:
         width = share * half
-        found.append(('backlash', width, 1.0, valves.stick(command, width, width, first)))
-        found.append(('hysteresis', width, 1.0, valves.hysteresis(command, width, first)))
-    found += [('saturation', share * half, 1.0, valves.clip(command, share)) for share in CLIPS]
+        found.append(('backlash', width, 0.0, valves.play(command, width, first)))
+        found.append(('hysteresis', width, 0.0, valves.hysteresis(command, width, first)))
+    found += [('saturation', share * half, 0.0, valves.clip(command, share)) for share in CLIPS]
     return found
 
 
@@ -82,25 +82,25 @@ def explain(command: Array, output: Array, cycle: float) -> dict[str, Explanatio
     target = around(output, cycle)
     skip = int(UNKNOWN * cycle)
     shifts = np.unique(np.round(np.linspace(0.0, LONGEST_DELAY * cycle, DELAYS)).astype(int))
+    # Every delay is the same stretch of the valve seen against a later stretch of the output.
+    length = len(target) - skip - int(shifts[-1])
+    seen = np.array([target[skip + shift:skip + shift + length] for shift in shifts])
+    total = (seen * seen).sum(1)
     best: dict[str, Explanation] = {}
-    for kind, width, slip, valve in _candidates(command, skip):
-        if np.ptp(valve[skip:]) == 0.0:
-            continue
-        lagged = np.array([_lag(valve - valve.mean(), lag * cycle) for lag in LAGS])
-        lagged = around(lagged, cycle)
-        for lag, driven in zip(LAGS, lagged, strict=True):
-            for shift in shifts:
-                part = driven[skip:len(driven) - shift]
-                seen = target[skip + shift:]
-                power = float(part @ part)
-                if power <= 0.0:
-                    continue
-                gain = float(part @ seen) / power
-                total = float(seen @ seen)
-                unexplained = 1.0 - gain * gain * power / total
-                if kind not in best or unexplained < best[kind].unexplained:
-                    best[kind] = Explanation(kind, unexplained, width, slip, lag,
-                                             shift / cycle, gain, seen - gain * part)
+    candidates = [each for each in _candidates(command, skip) if np.ptp(each[3][skip:]) > 0.0]
+    # What is slow is taken off before the lag: of a lag of many cycles little else were left.
+    valves_moving = around(np.array([each[3] for each in candidates]), cycle)
+    for (kind, width, leap, _), moving in zip(candidates, valves_moving, strict=True):
+        driven = np.array([_lag(moving, lag * cycle) for lag in LAGS])[:, skip:skip + length]
+        power = np.maximum((driven * driven).sum(1), 1e-300)[:, None]
+        product = driven @ seen.T
+        unexplained = 1.0 - product * product / power / total
+        i, j = np.unravel_index(np.argmin(unexplained), unexplained.shape)
+        if kind not in best or unexplained[i, j] < best[kind].unexplained:
+            gain = float(product[i, j] / power[i, 0])
+            best[kind] = Explanation(kind, float(unexplained[i, j]), width, leap, LAGS[i],
+                                     shifts[j] / cycle, gain, seen[j] - gain * driven[i],
+                                     skip + int(shifts[j]))
     return best
 
 

@@ -1,4 +1,16 @@
-"""Simulated control loops with a known fault: what the attribution by shape is calibrated on."""
+"""
+Simulated control loops with a known fault: what the attribution by shape is learnt from.
+
+Two worlds with different equations, so that what is learnt in one can be judged in the other.
+'learn': first-order processes with a lag and a delay or an integrator, PI; the valve of Choudhury
+and Kano, the play, the sum of plays, a valve that ends softly. 'judge': processes of third order,
+also with inverse response, PID; the valve of He with a friction that scatters and a stem that
+takes its time, a soft play, the hysteresis of Duhem (Coleman and Hodgdon), a valve that ends
+before its command.
+
+The fault is the cause by construction: without noise the loop swings with it and comes to rest
+without it. A period of the controller is the unit of time, a valve's stroke of 1 its fault.
+"""
 
 from typing import Final, NamedTuple
 
@@ -6,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.jit import jit
+from asi_analysis.attribution.shape import standing_frequency
 from asi_analysis.run import Run
 
 Array = npt.NDArray[np.float64]
@@ -13,170 +26,322 @@ Random = np.random.Generator
 
 CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuning',
                  'disturbance')
+WORLDS: Final = ('learn', 'judge')
+# A swing that others find at its own frequency, within this factor, can be seen.
+VISIBLE: Final = 1.5
+# Steps of the simulation for one of the controller.
+SUBSTEPS: Final = 4
+# Numbers by which the compiled loop knows a valve.
+LINEAR, KANO, PLAY, PLAYS, HE, SOFT_PLAY, DUHEM, SHORT, SOFT_END = range(9)
+VALVES: Final = {
+    'learn': {'stiction': KANO, 'backlash': PLAY, 'hysteresis': PLAYS, 'saturation': SOFT_END},
+    'judge': {'stiction': HE, 'backlash': SOFT_PLAY, 'hysteresis': DUHEM,
+              'saturation': SHORT}}
 
 
 class Plant(NamedTuple):
-    """A process (gain 1) and a PI controller: times in s, the lag infinite for an integrator."""
+    """
+    A process of gain 1 and its controller; times in periods of the controller.
 
-    lag: float
-    second_lag: float
+    lags: three, of which the first is that of an integrator if it integrates; inverse: time of a
+    zero in the right half plane; derivative and filter time of the controller's input. A loop may
+    be the slave of another, an integrator of `tank` under PI control that moves its set point.
+    """
+
+    lags: tuple[float, float, float]
     delay: float
     integrating: bool
+    inverse: float
     gain: float
     integral: float
+    derivative: float
+    filter: float
+    tank: float = 0.0             # 0: no master
+    tank_gain: float = 0.0
+    tank_integral: float = 1.0
+
+
+class Valve(NamedTuple):
+    """kind, and what it means: stick band and leap, or width; scatter of it; lag of the stem."""
+
+    kind: int = LINEAR
+    band: float = 0.0
+    leap: float = 0.0
+    scatter: float = 0.0
+    lag: float = 0.0
 
 
 @jit
-def _loop(count, step, lag, second, delay, integrating, gain, integral, static, slip, limit,
-          disturbance, noise, command, output):
+def _moved(kind, u, before, state, band, leap):
+    """Return the valve's position; state: position, stopped at, direction, stuck, plays."""
+    if kind == 1:
+        lag = 0.5 * (band - leap)
+        if state[3] == 0.0 and state[2] * (u - before) <= 0.0:
+            state[3], state[1] = 1.0, before
+        if state[3] > 0.0:
+            push = state[2] * (u - state[1])
+            if push < -band:
+                state[2], state[3] = -state[2], 0.0
+            elif push > leap:
+                state[3] = 0.0
+        if state[3] == 0.0:
+            state[0] = u - state[2] * lag
+    elif kind == 2:
+        state[0] = min(max(state[0], u - 0.5 * band), u + 0.5 * band)
+    elif kind == 3:
+        total = 0.0
+        for i in range(6):
+            half = 0.5 * band * (i + 0.5) / 3.0
+            state[4 + i] = min(max(state[4 + i], u - half), u + half)
+            total += state[4 + i]
+        state[0] = total / 6.0
+    elif kind == 4:
+        push = u - state[0]
+        if abs(push) > 0.5 * (band + leap):
+            state[0] = u - np.sign(push) * 0.5 * (band - leap)
+    elif kind == 5:
+        push = u - state[0]
+        beyond = abs(push) - 0.5 * band
+        if beyond > 0.0:
+            state[0] += 0.6 * np.sign(push) * beyond
+    elif kind == 6:
+        du = u - before
+        state[0] += 2.0 / band * abs(du) * (u - state[0]) + 0.1 * du
+    elif kind == 7:
+        state[0] = min(max(u, -band), band)
+    elif kind == 8:
+        state[0] = band * np.tanh(u / band)
+    else:
+        state[0] = u
+    return state[0]
+
+
+@jit
+def _loop(kind, band, leap, scatter, stem, lags, delay, integrating, inverse, gain, integral,
+          derivative, filtering, tank, tank_gain, tank_integral, limit, start, reference, load,
+          noise, luck, command, output):
+    """Fill command and output, one value a period of the controller."""
+    step = 1.0 / 4
+    keep0, keep1, keep2 = np.exp(-step / lags[0]), np.exp(-step / lags[1]), np.exp(-step / lags[2])
+    smooth, stem_keep = np.exp(-1.0 / filtering), np.exp(-step / stem)
     ring = np.zeros(delay + 1)
-    first = total = 0.0
-    state = 3.0     # well off the set point, so that whatever can cycle begins to
-    positions = np.zeros(static.size)
-    for k in range(count):
-        measured = state + disturbance[k] + noise[k]
-        error = -measured
-        total += gain / integral * error * step
-        u = gain * error + total
+    state = np.zeros(10)
+    state[2] = 1.0
+    at = 0
+    x0, x1, x2, position, total = start, start, start, 0.0, 0.0
+    if integrating:
+        x1, x2 = 0.0, 0.0
+    filtered = before_error = 0.0
+    before = level = level_total = 0.0
+    now = band
+    for k in range(command.size):
+        measured = (x0 if integrating else x2 - inverse * (x1 - x2) / lags[2])
+        measured += noise[k]
+        filtered = smooth * filtered + (1.0 - smooth) * measured
+        wanted = reference[k]
+        if tank > 0.0:
+            level += measured / tank
+            level_total -= tank_gain / tank_integral * level
+            wanted += level_total - tank_gain * level
+        error = wanted - filtered
+        slope = error - before_error
+        before_error = error
+        total += gain / integral * error
+        u = gain * (error + derivative * slope) + total
         if abs(u) > limit:
-            total -= gain / integral * error * step
+            total -= gain / integral * error
             u = min(max(u, -limit), limit)
-        for i in range(static.size):
-            push = u - positions[i]
-            if abs(push) > static[i]:
-                positions[i] = u - np.sign(push) * slip * static[i]
-        ring[k % (delay + 1)] = positions.mean()
-        late = ring[(k + 1) % (delay + 1)]
-        first += step / second * (late - first)
-        if integrating:
-            state += step / lag * first
-        else:
-            state += step / lag * (first - state)
+        if scatter > 0.0 and np.sign(u - before) != state[2]:
+            state[2] = np.sign(u - before)
+            now = band * max(1.0 + scatter * luck[k], 0.3)
+        for _ in range(4):
+            position = (stem_keep * position
+                        + (1.0 - stem_keep) * _moved(kind, u, before, state, now, leap))
+            before = u
+            ring[at % (delay + 1)] = position + load[k]
+            at += 1
+            late = ring[at % (delay + 1)]
+            if integrating:
+                x2 = keep2 * x2 + (1.0 - keep2) * late
+                x1 = keep1 * x1 + (1.0 - keep1) * x2
+                x0 += step / lags[0] * (x1 - inverse * (x2 - x1) / lags[1])
+            else:
+                x0 = keep0 * x0 + (1.0 - keep0) * late
+                x1 = keep1 * x1 + (1.0 - keep1) * x0
+                x2 = keep2 * x2 + (1.0 - keep2) * x1
         command[k] = u
         output[k] = measured
 
 
-def _plant(random: Random, aggressive: float) -> Plant:
-    """Return a process with a delay and its PI controller: SIMC's rules times `aggressive`."""
-    lag = 10.0 ** random.uniform(-0.5, 1.5)
-    delay = lag * 10.0 ** random.uniform(-0.7, 0.4)
-    integrating = bool(random.random() < 0.3)
-    gain = aggressive * 0.5 * lag / delay
-    integral = (8.0 * delay if integrating else min(lag, 8.0 * delay)) * random.uniform(0.6, 1.6)
-    return Plant(lag, 0.1 * delay + 0.02 * lag, delay, integrating, gain, integral)
+class Weather(NamedTuple):
+    """What comes from outside, a number a period: set point, load, noise, luck of the valve."""
+
+    reference: Array
+    load: Array
+    noise: Array
+    luck: Array
 
 
-def simulate(plant: Plant, random: Random, static: Array, slip: float, limit: float,
-             disturbance_hz: float, noise: float, cycles_s: float, count: int) -> tuple[
-                 Array, Array, Array]:
-    """Return time, command and output of a loop after it has settled."""
-    step = min(plant.delay / 10.0, plant.second_lag / 3.0, cycles_s / 400.0)
-    total = int(2.0 * count * cycles_s / step)
-    t = np.arange(total) * step
-    # A load that no position reached by chance happens to balance.
-    disturbance = np.full(total, random.uniform(-2.0, 2.0))
-    if disturbance_hz > 0.0:
-        angle = 2.0 * np.pi * disturbance_hz * t
-        shape = random.integers(3)
-        wave = (np.sin(angle), np.sin(angle) + 0.3 * np.sin(2 * angle + 1.0),
-                np.tanh(3.0 * np.sin(angle)))[shape]
-        disturbance += wave * random.uniform(0.5, 1.5)
-    # Sensor noise, a new value every few steps, and a slow random walk of the load.
-    hold = max(1, int(cycles_s / step / 60.0))
-    hiss = np.repeat(random.standard_normal(total // hold + 1), hold)[:total] * noise
-    walk = np.cumsum(random.standard_normal(total)) * noise * np.sqrt(step / cycles_s) * 0.3
-    command, output = np.empty(total), np.empty(total)
-    _loop(total, step, plant.lag, plant.second_lag, max(int(plant.delay / step), 1),
-          plant.integrating, plant.gain, plant.integral, static, slip, limit,
-          disturbance + walk, hiss, command, output)
-    half = total // 2
-    return t[half:] - t[half], command[half:], output[half:]
+def run_loop(plant: Plant, valve: Valve, limit: float, weather: Weather, start: float = 3.0
+             ) -> tuple[Array, Array]:
+    """Return command and output of a loop, one sample a period of the controller."""
+    load = weather.load
+    command, output = np.empty(len(load)), np.empty(len(load))
+    _loop(valve.kind, valve.band, valve.leap, valve.scatter, max(valve.lag, 1e-3),
+          np.array(plant.lags), max(int(plant.delay * SUBSTEPS), 1), plant.integrating,
+          plant.inverse, plant.gain, plant.integral, plant.derivative, max(plant.filter, 1e-3),
+          plant.tank, plant.tank_gain, plant.tank_integral, limit, start, *weather, command,
+          output)
+    return command, output
 
 
-def loop(cause: str, random: Random) -> Run | None:
-    """Return a recording of a loop that oscillates for a known cause; None if it does not."""
-    aggressive = random.uniform(0.15, 0.9)
-    static: Array = np.zeros(1)
-    slip = 0.0
-    limit, disturbance_hz = 1e9, 0.0
-    noise = 10.0 ** random.uniform(-2.3, -0.9)
-    plant = _plant(random, aggressive)
+def still(plant: Plant, valve: Valve, limit: float, count: int) -> tuple[Array, Array]:
+    """Return command and output without noise, from well off the set point."""
+    none = np.zeros(count)
+    return run_loop(plant, valve, limit, Weather(none, none + 0.37, none, none))
+
+
+def _lasts(values: Array) -> bool:
+    """Return whether a record swings to its end: its last quarter as much as the one before."""
+    quarter = len(values) // 4
+    last, before = np.ptp(values[-quarter:]), np.ptp(values[-2 * quarter:-quarter])
+    return bool(np.isfinite(last) and last > 1e-4 and last > 0.9 * before)
+
+
+def ultimate_gain(plant: Plant, count: int) -> float:
+    """Return the gain at which the linear loop just does not come to rest."""
+    low, high = 1e-3, 1e3
+    for _ in range(24):
+        middle = float(np.sqrt(low * high))
+        _, y = still(plant._replace(gain=middle), Valve(), 1e12, count)
+        low, high = (low, middle) if not np.isfinite(y).all() or _lasts(y) else (middle, high)
+    return low
+
+
+def _plant(world: str, random: Random) -> Plant:
+    """Return a process and a controller whose gain is not set yet."""
+    delay = 10.0 ** random.uniform(-0.3, 1.4)
+    lag = delay * 10.0 ** random.uniform(-0.6, 1.2)
+    integrating = bool(random.random() < 0.35)
+    second = lag * random.uniform(0.02, 0.6) + 0.05
+    third = second * random.uniform(0.3, 1.0) if world == 'judge' else 0.05
+    inverse = second * random.uniform(0.2, 0.8) * (random.random() < 0.3) * (world == 'judge')
+    usual = 8.0 * delay if integrating else min(lag + second, 8.0 * delay)
+    integral = usual * 10.0 ** random.uniform(-0.5, 0.6)
+    derivative = random.uniform(0.1, 0.5) * delay * (world == 'judge') * (random.random() < 0.5)
+    return Plant((lag, second, third), delay, integrating, float(inverse), 1.0, integral,
+                 float(derivative), float(random.choice([0.0, 1.0, 3.0])) * (delay > 2.0))
+
+
+def _valve(world: str, cause: str, random: Random) -> Valve:
+    kind = VALVES[world].get(cause, LINEAR)
+    # More often than in the valve the end is in the controller, where it can be seen.
+    if cause == 'saturation' and random.random() < 0.6:
+        kind = LINEAR
     if cause == 'stiction':
-        static, slip = np.ones(1), random.uniform(0.0, 0.4)
-    elif cause in ('backlash', 'hysteresis'):
-        # Either lags only, so it cycles with two integrations in the loop, or nearly so.
-        static = np.ones(1) if cause == 'backlash' else np.linspace(1.0, 11.0, 6) / 6.0
-        slip = 1.0
-        plant = plant._replace(integrating=True,
-                               integral=plant.integral * random.uniform(0.15, 0.7))
-        if not 0.1 < phase_margin(plant) < 0.7:
+        return Valve(kind, 1.0, random.uniform(0.05, 1.0),
+                     0.2 * random.random() * (world == 'judge'),
+                     2.0 * random.random() * (world == 'judge'))
+    return Valve(kind, 1.0)
+
+
+def _outside(cause: str, period: float, count: int, random: Random) -> Array:
+    """Return the load that makes a loop swing from outside: of any regularity and shape."""
+    if cause != 'disturbance':
+        return np.zeros(count)
+    # A phase that wanders, by up to a quarter of a turn a period, and a size that does.
+    wander = 10.0 ** random.uniform(-3.0, -0.6)
+    angle = 2.0 * np.pi * (np.arange(count) / period
+                           + np.cumsum(random.standard_normal(count)) * wander / np.sqrt(period))
+    shape = random.integers(4)
+    wave = (np.sin(angle), np.sin(angle) + 0.4 * np.sin(2.0 * angle + 1.0),
+            np.tanh(random.uniform(1.0, 8.0) * np.sin(angle)), np.arcsin(0.98 * np.sin(angle))
+            )[shape]
+    size = np.exp(random.uniform(0.0, 0.6) * _drift(count, 3.0 * period, random))
+    return wave * size
+
+
+def _drift(count: int, time: float, random: Random) -> Array:
+    """Return noise of spread 1 through a lag of `time` samples."""
+    from scipy.signal import lfilter
+    keep = np.exp(-1.0 / time)
+    values = lfilter([np.sqrt(1.0 - keep * keep)], [1.0, -keep],
+                     random.standard_normal(count + int(4 * time)))
+    return values[-count:]
+
+
+def _mastered(plant: Plant, random: Random) -> Plant:
+    """Return the plant as the slave of a tank's level control, by SIMC's rules, roughly."""
+    slave = plant.delay + plant.lags[1] + plant.integral
+    slow = slave * random.uniform(1.5, 6.0)
+    tank = slow * 10.0 ** random.uniform(0.0, 1.0)
+    return plant._replace(tank=tank, tank_gain=random.uniform(0.3, 1.0) * tank / slow,
+                          tank_integral=slow * random.uniform(2.0, 8.0))
+
+
+def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
+    """Return a recording of a loop that oscillates for a known cause; None if it does not."""
+    plant, valve = _plant(world, random), _valve(world, cause, random)
+    horizon = min(int(60.0 * (plant.delay + plant.lags[1] + plant.integral)), 8000)
+    limit_gain = ultimate_gain(plant, horizon)
+    share = {'tight_tuning': 10.0 ** random.uniform(-0.1, -0.005),
+             'saturation': random.uniform(1.15, 3.0)}.get(cause, random.uniform(0.1, 0.65))
+    plant = plant._replace(gain=share * limit_gain)
+    limit = 1.0 if cause == 'saturation' and valve.kind == LINEAR else 1e9
+    if cause in ('stiction', 'backlash', 'hysteresis') and random.random() < 0.3 and (
+            not plant.integrating):
+        plant = _mastered(plant, random)
+        horizon = min(int(horizon + 30.0 * plant.tank_integral), 15_000)
+        if _lasts(still(plant, Valve(), limit, horizon)[1]):
             return None
-    elif cause == 'tight_tuning':
-        plant = _tuned(plant, 10.0 ** random.uniform(-0.07, -0.003))
-    elif cause == 'saturation':
-        plant = _tuned(plant, random.uniform(1.2, 3.0))
-        limit = 1.0
-    elif cause == 'disturbance':
-        period = plant.delay * 10.0 ** random.uniform(0.7, 1.6)
-        disturbance_hz = 1.0 / period
-    cycle = 1.0 / disturbance_hz if disturbance_hz else 6.0 * plant.delay
-    for _ in range(3):
-        t, u, y = simulate(plant, random, static, slip, limit, disturbance_hz, noise, cycle,
-                           25)
-        found = _cycle(t, y)
-        if found is None:
+    if cause == 'disturbance':
+        period = (plant.delay + plant.lags[1]) * 10.0 ** random.uniform(0.6, 1.7)
+    else:
+        gain = limit_gain if cause == 'tight_tuning' else plant.gain
+        _, y = still(plant._replace(gain=gain), valve, limit, horizon)
+        if cause != 'tight_tuning' and not _lasts(y):
             return None
-        alike = 0.7 < found / cycle < 1.4
-        if alike:
-            break
-        cycle = found
-    size = float(np.std(y))
-    if not alike or _crossings(y) < 10:
+        period = _period(y)
+    if not 4.0 < period < 2000.0:
         return None
-    if not np.isfinite(size) or size < 3.0 * noise or size > 1e6:
+    count = int(period * 10.0 ** random.uniform(0.7, 1.7))
+    settle = int(8.0 * period + 4.0 * plant.integral)
+    total = count + settle
+    outside = _outside(cause, period, total, random)
+    by_reference = random.random() < 0.3
+    load = 10.0 ** random.uniform(-2.2, -0.4) * _drift(
+        total, period * 10.0 ** random.uniform(-0.7, 1.0), random) + random.uniform(-0.7, 0.7)
+    weather = Weather(outside * by_reference, load + outside * (not by_reference),
+                      np.zeros(total), random.standard_normal(total))
+    # What has to cycle by itself begins well off its set point; what noise shakes, at rest.
+    start = 0.0 if cause in ('tight_tuning', 'disturbance') else 3.0
+    _, quiet = run_loop(plant, valve, limit, weather, start)
+    hiss = float(np.std(quiet[settle:])) * 10.0 ** random.uniform(-2.5, -0.5)
+    command, output = run_loop(plant, valve, limit, weather._replace(
+        noise=hiss * random.standard_normal(total)), start)
+    return _recorded(command[settle:], output[settle:], period, random, cause)
+
+
+def _period(values: Array) -> float:
+    """Return the mean time between upward crossings of the mean, in the second half; 0 if none."""
+    half = values[len(values) // 2:] - values[len(values) // 2:].mean()
+    up = np.flatnonzero((half[:-1] < 0.0) & (half[1:] >= 0.0))
+    return float(up[-1] - up[0]) / (len(up) - 1) if len(up) > 2 else 0.0
+
+
+def _recorded(command: Array, output: Array, period: float, random: Random, cause: str
+              ) -> Run | None:
+    """Return the signals as a plant's archive has them: every so many, and rounded."""
+    if not np.isfinite(output).all() or np.ptp(output) < 1e-6 or np.ptp(command) < 1e-6:
         return None
-    every = max(1, int(cycle / (t[1] - t[0]) / random.uniform(15.0, 60.0)))
-    return Run(t[::every], command_n=u[::every], force_n=y[::every], source=cause)
-
-
-def _crossings(values: Array) -> int:
-    """Return how often the values go through their mean by more than a third of their spread."""
-    level = (values - values.mean()) / values.std()
-    side = np.where(level > 0.33, 1, np.where(level < -0.33, -1, 0))
-    side = side[side != 0]
-    return int(np.sum(side[1:] != side[:-1]))
-
-
-def _response(plant: Plant) -> npt.NDArray[np.complex128]:
-    """Return the loop for a controller gain of 1, over frequencies about its delay's."""
-    s = 1j * np.geomspace(0.005, 20.0, 6000) / plant.delay
-    process = np.exp(-s * plant.delay) / (1.0 + plant.second_lag * s) / (
-        plant.lag * s if plant.integrating else 1.0 + plant.lag * s)
-    return process * (1.0 + 1.0 / (plant.integral * s))
-
-
-def phase_margin(plant: Plant) -> float:
-    """Return the phase margin (rad) of the loop without its nonlinearity; NaN if none."""
-    response = plant.gain * _response(plant)
-    crossing = np.flatnonzero((np.abs(response[:-1]) > 1.0) & (np.abs(response[1:]) <= 1.0))
-    if not len(crossing):
-        return float('nan')
-    phase = np.unwrap(np.angle(response))
-    return float(np.pi + phase[crossing[-1]])
-
-
-def _tuned(plant: Plant, share: float) -> Plant:
-    """Return the plant with its gain at a share of that at which the loop is unstable."""
-    response = _response(plant)
-    phase = np.unwrap(np.angle(response))
-    crossing = np.flatnonzero((phase[:-1] > -np.pi) & (phase[1:] <= -np.pi))
-    if not len(crossing):
-        return plant
-    return plant._replace(gain=share / float(abs(response[crossing[0]])))
-
-
-def _cycle(t: Array, y: Array) -> float | None:
-    from asi_analysis.limit_cycle.sinusoid import dominant_frequency
-    every = max(1, len(t) // 4000)
-    frequency = dominant_frequency(t[::every], y[::every], 3.0)
-    return 1.0 / frequency if np.isfinite(frequency) and frequency > 0.0 else None
+    every = max(1, int(period / random.uniform(10.0, 120.0)))
+    rounded = [np.round(values / step) * step if step > 0.0 else values
+               for values in (command, output)
+               for step in [np.ptp(values) * 10.0 ** random.uniform(-3.5, -1.4)
+                            * (random.random() < 0.5)]]
+    t = np.arange(len(output), dtype=np.float64)[::every]
+    seen = standing_frequency(t, rounded[1][::every]) * period
+    # Nobody asks for the cause of a swing that cannot be seen.
+    if not 1.0 / VISIBLE < seen < VISIBLE:
+        return None
+    return Run(t, command_n=rounded[0][::every], force_n=rounded[1][::every], source=cause)

@@ -25,6 +25,15 @@ EMPTY: Final[dict[str, Any]] = dict.fromkeys(
         'onset_gain')] + ['unexplained', 'frequency_error', 'amplitude_error'])
 # How far a predicted cycle may be off by its method: in the logarithm of frequency, amplitude.
 SPREAD: Final = (0.03, 0.15)
+# Less of a record than this is no part to be judged alone.
+LEAST_PART: Final = 0.5
+# Faults of the valve: when they cannot be told apart, the valve still can be blamed.
+VALVE: Final = ('stiction', 'backlash', 'hysteresis')
+# How common the causes are, against each other, in loops that swing: surveys find a third of them
+# due to the valve, nearly always friction, a third to tuning, the rest to what comes from outside
+# (Bialkowski, Pulp & Paper Canada 94, 1993; Desborough and Miller, CPC VI, 2001).
+PRIOR: Final = {'stiction': 2.0, 'backlash': 1.0, 'hysteresis': 0.5, 'saturation': 0.7,
+                'tight_tuning': 2.0, 'disturbance': 2.0}
 SEPARATE: Final = {
     frozenset({'tight_tuning', 'disturbance'}): 'open the loop (controller in manual): an '
         'outside disturbance stays, tight tuning stops',
@@ -41,25 +50,40 @@ SEPARATE: Final = {
 }
 
 
-def _cut(run: Run, signal: str | None) -> tuple[Segment, Run]:
-    """Return the longest stretch that is not still, and its samples."""
+def _cut(run: Run, signal: str | None) -> Segment:
+    """
+    Return the longest stretch that is not still.
+
+    As long as the record if that is cut into short ones: a plant's oscillation comes and goes,
+    and its shape needs all of it.
+    """
     segments = judge_run(run, signal)
     moving = [s for s in segments if s.why != 'the signal does not move'] or segments
     swings = [s for s in moving if s.verdict != 'noise'] or moving
     chosen = max(swings, key=lambda s: s.end_s - s.start_s)
-    return chosen, run.between(chosen.start_s, chosen.end_s + 0.5 * run.period_s)
+    if chosen.end_s - chosen.start_s < LEAST_PART * run.duration_s:
+        return chosen._replace(start_s=segments[0].start_s, end_s=segments[-1].end_s)
+    return chosen
 
 
-def shape_probabilities(found: Shape, verdict: str) -> dict[str, float]:
-    """Return the probability of each cause, by shape and by the verdict on the segment."""
+def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> Shape:
+    """Return the shape of the stretch that a document of `attribute_run` speaks of."""
+    part = run.between(document['start_s'], document['end_s'] + 0.5 * run.period_s)
+    name, output = response_of(part, signal)
+    if part.command_n is None or name == 'command':
+        raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
+                         'and output of the loop')
+    return shape(part.time_s, part.command_n, output)
+
+
+def shape_probabilities(found: Shape) -> dict[str, float]:
+    """Return the probability of each cause, by shape; the most probable first."""
     from asi_analysis.attribution.calibration import probabilities
     learnt = json.loads(WEIGHTS.read_text())
-    chances = dict(zip(learnt['causes'], map(float, probabilities(found.features, learnt)[0]),
-                       strict=True))
-    if verdict == 'forced':
-        # What follows the reference comes through the reference.
-        chances = {name: 0.05 * value for name, value in chances.items()}
-        chances['disturbance'] += 0.95
+    chances = dict(zip(learnt['causes'], probabilities(found.features, learnt)[0], strict=True))
+    weighted = {name: float(chance) * PRIOR[name] for name, chance in chances.items()}
+    total = sum(weighted.values())
+    chances = {name: chance / total for name, chance in weighted.items()}
     return dict(sorted(chances.items(), key=lambda item: -item[1]))
 
 
@@ -72,11 +96,7 @@ def attribute_run(run: Run, signal: str | None = None, report: Report = lambda *
     each nonlinearity alone. Raises InputError without command and output.
     """
     report('judging', 0.0)
-    segment, part = _cut(run, signal)
-    name, output = response_of(part, signal)
-    if part.command_n is None or name == 'command':
-        raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
-                         'and output of the loop')
+    segment = _cut(run, signal)
     document: dict[str, Any] = {
         'source': run.source, 'start_s': segment.start_s, 'end_s': segment.end_s,
         'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None}
@@ -87,9 +107,9 @@ def attribute_run(run: Run, signal: str | None = None, report: Report = lambda *
             segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
         return document | _by_model(run, segment, report)
     report('shape', 0.3)
-    found = shape(part.time_s, part.command_n, output)
+    found = shape_of(run, document, signal)
     document['frequency_hz'] = found.frequency_hz
-    chances = shape_probabilities(found, segment.verdict)
+    chances = shape_probabilities(found)
     causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
                'probability': chance, 'unexplained': _unexplained(found, cause)}
               for cause, chance in chances.items()]
@@ -108,6 +128,11 @@ def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) ->
             'by shape')
     if most >= NAMED:
         return f'{what}: {_words(first)} ({100 * most:.0f} %)'
+    valve = sum(chances[name] for name in VALVE)
+    if valve >= NAMED:
+        kinds = ', '.join(f'{_words(name)} {100 * chance:.0f} %'
+                          for name, chance in chances.items() if name in VALVE)
+        return f'{what}: the valve ({100 * valve:.0f} %), but which fault cannot be told: {kinds}'
     test = SEPARATE.get(frozenset({first, second}),
                         'a step of the command in manual, and a run at half the gain')
     return (f'{what}: cannot tell {_words(first)} ({100 * most:.0f} %) from {_words(second)} '

@@ -9,34 +9,63 @@ Array = npt.NDArray[np.float64]
 
 
 @jit
-def _stick(command, start, static, dynamic, out):
-    position = command[start] - dynamic
+def _play(command, start, half, out):
+    position = command[start] - half
     out[:start] = position
     for k in range(start, command.size):
-        push = command[k] - position
-        if abs(push) > static:
-            position = command[k] - np.sign(push) * dynamic
+        position = min(max(position, command[k] - half), command[k] + half)
         out[k] = position
 
 
-def stick(command: Array, static: float, dynamic: float, first: int) -> Array:
-    """
-    Return the position of a valve that sticks until pushed by `static`, then slips to `dynamic`.
+@jit
+def _stick(command, start, band, jump, out):
+    lag = 0.5 * (band - jump)
+    position, direction = command[start] - lag, 1.0
+    stopped_at, stuck = command[start], False
+    out[:start] = position
+    for k in range(start, command.size):
+        if not stuck and direction * (command[k] - command[k - 1]) <= 0.0 and k > start:
+            stuck, stopped_at = True, command[k - 1]
+        if stuck:
+            push = direction * (command[k] - stopped_at)
+            if push < -band:
+                direction, stuck = -direction, False
+            elif push > jump:
+                stuck = False
+        if not stuck:
+            position = command[k] - direction * lag
+        out[k] = position
 
-    In units of the command. static = dynamic: backlash, the play; dynamic < static: stiction (He,
-    Wang, Pottmann, Qin, Ind. Eng. Chem. Res. 46, 2007: f_S and f_D). It begins where the command
-    is largest within its `first` samples, as if the valve had just slipped upward there.
+
+def _begin(command: Array, first: int) -> int:
+    """Return where an operator begins: at a peak, as if the valve had just moved up there."""
+    return int(np.argmax(command[:first]))
+
+
+def play(command: Array, half: float, first: int) -> Array:
+    """Return the output of a play of half width `half`, in units of the command."""
+    out = np.empty_like(command)
+    _play(np.ascontiguousarray(command), _begin(command, first), half, out)
+    return out
+
+
+def stick(command: Array, band: float, jump: float, first: int) -> Array:
+    """
+    Return the position of a valve that sticks where it stops, in units of the command.
+
+    It moves on after `jump`, and after `band` the other way, by a leap of `jump` (Choudhury,
+    Thornhill, Shah, Control Engineering Practice 13, 2005: J and S; after Kano et al., DYCOPS
+    2004). It begins at the largest command within the `first` samples.
     """
     out = np.empty_like(command)
-    start = int(np.argmax(command[:first]))
-    _stick(np.ascontiguousarray(command), start, static, dynamic, out)
+    _stick(np.ascontiguousarray(command), _begin(command, first), band, jump, out)
     return out
 
 
 def hysteresis(command: Array, width: float, first: int) -> Array:
     """Return the mean of plays of half widths up to `width`: smooth loops (Prandtl 1928)."""
     widths = width * (np.arange(6) + 0.5) / 6.0
-    return np.mean([stick(command, each, each, first) for each in widths], axis=0)
+    return np.mean([play(command, each, first) for each in widths], axis=0)
 
 
 def clip(command: Array, share: float) -> Array:
