@@ -47,6 +47,16 @@ def envelope(time_s: Array, values: Array, frequency_hz: float) -> Envelope:
     return Envelope(table[:, 0], table[:, 1], table[:, 2], table[:, 3], window)
 
 
+def swings(time_s: Array, values: Array, frequency_hz: float) -> Array:
+    """Return half of what a signal moves in each cycle, counted back from its end."""
+    cycle = np.ceil((time_s - time_s[-1]) * frequency_hz).astype(int)
+    edges = np.searchsorted(cycle, np.arange(cycle[0] + 1, 1))
+    if not len(edges):
+        return np.array([])
+    high, low = (rule.reduceat(values, edges) for rule in (np.maximum, np.minimum))
+    return 0.5 * (high - low)
+
+
 def peaks_by_cycle(time_s: Array, values: Array, frequency_hz: float) -> Array:
     """Return the largest departure from the mean in each cycle: points of a Poincaré section."""
     cycle = np.floor((time_s - time_s[0]) * frequency_hz).astype(int)

@@ -1,8 +1,9 @@
 """
 `asi run --experiment isolation`: the two runs that show whether a limit cycle is isolated.
 
-From inside: a step from rest, so that the cycle has to grow. From outside: a chirp through the
-usual frequencies of the cycle about the same force, much larger than it, that ends by itself.
+From inside: a step from rest, so that the cycle has to grow. From outside: a sine about the same
+force that ends by itself, slower than the cycle, since the actuator cannot be driven much beyond
+its cycle at the cycle's own frequency.
 """
 
 from collections.abc import Callable
@@ -17,9 +18,9 @@ from asi_analysis.limit_cycle.answer import limit_cycle
 
 Progress = Callable[[str, float | None], None]
 
-CHIRP_N: Final = 600.0
-CHIRP_HZ: Final = (70.0, 100.0)
-CHIRP_S: Final = 0.3
+DRIVEN_N: Final = 900.0
+DRIVEN_HZ: Final = 60.0
+DRIVEN_S: Final = 0.3
 
 
 def isolation(experiment: Experiment, out: Path, report: Progress = lambda *_: None
@@ -30,12 +31,11 @@ def isolation(experiment: Experiment, out: Path, report: Progress = lambda *_: N
     experiment: its reference is a step, whose size is the force held in both runs.
     """
     held = float(experiment.controller.get('reference.amplitude', 100.0))
-    chirp: dict[str, Value] = {
-        'reference.shape': 'chirp', 'reference.amplitude': CHIRP_N, 'reference.offset': held,
-        'reference.frequency': CHIRP_HZ[0], 'reference.end_frequency': CHIRP_HZ[1],
-        'reference.duration': CHIRP_S}
+    sine: dict[str, Value] = {
+        'reference.shape': 'sine', 'reference.amplitude': DRIVEN_N, 'reference.offset': held,
+        'reference.frequency': DRIVEN_HZ, 'reference.end': DRIVEN_S}
     runs = {'inside': experiment,
-            'outside': replace(experiment, controller={**experiment.controller, **chirp},
-                               duration_s=experiment.duration_s + CHIRP_S)}
+            'outside': replace(experiment, controller={**experiment.controller, **sine},
+                               duration_s=experiment.duration_s + DRIVEN_S)}
     bags = [run_experiment(checked(run), out / name, report) for name, run in runs.items()]
     return {'bags': list(map(str, bags)), **limit_cycle([read_bag(bag) for bag in bags])}

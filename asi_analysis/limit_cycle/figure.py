@@ -1,6 +1,6 @@
 """A picture of a judged record: the signal in time with its verdicts, and its orbit."""
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -16,8 +16,15 @@ COLOUR: Final = {'limit_cycle': ORANGE, 'saturating': PURPLE, 'forced': GREEN,
 DRAWN_CYCLES: Final = 12
 
 
-def draw(run: Run, document: dict[str, Any], path: Path) -> None:
-    """Write a picture of the segments of `document` that are of `run`."""
+def drawn(runs: Sequence[Run], document: dict[str, Any]) -> dict[str, tuple[Figure, str]]:
+    """Return the pictures of runs, each with its caption."""
+    return {f'cycle_{number}': (draw(run, document),
+                                f'{run.source}: the signal with its verdicts, and its orbit')
+            for number, run in enumerate(runs, 1)}
+
+
+def draw(run: Run, document: dict[str, Any]) -> Figure:
+    """Draw the segments of `document` that are of `run`."""
     segments = [s for s in document['segments'] if s['source'] == run.source]
     name, values = response_of(run, segments[0]['signal'])
     unit = run.unit(name)
@@ -44,4 +51,4 @@ def draw(run: Run, document: dict[str, Any], path: Path) -> None:
         below.set(xlabel=f'{name.replace("_", " ")} ({unit})', ylabel=f'its rate ({unit}/s)')
         if below.lines:
             figure.legend(*below.get_legend_handles_labels(), loc='outside lower center')
-        figure.savefig(path)
+        return figure

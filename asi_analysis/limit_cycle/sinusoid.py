@@ -229,11 +229,28 @@ def _choose_drift(t: Array, values: Array, start: Array, grows: bool, most: int)
     return order
 
 
+def _told_apart(t: Array, frequency: float) -> int:
+    """Return how many harmonics can be told apart, from each other and the mean, as sampled."""
+    rate = 1.0 / float(np.median(np.diff(t)))
+    apart = 3.0 / (t[-1] - t[0])
+    shown = [0.0]
+    for harmonic in range(1, MOST_HARMONICS + 1):
+        seen = abs(harmonic * frequency - rate * round(harmonic * frequency / rate))
+        # At half the rate its own image, as far beyond, must not be too near either.
+        image = 2.0 * abs(0.5 * rate - seen)
+        if min(image, *(abs(seen - other) for other in shown)) < apart:
+            return max(harmonic - 1, 1)
+        shown.append(seen)
+    return MOST_HARMONICS
+
+
 def _choose_harmonics(t: Array, values: Array, drift: Array, start: Array, grows: bool) -> int:
-    """Return the highest harmonic that rises above the noise."""
-    period = float(np.median(np.diff(t)))
-    most = int(min(MOST_HARMONICS, 0.49 / (start[0] * period),
-                   (len(t) - drift.shape[1] - 4) / 6))
+    """
+    Return the highest harmonic that rises above the noise.
+
+    Above half the sampling rate a harmonic shows at another frequency, but it shows.
+    """
+    most = min(_told_apart(t, start[0]), (len(t) - drift.shape[1] - 4) // 6)
     highest = 1
     solution = _solve(t, values, drift, start, 1, grows)
     while highest < most:
@@ -245,8 +262,10 @@ def _choose_harmonics(t: Array, values: Array, drift: Array, start: Array, grows
         for trial in range(most, highest, -1):
             pair = [trial - 1, most + trial - 1]
             gain = float(right[pair] @ _normal(gram[np.ix_(pair, pair)], right[pair]))
+            # The low ones are the likely ones; the chances of all add up to FALSE_TERM.
+            chance = FALSE_TERM / (trial * (trial - 1))
             if _better(squares, max(squares - gain, 0.0), 2,
-                       len(t) - solution.columns.shape[1] - 3, FALSE_TERM / most):
+                       len(t) - solution.columns.shape[1] - 3, chance):
                 highest = trial
                 break
         else:

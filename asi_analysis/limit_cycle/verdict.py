@@ -251,22 +251,26 @@ def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
     """
     Return how the orbit was reached, from the record before it in the same bag.
 
-    Words of 'inside', 'outside' and 'disturbed': the envelope was smaller, or larger, by a fifth
-    and came to it without a break; 'disturbed' if the orbit had been left.
+    Words of 'inside', 'outside' and 'disturbed': the swing was smaller, or larger, by a fifth and
+    came to it without a break; 'disturbed' if the orbit had been left.
     """
     if piece.steady is None or len(before[0]) < 8:
         return ''
-    t, y = reduce(*before, piece.steady.frequency_hz)
-    found = env.envelope(t, y, piece.steady.frequency_hz)
-    ratio = found.amplitude / piece.steady.amplitude
-    if not len(ratio):
-        return ''
+    frequency = piece.steady.frequency_hz
+    t, y = reduce(*before, frequency)
+    orbit = env.swings(piece.time_s, piece.values, frequency)
+    ratio = env.swings(t, y, frequency) / max(float(np.median(orbit)), 1e-300)
     # The last departure from the orbit, and on which side it was.
     off = np.flatnonzero((ratio < 0.8) | (ratio > 1.2))
     if not len(off):
         return ''
-    words = ['inside' if ratio[off[-1]] < 0.8 else 'outside']
-    was_on_it = np.flatnonzero(np.abs(ratio[:off[-1]] - 1.0) < 0.1)
+    # Only one cycle that is large is a jump of the force from one level to another.
+    jump = ratio[off[-1]] > 1.2 and (off[-1] == 0 or ratio[off[-1] - 1] < 1.2)
+    if jump and len(off) < 2:
+        return ''
+    last = off[-2] if jump else off[-1]
+    words = ['inside' if ratio[last] < 0.8 else 'outside']
+    was_on_it = np.flatnonzero(np.abs(ratio[:last] - 1.0) < 0.1)
     return ' '.join(words + ['disturbed'] * (len(was_on_it) >= FEWEST_CYCLES))
 
 
