@@ -1,14 +1,18 @@
 """
 Lead compensators designed for the fastest step within a margin, a saturation and a noise gain.
 
-A random search over the family of leads with a lag, then local steps from the best; every
-candidate is judged by the step of Table 1 in the simulator and by its limit-cycle margin.
+The family: a lag, two leads of second order with a damping of their own, and a share of the
+reference that goes straight to the valve. Table 1's fourth-order lead is the member with equal
+leads and no ringing. Differential evolution (Storn and Price, J. Global Optimization 11, 1997)
+searches it from the rival on; every candidate is judged by the step of Table 1 in the simulator
+and by its limit-cycle margin.
 """
 
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from asi_actuator.parameters import as_record, defaults
 from asi_analysis.closed_loop import simulate_loop
@@ -31,14 +35,23 @@ Report = Callable[[str, float | None], None]
 # Table 1's conditions for the fourth-order lead: its load, its step, its settings.
 TABLE_1: Final = Conditions().lead4
 DURATION_S: Final = 0.35
+# The noise gain may be so many times the rival's.
+NOISE: Final = 1.5
+# Cost of what makes no step at all.
+NO_STEP: Final = 100.0
+# Differences of the measures below this are none: s, %, s, N.
+RESOLVED: Final = (1e-5, 0.1, 1e-5, 0.005)
 # The drive may be used so far by that step.
 HEADROOM: Final = 0.9
-RANDOM_SHARE: Final = 0.4
-FAMILIES: Final = ('lead2', 'lead4')
 # name: (least, most), searched evenly in the logarithm
 RANGES: Final = {
-    'gain': (0.4, 16.0), 'ratio': (1.2, 24.0), 'zero_frequency': (60.0, 800.0),
-    'lag_ratio': (3.0, 800.0), 'lag_time': (0.05, 3.0)}
+    'gain': (0.2, 16.0), 'lag_ratio': (3.0, 2000.0), 'lag_time': (0.05, 3.0),
+    'zero_1': (40.0, 1000.0), 'zero_2': (40.0, 1000.0), 'ratio_1': (1.1, 24.0),
+    'ratio_2': (1.1, 24.0), 'zero_damping_1': (0.3, 1.5), 'zero_damping_2': (0.3, 1.5),
+    'pole_damping_1': (0.4, 1.5), 'pole_damping_2': (0.4, 1.5), 'feedforward': (0.7, 1.4)}
+POPULATION: Final = 20
+# Spread of the first population about the rival, in the unit cube.
+SPREAD: Final = 0.02
 
 
 class Candidate(NamedTuple):
@@ -94,24 +107,43 @@ class Judge:
                          float(np.abs(run.command_n).max()))
 
 
-def _controller(family: str, point: np.ndarray) -> dict[str, Any]:
+def _pair(frequency_hz: float, damping: float) -> list[complex]:
+    """Return the two roots (rad/s) of a frequency and a damping ratio; real from 1 on."""
+    return [complex(root) for root in 2.0 * np.pi * frequency_hz * np.roots(
+        [1.0, 2.0 * damping, 1.0])]
+
+
+def _written(roots: list[complex]) -> str:
+    """Return roots as custom.zeros and custom.poles take them, conjugates exactly so."""
+    upper = [root for root in roots if root.imag > 1e-9 * abs(root)]
+    real = [root for root in roots if abs(root.imag) <= 1e-9 * abs(root)]
+    return ', '.join([f'{root.real:.9g}' for root in real]
+                     + [f'{root.real:.9g}{sign}{root.imag:.9g}j' for root in upper
+                        for sign in '+-'])
+
+
+def _controller(point: np.ndarray) -> dict[str, Any]:
     """Return the parameters of a point in the unit cube."""
-    values = {name: low * (high / low) ** float(x)
-              for (name, (low, high)), x in zip(RANGES.items(), point, strict=True)}
-    return {'compensator': family, 'gain': values['gain'],
-            f'{family}.ratio': values['ratio'],
-            f'{family}.zero_frequency': values['zero_frequency'],
-            f'{family}.lag_ratio': values['lag_ratio'],
-            'lead_lag.lag_time': values['lag_time']}
+    v = {name: low * (high / low) ** float(x)
+         for (name, (low, high)), x in zip(RANGES.items(), point, strict=True)}
+    zeros, poles = [complex(-1.0 / v['lag_time'])], [complex(-1.0 / v['lag_time']
+                                                             / v['lag_ratio'])]
+    for k in ('1', '2'):
+        zeros += _pair(v[f'zero_{k}'], v[f'zero_damping_{k}'])
+        poles += _pair(v[f'zero_{k}'] * v[f'ratio_{k}'], v[f'pole_damping_{k}'])
+    return {'compensator': 'custom', 'gain': v['gain'] * v['lag_ratio'],
+            'feedforward': v['feedforward'], 'custom.zeros': _written(zeros),
+            'custom.poles': _written(poles)}
 
 
 def _point(controller: Values) -> np.ndarray:
-    """Return the point of a lead's parameters in the unit cube: the inverse of _controller."""
+    """Return the point of a lead of second or fourth order; its second pair cancels in lead2."""
     v = {**defaults(COMPENSATOR_PARAMETERS), **controller}
-    family = v['compensator']
-    values = [float(v['gain']) or OWN_GAIN[str(family)]]
-    values += [float(v[f'{family}.{name}']) for name in ('ratio', 'zero_frequency', 'lag_ratio')]
-    values.append(float(v['lead_lag.lag_time']))
+    family = str(v['compensator'])
+    second = float(v[f'{family}.ratio']) if family == 'lead4' else 1.0
+    values = [float(v['gain']) or OWN_GAIN[family], float(v[f'{family}.lag_ratio']),
+              float(v['lead_lag.lag_time']), *2 * [float(v[f'{family}.zero_frequency'])],
+              float(v[f'{family}.ratio']), second, 1.0, 1.0, 1.0, 1.0, float(v['feedforward'])]
     return np.clip([np.log(value / low) / np.log(high / low)
                     for value, (low, high) in zip(values, RANGES.values(), strict=True)], 0.0, 1.0)
 
@@ -120,15 +152,13 @@ def worse_by(found: Candidate, rival: Candidate, noise_limit: float) -> float:
     """
     Return how far a candidate is from beating its rival: 0 or less if it does, in all measures.
 
-    At the rival's margin, within the saturation and the noise gain. Beyond that it is the mean of
-    the measures' logarithms: the more negative the better.
+    At the rival's margin, within the saturation and the noise gain: the more negative, the more
+    the closest of the four measures is beaten by, in its logarithm.
     """
-    ratios = np.log([max(a, 1e-4) / max(b, 1e-4)
-                     for a, b in zip(found.measures, rival.measures, strict=True)])
-    # An overshoot below what is measured (0.1 %), or an error below 0.05 N, is none.
-    for k, (value, least) in enumerate(zip(found.measures, (0.0, 0.1, 0.0, 0.05), strict=True)):
-        if value <= least:
-            ratios[k] = min(ratios[k], 0.0)
+    ratios = np.log([max(a, least) / max(b, least)
+                     for a, b, least in zip(found.measures, rival.measures, RESOLVED, strict=True)
+                     # Where both are as good as none there is nothing to beat.
+                     if max(a, b) > least])
     broken = (max(0.0, np.log(max(rival.margin.distance, 1e-3)
                               / max(found.margin.distance, 1e-3)))
               + max(0.0, np.log(found.noise_gain / noise_limit))
@@ -138,13 +168,13 @@ def worse_by(found: Candidate, rival: Candidate, noise_limit: float) -> float:
     excess = float(np.maximum(ratios, 0.0).sum()) + 3.0 * float(broken)
     if excess > 0.0:
         return excess
-    return float(np.clip(ratios, -1.0, 0.0)[[0, 2]].mean())
+    return float(ratios.max())
 
 
 def design(actuator: Values, rival_controller: Values, rate_hz: float, count: int, seed: int,
            report: Report = lambda *_: None) -> dict[str, Any]:
     """
-    Return the best design found in `count` candidates, its rival, and the trade-off curve.
+    Return the best design found in about `count` candidates, its rival, and the trade-off curve.
 
     rival_controller: the compensator to beat, at the same margin; a lead4 has the settings of
     Table 1 unless it says otherwise.
@@ -155,32 +185,35 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
     rival = judge.candidate(rival_controller)
     if rival is None:
         raise ValueError('the rival makes no step')
+    noise_limit = NOISE * rival.noise_gain
+    found: list[tuple[float, Candidate]] = []
+    tried = 0
+
+    def cost(point: np.ndarray) -> float:
+        nonlocal tried
+        if tried % 10 == 0:
+            report('designs', tried / count)
+        tried += 1
+        candidate = judge.candidate(_controller(point))
+        if candidate is None:
+            return NO_STEP
+        found.append((worse_by(candidate, rival, noise_limit), candidate))
+        return found[-1][0]
+
     random = np.random.default_rng(seed)
-    noise_limit = 1.5 * rival.noise_gain
-    # A candidate with its score, family and point.
-    found: list[tuple[float, str, np.ndarray, Candidate]] = []
-    if rival_controller.get('compensator') in FAMILIES:
-        # What is to be beaten is a place to look from.
-        found.append((0.0, str(rival_controller['compensator']), _point(rival_controller), rival))
-    for number in range(count):
-        if number % 10 == 0:
-            report('designs', number / count)
-        if number < RANDOM_SHARE * count or not found:
-            family, point = FAMILIES[number % 2], random.random(len(RANGES))
-        else:
-            found.sort(key=lambda each: each[0])
-            _, family, parent, _ = found[int(random.integers(min(5, len(found))))]
-            step = 10.0 ** random.uniform(-2.3, -0.7)
-            point = np.clip(parent + step * random.standard_normal(len(RANGES)), 0.0, 1.0)
-        candidate = judge.candidate(_controller(family, point))
-        if candidate is not None:
-            found.append((worse_by(candidate, rival, noise_limit), family, point, candidate))
-    found.sort(key=lambda each: each[0])
-    best = found[0][3]
-    return {'rival': as_dict(rival), 'best': as_dict(best),
-            'beats_rival': found[0][0] < 0.0,
-            'designs_tried': count, 'noise_gain_limit': noise_limit,
-            'trade_off': trade_off([each[3] for each in found], noise_limit)}
+    family = rival_controller.get('compensator')
+    centre = _point(rival_controller if family in ('lead2', 'lead4') else TABLE_1.controller)
+    start = np.clip(centre + SPREAD * random.standard_normal((POPULATION, len(RANGES))), 0.0, 1.0)
+    # What is to be beaten is a place to look from.
+    start[0] = centre
+    optimize.differential_evolution(
+        cost, [(0.0, 1.0)] * len(RANGES), init=start, maxiter=max(count // POPULATION - 1, 1),
+        mutation=(0.4, 0.9), recombination=0.8, strategy='currenttobest1bin', polish=False,
+        tol=0.0, seed=seed)
+    score, best = min(found, key=lambda each: each[0])
+    return {'rival': as_dict(rival), 'best': as_dict(best), 'beats_rival': score < 0.0,
+            'designs_tried': tried, 'noise_gain_limit': noise_limit,
+            'trade_off': trade_off([each[1] for each in found], noise_limit)}
 
 
 def trade_off(candidates: list[Candidate], noise_limit: float) -> list[dict[str, float]]:

@@ -1,6 +1,5 @@
 """Pictures of `asi quench`: loop and -1/N where the margin is least, and the trade-off."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,8 @@ from asi_analysis.quench.margin import (
 from asi_controller.compensator import frequency_response
 
 
-def draw(actuator: Values, controller: Values, document: dict[str, Any], path: Path) -> None:
-    """Write the picture."""
+def draw(actuator: Values, controller: Values, document: dict[str, Any]) -> Figure:
+    """Draw the loop in the Nyquist plane, and below the trade-off if there is a design."""
     rate, at, curve = document['rate_hz'], document['margin_at'], document['design']
     loop = loop_of(actuator, controller, rate)
     compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate)
@@ -56,4 +55,4 @@ def draw(actuator: Values, controller: Values, document: dict[str, Any], path: P
                              color=colour, label=name)
             axes[1].set(xlabel='limit-cycle margin', ylabel='rise time (ms)')
             axes[1].legend()
-        figure.savefig(path)
+        return figure
