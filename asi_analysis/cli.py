@@ -28,6 +28,10 @@ app = typer.Typer(
 Json = Annotated[bool, typer.Option('--json', help='Print one JSON document (doc/json.md).')]
 
 
+Report = Annotated[Path | None, typer.Option(
+    help='Directory for an HTML report and its pictures as PNG')]
+
+
 Settings = Annotated[list[str] | None, typer.Option(
     '--set', metavar='NODE.NAME=VALUE',
     help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
@@ -274,8 +278,7 @@ def limit_cycle(
         help='Bags of the same loop, judged together')] = None,
     signal: Annotated[str | None, typer.Option(
         help='Signal to judge; by default the force, or the first other that is there')] = None,
-    figure: Annotated[Path | None, typer.Option(
-        help='PNG file for a picture of the first bag')] = None,
+    report: Report = None,
     check: Annotated[int | None, typer.Option(
         min=1, help='No bag: so many signals of known truth in each class instead')] = None,
     as_json: Json = False,
@@ -296,13 +299,14 @@ def limit_cycle(
         runs = [read_bag(bag) for bag in bags]
         told('judging', None)
         document = limit_cycle_answer.limit_cycle(runs, signal)
-        if figure:
-            from asi_analysis.limit_cycle.figure import draw
-            draw(runs[0], document, figure)
+        if report:
+            from asi_analysis.limit_cycle.figure import drawn
+            _write_report(report, 'Limit cycles', limit_cycle_answer.as_text(document),
+                          drawn(runs, document))
     answer(document, as_json, lambda d: print(limit_cycle_answer.as_text(d)))
 
 
-@command('predict', 'asi predict --steps 20,100,300,600 --figures runs/prediction')
+@command('predict', 'asi predict --steps 20,100,300,600 --report runs/prediction')
 def predict(
     compensator: Annotated[str | None, typer.Option(
         help='proportional, lead_lag, lead2, lead4 or custom')] = None,
@@ -313,8 +317,7 @@ def predict(
         help='Steps (N, with commas) for which the onset is wanted too: Fig. 7')] = '',
     rate: Annotated[float, typer.Option(help='Control rate, Hz')] = 5000.0,
     set_: Settings = None,
-    figures: Annotated[Path | None, typer.Option(
-        help='Directory for Nyquist pictures, branch and onset as PNG')] = None,
+    report: Report = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -329,12 +332,13 @@ def predict(
     with progress() as told:
         document = prediction.predict(values['actuator'], values['controller'], rate, gain,
                                       sizes, told)
-        if figures:
-            from asi_analysis.prediction.figures import write
+        if report:
+            from asi_analysis.prediction.figures import drawn
             at = document['onset_gain'] or gain
-            write(prediction.loop_of(values['actuator'],
-                                     prediction.with_gain(values['controller'], 1.2 * at), rate),
-                  document, figures)
+            loop = prediction.loop_of(values['actuator'],
+                                      prediction.with_gain(values['controller'], 1.2 * at), rate)
+            _write_report(report, 'Predicted limit cycles', prediction.as_text(document),
+                          drawn(loop, document))
     answer(document, as_json, lambda d: print(prediction.as_text(d)))
 
 
@@ -350,6 +354,7 @@ def attribute(
     rate: Annotated[float, typer.Option(help='Control rate, Hz')] = 5000.0,
     set_: Settings = None,
     signal: Annotated[str | None, typer.Option(help='Output to judge in the bag')] = None,
+    report: Report = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -362,13 +367,25 @@ def attribute(
         from asi_analysis.attribution import recording
         from asi_analysis.bag import read_bag
         with progress() as told:
-            document = recording.attribute_run(read_bag(bag), signal, told)
+            run = read_bag(bag)
+            document = recording.attribute_run(run, signal, told)
+            if report:
+                from asi_analysis.attribution import figure
+                # A bag of this actuator is judged by its model.
+                drawn = (figure.model(document) if document['causes'][0]['share'] is not None else
+                         figure.recorded(run, document, signal))
+                _write_report(report, 'What makes it swing', recording.as_text(document),
+                              {'attribution': (drawn, document['verdict'])})
         answer(document, as_json, lambda d: print(recording.as_text(d)))
         return
     values = _configured(set_, compensator, gain, step, rate)
     from asi_analysis.attribution import ablation
     with progress() as told:
         document = ablation.attribute(values['actuator'], values['controller'], rate, gain, told)
+        if report:
+            from asi_analysis.attribution import figure
+            _write_report(report, 'Which nonlinearity', ablation.as_text(document),
+                          {'attribution': (figure.model(document), document['verdict'])})
     answer(document, as_json, lambda d: print(ablation.as_text(d)))
 
 
@@ -389,8 +406,7 @@ def quench(
     out: Annotated[Path, typer.Option(
         help='Directory for the bags of --replay')] = Path('runs/quench'),
     set_: Settings = None,
-    figure: Annotated[Path | None, typer.Option(
-        help='PNG file: loop and -1/N, and the trade-off of the designs')] = None,
+    report: Report = None,
     jobs: Jobs = 1,
     dask: Dask = None,
     as_json: Json = False,
@@ -410,12 +426,19 @@ def quench(
         document = quench_answer.quench(values['actuator'], values['controller'], rates_hz,
                                         conditions, seed, designs,
                                         (replay, out) if replay else None, told)
-        if figure:
+        if report:
             from asi_analysis.quench.figure import draw
-            draw(values['actuator'], values['controller'], document, figure)
+            _write_report(report, 'Limit cycles quenched', quench_answer.as_text(document), {
+                'quench': (draw(values['actuator'], values['controller'], document),
+                           'Loop and -1/N where the margin is least; the trade-off of designs')})
     answer(document, as_json, lambda d: print(quench_answer.as_text(d)))
     if document['sustained_found']:
         raise typer.Exit(1)
+
+
+def _write_report(directory: Path, title: str, text: str, drawn: dict[str, Any]) -> None:
+    from asi_analysis.cycle_report import write_report
+    write_report(directory, title, text, drawn)
 
 
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,

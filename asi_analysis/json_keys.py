@@ -215,6 +215,10 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             'hysteresis, damping and friction'),
         Key('largest_frequency_error', 'number?', 'balance against simulation, share'),
         Key('largest_amplitude_error', 'number?', 'the same for the amplitude'),
+        Key('one_harmonic', '[object]', 'the first cycle of each nonlinearity alone', (
+            Key('nonlinearity', 'text', 'hysteresis, characteristic, damping, friction, limit'),
+            Key('onset_gain', 'number?', 'null: no cycle at any gain'),
+            Key('onset_frequency_hz', 'number?', 'frequency there'))),
         Key('onset_by_step', '[object]', 'onset by the size of the step, if asked for', (
             Key('step_n', 'number', 'step of the reference'),
             Key('predicted_gain', 'number?', 'fold of the harmonic balance'),
@@ -264,7 +268,7 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('amplitude_n', 'number?', 'half the swing that is left'),
             Key('sustained', 'boolean', 'whether it lasts'),
             Key('frequency_hz', 'number?', 'its frequency, roughly'),
-            Key('condition', 'object', 'actuator parameters, rate, reference, kick and push'))),
+            Key('condition', 'object', 'parameters of actuator and reference, control rate'))),
         Key('replayed', '[object]', 'the worst finds run over ROS, if asked for', (
             Key('bag', 'text', 'path of the bag'),
             Key('verdict', 'text', 'of `asi limit-cycle` on its last segment'),

@@ -7,13 +7,22 @@ import pytest
 from study import STUDY, STUDY_CONTROLLER
 
 from asi_analysis import json_keys
-from asi_analysis.attribution import valves
+from asi_analysis.attribution import figure, recording, valves
 from asi_analysis.attribution.ablation import NONLINEARITIES, attribute, shapley
 from asi_analysis.attribution.calibration import WEIGHTS, examples, judged
-from asi_analysis.attribution.loops import loop
+from asi_analysis.attribution.loops import (
+    WORLDS,
+    Valve,
+    _lasts,
+    _plant,
+    loop,
+    still,
+    ultimate_gain,
+)
 from asi_analysis.attribution.recording import attribute_run
 from asi_analysis.attribution.shape import FEATURES, shape
 from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.cycle_report import write_report
 from asi_analysis.errors import InputError
 from asi_analysis.experiment import Experiment, checked, information
 from asi_analysis.run import Run
@@ -68,41 +77,63 @@ def test_linear_instability_is_not_blamed_on_a_nonlinearity():
 
 def test_play_and_stiction_do_what_their_words_say():
     up_and_down = np.concatenate([np.linspace(0, 1, 101), np.linspace(1, 0, 101)[1:]])
-    play = valves.stick(up_and_down, 0.2, 0.2, 1)
+    play = valves.play(up_and_down, 0.2, 1)
     assert play[100] == pytest.approx(0.8) and play[120] == pytest.approx(0.8)
     assert play[-1] == pytest.approx(0.2)
-    jumps = np.abs(np.diff(valves.stick(up_and_down, 0.3, 0.0, 1)))
-    assert jumps[jumps > 0].min() == pytest.approx(0.3, abs=0.02)
+    # It sticks at the reversal, leaps by 0.3 once the command is 0.5 back, and then follows it.
+    stuck = valves.stick(up_and_down, 0.5, 0.3, 1)
+    jumps = np.abs(np.diff(stuck[100:]))
+    assert jumps.max() == pytest.approx(0.3, abs=0.02) and (jumps > 0.02).sum() == 1
+    assert stuck[-1] == pytest.approx(0.1)
+    # Without a leap it is a play of half the band.
+    assert valves.stick(up_and_down, 0.4, 0.0, 1)[110:] == pytest.approx(play[110:], abs=0.011)
 
 
-def test_saturation_and_tight_tuning_are_told_by_shape():
-    random = np.random.default_rng(77)
-    for cause in ('saturation', 'tight_tuning'):
-        run = None
-        while run is None:
-            run = loop(cause, random)
-        found = attribute_run(run)
-        assert found['causes'][0]['nonlinearity'] == cause
-        assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
+def _loop(cause: str, seed: int, world: str = 'learn') -> Run:
+    random = np.random.default_rng(seed)
+    run = None
+    while run is None:
+        run = loop(cause, random, world)
+    return run
 
 
-def test_weights_are_right_on_loops_that_they_have_not_seen():
-    features, causes = examples(4, seed=99)
+@pytest.mark.parametrize('world', WORLDS)
+def test_fault_is_the_cause_of_the_simulated_swing(world):
+    # What `loop` leaves out for want of a cycle: a valve without fault in a loop that is stable.
+    random = np.random.default_rng(3)
+    plant = _plant(world, random)
+    plant = plant._replace(gain=0.3 * ultimate_gain(plant, 4000))
+    assert not _lasts(still(plant, Valve(), 1e9, 4000)[1])
+    assert _lasts(still(plant._replace(gain=8.0 * plant.gain), Valve(), 1.0, 4000)[1])
+
+
+def test_document_and_picture_of_a_foreign_loop(tmp_path):
+    run = _loop('stiction', 77)
+    found = attribute_run(run)
+    assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
+    assert sum(cause['probability'] for cause in found['causes']) == pytest.approx(1.0)
+    page = write_report(tmp_path, 'title', recording.as_text(found),
+                        {'attribution': (figure.recorded(run, found), found['verdict'])})
+    assert (tmp_path / 'attribution.png').read_bytes().startswith(b'\x89PNG')
+    assert '<svg' in page.read_text() and found['verdict'].split(':')[0] in page.read_text()
+
+
+def test_weights_are_right_on_loops_of_other_equations():
+    features, causes = examples('judge', 5, seed=99)
     judged_ = judged(features, causes, json.loads(WEIGHTS.read_text()))
-    assert judged_['right'] > 0.6      # six causes: chance is 0.17
-    assert judged_['right_when_sure'] in (None, 1.0) or judged_['right_when_sure'] > 0.8
+    assert judged_['right'] > 0.5      # six causes: chance is 0.17
+    # What it says of itself is not better than what it is.
+    assert judged_['mean_probability'] < judged_['right'] + 0.15
 
 
 def test_units_sign_and_time_scale_of_the_output_change_nothing():
-    random = np.random.default_rng(5)
-    run = None
-    while run is None:
-        run = loop('stiction', random)
+    run = _loop('stiction', 5)
     plain = shape(run.time_s, run.command_n, run.force_n).features
     other = shape(60.0 * run.time_s, 5.0 + 0.01 * run.command_n,
                   100.0 - 30.0 * run.force_n).features
-    third = [k for k, name in enumerate(FEATURES) if 'gain' not in name and 'over' not in name]
-    assert other[third] == pytest.approx(plain[third], abs=0.05)
+    # Upside down, cycles are cut at troughs for peaks: their lengths scatter otherwise.
+    kept = [k for k, name in enumerate(FEATURES) if 'gain' not in name and 'scatter' not in name]
+    assert other[kept] == pytest.approx(plain[kept], abs=0.05)
 
 
 def test_bag_of_this_actuator_is_judged_by_its_model():

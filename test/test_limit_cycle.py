@@ -99,13 +99,13 @@ def test_command_prints_what_is_documented(tmp_path):
     write_bag(simulated(10.0), tmp_path / 'bag')
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'limit-cycle', str(tmp_path / 'bag'),
-         '--figure', str(tmp_path / 'picture.png'), '--json'],
+         '--report', str(tmp_path), '--json'],
         capture_output=True, text=True, timeout=100)
     assert result.returncode == 0, result.stderr
     document = json.loads(result.stdout)
     assert json_keys.problems(document, json_keys.DOCUMENTS['asi limit-cycle']) == []
     assert document['segments'][-1]['verdict'] == 'limit_cycle'
-    assert (tmp_path / 'picture.png').read_bytes().startswith(b'\x89PNG')
+    assert (tmp_path / 'cycle_1.png').read_bytes().startswith(b'\x89PNG')
 
 
 @pytest.mark.timeout(180)

@@ -1,6 +1,5 @@
 """Nyquist pictures as the paper's Figs. 8 and 9, the branch of cycles, and Fig. 7."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,13 +114,13 @@ def onsets(document: dict[str, Any]) -> Figure:
         return figure
 
 
-def write(loop: Loop, document: dict[str, Any], folder: Path) -> None:
-    """Write the pictures as PNG files into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
+def drawn(loop: Loop, document: dict[str, Any]) -> dict[str, tuple[Figure, str]]:
+    """Return the pictures, each with its caption."""
     at = document['describing_function_onset_frequency_hz'] or 100.0
-    pictures = {'nyquist': nyquist(loop, at), 'branches': branches(document)}
+    pictures = {
+        'nyquist': (nyquist(loop, at), 'The loop and -1/N as in Fig. 9 of the paper, '
+                    'damping and friction as in Fig. 8: one harmonic'),
+        'branches': (branches(document), 'Cycles over the gain: predicted and simulated')}
     if document['onset_by_step']:
-        pictures['onset_by_step'] = onsets(document)
-    with style():
-        for name, figure in pictures.items():
-            figure.savefig(folder / f'{name}.png')
+        pictures['onset_by_step'] = (onsets(document), 'Onset over the size of the step: Fig. 7')
+    return pictures

@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 FREQUENCIES_HZ: Final = np.geomspace(5.0, 600.0, 60)
+# Amplitudes of the piston at which damping and friction are tried.
+VELOCITIES_M_S: Final = np.geomspace(1e-4, 2.0, 12)
 
 
 class Locus(NamedTuple):
@@ -51,24 +53,36 @@ def per_gain(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:
             / loop.compensator['gain'])
 
 
-def _least_gain(loop: Loop, nonlinear: Callable[[float], complex]
-                ) -> tuple[float, float] | None:
-    """Return (gain, frequency) where L N crosses the negative real axis furthest out."""
-    def response(f: float) -> complex:
-        return complex(per_gain([f], loop)[0] * nonlinear(f))
-
-    values = np.array([response(f) for f in FREQUENCIES_HZ])
+def _least_gain(needed: Callable[[float], complex]) -> tuple[float, float] | None:
+    """Return (gain, frequency) of the least gain above 0 that is real where it is needed."""
+    values = np.array([needed(f) for f in FREQUENCIES_HZ])
     best = None
     turned = np.flatnonzero((values.imag[:-1] < 0.0) != (values.imag[1:] < 0.0))
     for k in turned:
-        if values[k].real > 0.0 and values[k + 1].real > 0.0:
+        if values[k].real < 0.0 and values[k + 1].real < 0.0:
             continue
-        f = brentq(lambda f: response(f).imag, FREQUENCIES_HZ[k], FREQUENCIES_HZ[k + 1],
+        f = brentq(lambda f: needed(f).imag, FREQUENCIES_HZ[k], FREQUENCIES_HZ[k + 1],
                    xtol=1e-4)
-        at = response(f).real
-        if at < 0.0 and (best is None or -1.0 / at < best[0]):
-            best = (-1.0 / at, f)
+        gain = needed(f).real
+        if gain > 0.0 and (best is None or gain < best[0]):
+            best = (gain, f)
     return best
+
+
+def _in_series(loop: Loop, passed: Callable[[float], complex]) -> Callable[[float], complex]:
+    """Return the gain that a cycle needs with a nonlinearity between command and force."""
+    return lambda f: complex(-1.0 / (per_gain([f], loop)[0] * (passed(f) or 1e-12)))
+
+
+def _on_the_piston(loop: Loop, opposed: Callable[[float], complex], friction: bool
+                   ) -> Callable[[float], complex]:
+    """Return the gain that a cycle needs with a nonlinear force (N s/m) against the velocity."""
+    def needed(f: float) -> complex:
+        at = [f]
+        direct = 1.0 if friction else linear.fluid(at, loop.plant)[0]
+        held = opposed(f) * direct / linear.impedance(at, loop.plant)[0]
+        return complex(-(1.0 + held) / per_gain(at, loop)[0])
+    return needed
 
 
 def _passed(loop: Loop, amplitude_n: float, frequency_hz: float) -> complex:
@@ -80,7 +94,7 @@ def hysteresis_alone(loop: Loop, amplitudes_n: Array) -> Locus:
     """Return the predicted cycles; amplitudes of the command without any are left out."""
     rows, stable = [], []
     for amplitude in amplitudes_n:
-        found = _least_gain(loop, partial(_passed, loop, amplitude))
+        found = _least_gain(_in_series(loop, partial(_passed, loop, amplitude)))
         if found is not None:
             gain, f = found
             compensated = abs(frequency_response(loop.compensator, [f], 1.0 / loop.period_s)[0])
@@ -106,7 +120,44 @@ def _loeb(loop: Loop, gain: float, amplitude_n: float, frequency_hz: float) -> b
 
 def linear_limit(loop: Loop) -> tuple[float, float] | None:
     """Return (gain, frequency) at which the loop is unstable with no nonlinearity at all."""
-    return _least_gain(loop, lambda _: 1.0)
+    return _least_gain(_in_series(loop, _always(1.0)))
+
+
+def _always(value: complex) -> Callable[[float], complex]:
+    return lambda _: value
+
+
+def _rubbed(velocity_m_s: float, p: np.void, frequency_hz: float) -> complex:
+    return describing.seal_friction(velocity_m_s, frequency_hz, p)
+
+
+def each_alone(loop: Loop) -> dict[str, tuple[float, float] | None]:
+    """
+    Return (gain, frequency) of the first cycle that each nonlinearity makes alone.
+
+    Others linear, damping and friction left out. A saturation passes less the larger the sine,
+    so it makes none below the linear limit; damping and friction make one only if, at some
+    amplitude, they turn the force far enough.
+    """
+    p = loop.plant
+    limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
+    slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p).real
+    openings = p['valve_characteristic_full_opening'] * np.geomspace(0.01, 4.0, 12)
+    candidates = {
+        'valve_hysteresis': [_in_series(loop, partial(_passed, loop, a))
+                             for a in np.geomspace(60.0, 1.6e4, 36)],
+        'valve_characteristic': [_in_series(
+            loop, _always(describing.characteristic(a, 0.0, p) / slope)) for a in openings],
+        'hydraulic_damping': [_on_the_piston(
+            loop, _always(describing.damping(v, 0.0, p)), False) for v in VELOCITIES_M_S],
+        'friction': [_on_the_piston(
+            loop, partial(_rubbed, v, p), True) for v in VELOCITIES_M_S],
+        'command_limit': [_in_series(
+            loop, _always(describing.saturation_closed_form(a, limit)))
+            for a in limit * np.geomspace(1.0, 8.0, 8)]}
+    first = {name: [found for found in map(_least_gain, rows) if found]
+             for name, rows in candidates.items()}
+    return {name: min(found) if found else None for name, found in first.items()}
 
 
 def seen_by_damping(frequency_hz: npt.ArrayLike, loop: Loop, friction: bool) -> Complex:

@@ -7,7 +7,12 @@ import numpy as np
 
 from asi_analysis.prediction import harmonic_balance as hb
 from asi_analysis.prediction.floquet import multipliers
-from asi_analysis.prediction.one_harmonic import Locus, hysteresis_alone, linear_limit
+from asi_analysis.prediction.one_harmonic import (
+    Locus,
+    each_alone,
+    hysteresis_alone,
+    linear_limit,
+)
 from asi_analysis.prediction.simulation import (
     Values,
     as_balance,
@@ -128,6 +133,10 @@ def predict(actuator: Values, controller: Values, rate_hz: float, first_gain: fl
         'describing_function_onset_frequency_hz': _first(locus.frequency_hz, locus),
         'linear_limit_gain': None, 'largest_frequency_error': None,
         'largest_amplitude_error': None}
+    document['one_harmonic'] = [
+        {'nonlinearity': name, 'onset_gain': first[0] / unit if first else None,
+         'onset_frequency_hz': first[1] if first else None}
+        for name, first in each_alone(loop).items()]
     limit = linear_limit(loop)
     if limit:
         document['linear_limit_gain'] = limit[0] / unit
@@ -234,6 +243,10 @@ def as_text(document: dict[str, Any]) -> str:
                      'harmonic: '
                      f'{figure(document["describing_function_onset_gain"])}, '
                      f'{figure(document["describing_function_onset_frequency_hz"], " Hz")}')
+        lines.append('one harmonic, each nonlinearity alone: ' + '; '.join(
+            f'{row["nonlinearity"].replace("_", " ")} {figure(row["onset_gain"])}, '
+            f'{figure(row["onset_frequency_hz"], " Hz")}' for row in document['one_harmonic'])
+            + f'; without any {figure(document["linear_limit_gain"])}')
         if document['largest_frequency_error'] is not None:
             lines.append('harmonic balance against simulation, at most: '
                          f'{100 * document["largest_frequency_error"]:.2g} % in frequency, '
