@@ -260,12 +260,6 @@ def test_diagnostics_say_how_the_loop_does(
     assert controller['compensator'] == 'lead2' and 'states ignored' in controller
 
 
-def test_two_controllers_are_a_fault(start_node: Callable) -> None:
-    start_node(CONTROLLER, **PATIENT)
-    start_node(CONTROLLER, '-r', '__node:=second', **PATIENT)
-    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
-    actuator.wait_for('control periods: do two controllers run, or one with another rate_hz?')
-
 
 def test_time_goes_on_evenly_when_the_system_clock_is_set(
         monkeypatch: pytest.MonkeyPatch) -> None:
