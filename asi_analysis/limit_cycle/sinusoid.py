@@ -20,6 +20,8 @@ from asi_analysis.limit_cycle.noise import triangle
 Array = npt.NDArray[np.float64]
 
 MOST_HARMONICS: Final = 15
+# The highest that is looked for beyond half the sampling rate.
+MOST_FOLDED: Final = 3
 # Chance of taking one harmonic, or one term of the drift, that is not there.
 FALSE_TERM: Final = 1e-3
 STEPS: Final = 30
@@ -250,7 +252,10 @@ def _choose_harmonics(t: Array, values: Array, drift: Array, start: Array, grows
 
     Above half the sampling rate a harmonic shows at another frequency, but it shows.
     """
-    most = min(_told_apart(t, start[0]), (len(t) - drift.shape[1] - 4) // 6)
+    below_half = int(0.49 / (start[0] * float(np.median(np.diff(t)))))
+    # Not so the many high ones: some of them would always fall near the first.
+    most = min(max(below_half, min(_told_apart(t, start[0]), MOST_FOLDED)), MOST_HARMONICS,
+               (len(t) - drift.shape[1] - 4) // 6)
     highest = 1
     solution = _solve(t, values, drift, start, 1, grows)
     while highest < most:
