@@ -56,7 +56,9 @@ FULL_MODEL = {
     'hydraulic_damping.saturation_narrowing': 0.422, 'hydraulic_damping.velocity_width': 0.198,
     'hydraulic_damping.width_growth': 0.217, 'friction.stribeck_velocity': 0.005,
     'friction.presliding_stiffness': 2e5, 'force_sensor.damping_ratio': 0.7,
-    'valve_hysteresis.rate_exponent': 0.0, 'force_sensor.mass_share': 0.0,
+    'valve_hysteresis.rate_exponent': 0.0, 'valve_hysteresis.rate_filter': 1500.0,
+    'valve_hysteresis.saturation': 1e6, 'friction.presliding_damping': 0.0,
+    'force_sensor.mass_share': 0.0,
 }
 TEXTBOOK_MODEL = {
     'force_sensor.mass_share': 0.0,

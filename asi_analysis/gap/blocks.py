@@ -20,12 +20,19 @@ import numpy.typing as npt
 
 from asi_actuator.model.delay import delay, delay_steps
 from asi_actuator.model.force_sensor import CARD_DAMPING
-from asi_actuator.model.friction import friction, sliding_share
+from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.jit import FULL, LINEAR, jit
 from asi_actuator.model.linear_lag import second_order, second_order_step
 from asi_actuator.model.valve_characteristic import valve_position
-from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
+from asi_actuator.model.valve_hysteresis import (
+    command_rate,
+    half_width,
+    play,
+    rate_decay,
+    saturated,
+    valve_hysteresis,
+)
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 
 Array = npt.NDArray[np.floating[Any]]
@@ -40,6 +47,8 @@ EFFECT_FIELDS = (
     'loop_share',               # share of the command that goes through the plays
     'loop_spread',              # 0: all plays equally wide, 1: from nothing to loop_width
     'command_deadband',         # N, half width
+    'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0 all alike
+    'valve_hysteresis_lagged',  # share of its growth with the rate that is a lag instead
     'valve_lag',                # s, of two lags one after the other
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
@@ -57,11 +66,14 @@ EFFECT_FIELDS = (
     'force_scale',              # N
     'air_time',                 # s, at no force
     'air_stiffening',           # how much faster at force_scale
+    'friction_slipping',        # share of the nominal friction that is a Maxwell slip instead
     'friction_level',           # N
     'friction_asymmetry',       # -1 to 1
     'friction_breakaway',       # breakaway over sliding friction, less one
     'friction_stribeck',        # m/s
     'friction_bristle',         # m, deflection of the seals at breakaway
+    'friction_spread',          # of the seals' elements: 0 all give way at once
+    'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
     'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
     'viscous',                  # N s/m
     'viscous_asymmetry',        # -1 to 1
@@ -71,9 +83,9 @@ EFFECT_FIELDS = (
     'compliance_damping',       # s
     'piston_share',             # share of the mass before the compliance
     'disturbance',              # N
-    'disturbance_cosine',       # N
-    'disturbance_sine',         # N
+    'disturbance_wave',         # N
     'disturbance_frequency',    # Hz
+    'disturbance_phase',        # turns
     'disturbance_pulse',        # N
     'disturbance_start',        # s
     'disturbance_end',          # s
@@ -91,7 +103,8 @@ EFFECT_FIELDS = (
 EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
 
-PLAYS = 4
+PLAYS = 4         # elements of a hysteresis, and of a friction
+QUARTILE = 0.38   # four elements evenly spread over the normal law lie at -3, -1, 1, 3 of these
 
 
 @jit
@@ -166,8 +179,10 @@ def valve(command, p, e, period, count, out):
     keep, old, new = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
     keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
     start = command[0] + e.command_bias
-    plays = np.full(PLAYS, start)
-    filtered, flux = start, start
+    plays, fluxes = np.full(PLAYS, start), np.full(PLAYS, start)
+    widths = spread(e.valve_hysteresis_spread)
+    magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
+    filtered, flux, slow_flux = start, start, start
     before = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = before, before, before, before, 0.0
     for k in range(out.shape[0]):
@@ -183,8 +198,10 @@ def valve(command, p, e, period, count, out):
                                          + e.command_phase)
             u += e.command_bias
             filtered = u + (filtered - u) * decay
-            flux = valve_hysteresis(flux, u, filtered, p)
-            drive = loop(plays, saturated(flux, p), e)
+            flux_before = flux
+            flux = magnetised(fluxes, widths, u, filtered, p, e)
+            slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
+            drive = loop(plays, saturated(slow_flux, p), e)
             after = dead_zone(drive, e.command_deadband)
             lagged_before = lagged
             first_before = first
@@ -201,6 +218,38 @@ def valve(command, p, e, period, count, out):
                 pipe = lagged
                 if p.valve_flexure_model == LINEAR:
                     pipe *= p.valve_flexure_linear_gain
+
+
+@jit
+def magnetised(fluxes, widths, command, filtered, p, e):
+    """
+    Return the flux (N) of the nominal hysteresis, whose shape is left open; updates its plays.
+
+    The plays of asi_actuator/model/valve_hysteresis.py with widths that spread, and only a part
+    of their growth with the rate, where the rest is a lag: a rounded loop behind a lag measures
+    the same. filtered: state of the rate filter, N.
+    """
+    if p.valve_hysteresis_model != FULL:
+        return valve_hysteresis(0.0, command, filtered, p)
+    grown = half_width(command_rate(command, filtered, p), p) - p.valve_hysteresis_radius
+    flux = 0.0
+    for i in range(PLAYS):
+        width = p.valve_hysteresis_radius * widths[i] + (1.0 - e.valve_hysteresis_lagged) * grown
+        fluxes[i] = play(fluxes[i], command, width)
+        flux += fluxes[i] / PLAYS
+    return flux
+
+
+@jit
+def spread(wide):
+    """
+    Return the relative sizes of the elements of a hysteresis or friction: 1 in the mean.
+
+    After a log-normal law: not wide gives one sharp corner, wide the smooth loops of Bouc and Wen,
+    or Dahl.
+    """
+    sizes = np.exp(QUARTILE * wide * np.arange(1.0 - PLAYS, PLAYS, 2.0))
+    return sizes / np.mean(sizes)
 
 
 @jit
@@ -221,38 +270,62 @@ def loop(plays, drive, e):
 
 
 @jit
-def slide(deflection, velocity, e, h):
+def slide(elements, reach, moved, velocity, e):
     """
-    Return deflection of the seals (m) and friction (N) after `h` s of the effects' friction.
+    Return friction (N) at a velocity (m/s) after a way (m); updates the elements.
 
-    The elasto-plastic bristle of asi_actuator/model/friction.py, given by its breakaway distance
-    instead of its stiffness, so that its width does not depend on its height.
+    Generalised Maxwell slip: elements that deform (-1 to 1, in units of their own reach, m) and
+    then slide. Breakaway falls to sliding friction over the Stribeck velocity.
     """
-    relative = velocity / e.friction_stribeck if e.friction_stribeck > 0.0 else 1e9
-    rise = 1.0 + e.friction_breakaway * math.exp(-relative * relative)
-    reach = e.friction_bristle * rise
-    share = sliding_share(deflection, velocity, reach)
-    after = (deflection + h * velocity) / (1.0 + h * share * abs(velocity) / reach)
-    after = min(max(after, -reach), reach)
-    uneven = 1.0 + e.friction_asymmetry if after >= 0.0 else 1.0 - e.friction_asymmetry
-    return after, e.friction_level * uneven * after / e.friction_bristle
+    rise = 1.0
+    if e.friction_breakaway > 0.0:
+        relative = abs(velocity) / e.friction_stribeck
+        if relative < 20.0:
+            rise += e.friction_breakaway * math.exp(-relative ** e.friction_falling)
+    share = 0.0
+    for i in range(PLAYS):
+        elements[i] = min(max(elements[i] + moved / reach[i], -1.0), 1.0)
+        share += elements[i] / PLAYS
+    uneven = 1.0 + e.friction_asymmetry if share >= 0.0 else 1.0 - e.friction_asymmetry
+    return e.friction_level * uneven * rise * share
 
 
 @jit
-def inner_friction(seal, extra, v, mean, p, e, h):
+def slipping(elements, sizes, moved, velocity, p):
     """
-    Return both deflections (m) and the friction (N) between valve and force sensor.
+    Return the nominal friction (N) in another formulation; updates the elements.
 
-    v, mean: velocity (m/s) at the end of `h` s and its mean.
+    Maxwell slip whose force, not whose deflection, follows the Stribeck curve: after a stop it is
+    at once that of breakaway, where the bristle stays where it slid.
+    """
+    reach = 0.5 * (p.friction_stiction_push + p.friction_stiction_pull) / (
+        p.friction_presliding_stiffness)
+    share = 0.0
+    for i in range(PLAYS):
+        elements[i] = min(max(elements[i] + moved / (reach * sizes[i]), -1.0), 1.0)
+        share += elements[i] / PLAYS
+    stiction = p.friction_stiction_push if share >= 0.0 else p.friction_stiction_pull
+    fall = math.exp(-abs(velocity) / p.friction_stribeck_velocity)
+    return share * (p.friction_coulomb + (stiction - p.friction_coulomb) * fall)
+
+
+@jit
+def inner_friction(seal, slips, sizes, extra, reach, v, mean, p, e, h):
+    """
+    Return the deflection (m) of the nominal seals and the friction (N) before the force sensor.
+
+    slips, sizes: elements of the nominal friction in its other formulation; extra, reach: those of
+    the effects' friction; v, mean: velocity (m/s) at the end of `h` s and its mean.
     """
     rub = friction(seal, mean, v, p, h)
     total = rub.force
+    if e.friction_slipping > 0.0:
+        total += e.friction_slipping * (slipping(slips, sizes, mean * h, v, p) - rub.force)
     if e.friction_inside > 0.5:
         if e.friction_level > 0.0:
-            extra, more = slide(extra, v, e, h)
-            total += more
+            total += slide(extra, reach, mean * h, v, e)
         total += viscous_force(v, e)
-    return rub.seal, extra, total
+    return rub.seal, total
 
 
 @jit
@@ -285,10 +358,12 @@ def force(position, velocity, p, e, period, count, out):
     steady = (e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0)
     opening_keep = math.exp(-h / e.supply_time)
 
-    seal, extra, seal_v = 0.0, 0.0, velocity[0]
+    seal, seal_v = 0.0, velocity[0]
+    extra, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    slips, sizes = np.zeros(PLAYS), spread(0.6)
     target, opened = supplied(position[0], velocity[0], 0.0, fluid_gain, p, e, 0.0)
     hydraulic = target
-    seal, extra, rub = inner_friction(seal, extra, velocity[0], velocity[0], p, e, h)
+    seal, rub = inner_friction(seal, slips, sizes, extra, reach, velocity[0], velocity[0], p, e, h)
     # What the sensor feels: not the inertia of the mass before it.
     mass = p.force_sensor_mass_share * p.load_mass
     felt = hydraulic - rub
@@ -314,7 +389,8 @@ def force(position, velocity, p, e, period, count, out):
                 keep, old, new = lag_weights(time / leak, h)
                 old, new = old / leak, new / leak
             hydraulic = keep * hydraulic + old * before + new * target
-            seal, extra, rub = inner_friction(seal, extra, v, 0.5 * (seal_v + v), p, e, h)
+            seal, rub = inner_friction(seal, slips, sizes, extra, reach, v,
+                                       0.5 * (seal_v + v), p, e, h)
             seal_v = v
             felt_before = felt
             felt = hydraulic - rub - inertia
@@ -375,8 +451,8 @@ def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out
     position m, velocity m/s: of the piston; stiffness N/m, damping N s/m of the load; start: time
     of the first sample, s.
     """
-    seal = 0.0
-    left = position[0]
+    elements, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    left, before = position[0], position[0]
     pulse = e.disturbance_end > e.disturbance_start
     omega = 2.0 * math.pi * e.disturbance_frequency
     for k in range(out.shape[0]):
@@ -384,8 +460,7 @@ def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out
         total = e.load_offset - e.disturbance
         if e.friction_inside < 0.5:
             if e.friction_level > 0.0:
-                seal, rub = slide(seal, v, e, period)
-                total += rub
+                total += slide(elements, reach, x - before, v, e)
             total += viscous_force(v, e) + damping * e.viscous_asymmetry * abs(v)
         if e.backlash > 0.0:
             left = min(max(left, x - e.backlash), x + e.backlash)
@@ -393,14 +468,15 @@ def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out
             total -= stiffness * (x - seat)
         if e.disturbance_frequency > 0.0:
             time = start + k * period
-            total -= (e.disturbance_cosine * math.cos(omega * time)
-                      + e.disturbance_sine * math.sin(omega * time))
+            total -= e.disturbance_wave * math.sin(omega * time
+                                                   + 2.0 * math.pi * e.disturbance_phase)
         if pulse:
             time = start + k * period
             # Edges one sample wide, so that their places can be fitted.
             rise = min(max((time - e.disturbance_start) / period + 0.5, 0.0), 1.0)
             fall = min(max((time - e.disturbance_end) / period + 0.5, 0.0), 1.0)
             total -= e.disturbance_pulse * (rise - fall)
+        before = x
         out[k] = total
 
 

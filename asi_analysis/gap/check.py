@@ -25,6 +25,7 @@ from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink
 from asi_analysis.gap.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
 from asi_analysis.gap.fit import measured, predict
 from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.verdict import as_plain, evidence_of
 from asi_analysis.parallel import each
 from asi_analysis.run import Run
 
@@ -58,6 +59,8 @@ def examine(folder: Path, entry: Mapping[str, str]) -> Row:
         row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
                                             'ambiguity_set', 'gap')}
         row['seconds'] = time.process_time() - started
+        row['evidence'] = [as_plain(evidence_of(w.group, w.candidates))
+                           for w in diagnosis.groups]
         if 'fresh' in entry:
             row['fresh_shrink'] = fresh_shrink(diagnosis, read_bag(folder / entry['fresh']))
     except InputError as error:

@@ -11,7 +11,7 @@ from asi_actuator.parameters import Value
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap import next_experiment, quality, where
 from asi_analysis.gap.effects import BLOCK_OF, NO_GAP, UNKNOWN
-from asi_analysis.gap.fit import TOLERANCE, Group, fit_null, make_group, plant_record
+from asi_analysis.gap.fit import TOLERANCE, Group, make_group, plant_record
 from asi_analysis.gap.joint import drive_of, joint_groups
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.shrink import Shrink, shrink_of
@@ -20,10 +20,9 @@ from asi_analysis.gap.verdict import (
     Names,
     Weighed,
     ambiguity_set,
-    candidates_of,
     join,
     marginals,
-    weigh,
+    weigh_groups,
 )
 from asi_analysis.run import Run
 
@@ -68,7 +67,7 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
            for name in ('command', 'force', 'valve_position', 'motion')}
     for run, recording in zip(runs, recordings, strict=True):
         quality.check_excitation(recording)
-        notes += quality.check_motion(recording, run.position_m)
+        notes += quality.check_motion(run)
     if has['command'] and has['valve_position']:
         groups.append(make_group(p, recordings, ('valve',), tolerance))
     else:
@@ -115,13 +114,12 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
 
     for note in notes:
         warnings.warn(note, InputWarning, stacklevel=2)
-    weighed = []
     for group in groups:
         if plant == 'actuator':
             quality.check_against_model(group)
         else:
             quality.check_joint(group)
-        weighed.append(weigh(group, candidates_of(group, fit_null(group), tick)))
+    weighed = weigh_groups(groups, tolerance, tick)
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     answer = Diagnosis([run.source for run in runs], weighed, joined, verdict, [], notes, None,
@@ -174,12 +172,14 @@ def _effect_values(diagnosis: Diagnosis, name: str) -> dict[str, float]:
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the answer as `asi gap --json` prints it; plain data."""
     chance = marginals(diagnosis.joined)
-    # Two effects that are both sure: first the one that explains more by itself.
+    # First the effects of the verdict, that which explains more by itself before the other.
     alone = {name: max(w.probability.get((name,), 0.0) for w in diagnosis.groups)
              for name in BLOCK_OF}
     which = [{'effect': name, 'block': BLOCK_OF[name], 'probability': chance[name],
               'parameters': _effect_values(diagnosis, name)}
-             for name in sorted(BLOCK_OF, key=lambda n: (-round(chance[n], 2), -alone[n]))
+             for name in sorted(BLOCK_OF, key=lambda n: (n not in diagnosis.verdict, -alone[n]
+                                                             if n in diagnosis.verdict
+                                                             else -chance[n]))
              if chance[name] > 0.001]
     left = ambiguity_set(diagnosis.joined)
     main = main_shrink(diagnosis)

@@ -19,7 +19,8 @@ class Free(NamedTuple):
     A free parameter: a field of the plant's record, its bounds and where to start.
 
     scale: what low, high and starts are multiples of: '' for the plain unit, the name of a signal
-    (its range in the recording), 'duration', or 'nominal' (the field's own nominal value).
+    (its range in the recording), what is seen in what the nominal model leaves ('residual_...'),
+    or 'nominal' (the field's own nominal value).
     """
 
     field: str
@@ -71,7 +72,8 @@ def _friction(*more: Free, joined: bool = False) -> tuple[Variant, ...]:
     level = Free('friction_level', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N')
     # The breakaway distance of seals and bearings: from microns to half a millimetre.
     bristle = Free('friction_bristle', 2e-6, 5e-4, (5e-5, 1e-5), '', 'm')
-    return tuple(Variant((level, bristle, *more), channels, (('friction_inside', inside),),
+    spread = Free('friction_spread', 0.0, 1.5, (0.6,))
+    return tuple(Variant((level, bristle, spread, *more), channels, (('friction_inside', inside),),
                          joined=joined)
                  for inside, channels in ((0.0, LOAD_SIDE), (1.0, FORCE_SIDE)))
 
@@ -82,10 +84,11 @@ _ASYMMETRIC = tuple(
 _ASYMMETRIC_TOO = _friction(Free('friction_asymmetry', -1.0, 1.0, (0.1, -0.1)),
                             Free('viscous_asymmetry', -0.5, 0.5, (0.02, -0.02)), joined=True)
 _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
-                      Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'))
+                      Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'),
+                      Free('friction_falling', 1.0, 2.0, (1.5,)))
 
-# The right size of a step is a narrow place: many starts, each 3 % from the next.
-QUANTA = tuple(0.02 * 1.03 ** k for k in range(94))
+# The right size of a step is a narrow place: many starts, each 1.5 % from the next.
+QUANTA = tuple(0.02 * 1.015 ** k for k in range(186))
 
 EFFECTS: tuple[Effect, ...] = (
     Effect('transport_delay', COMMAND_PATH, 'the command arrives later', (
@@ -99,7 +102,7 @@ EFFECTS: tuple[Effect, ...] = (
                   (('command_phase', phase),)) for phase in (0.0, 0.5)),
     )),
     Effect('valve_hysteresis', VALVE, 'the valve lags behind a turning command', (
-        Variant((Free('loop_width', 0.0, 0.8, (0.02, 0.06, 0.15), 'command', 'N'),
+        Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),
                  Free('loop_share', 0.0, 1.0, (0.95,)), Free('loop_spread', 0.0, 1.0, (0.3, 0.9))),
                 VALVE_SIDE),
         Variant((_scaled('valve_hysteresis_radius', 0.0, 10.0),
@@ -107,10 +110,10 @@ EFFECTS: tuple[Effect, ...] = (
                 needs=('valve_hysteresis_model', 'valve_hysteresis_radius')),
     )),
     Effect('valve_deadband', VALVE, 'a small command does not move the valve, or moves no oil', (
-        Variant((Free('command_deadband', 0.0, 0.5, (0.02, 0.06, 0.15), 'command', 'N'),),
-                VALVE_SIDE),
-        Variant((Free('orifice_deadband', 0.0, 0.5, (0.02, 0.06, 0.15), 'valve_position', 'm'),),
-                FORCE_SIDE),
+        Variant((Free('command_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'command',
+                      'N'),), VALVE_SIDE),
+        Variant((Free('orifice_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'valve_position',
+                      'm'),), FORCE_SIDE),
     )),
     Effect('valve_saturation', VALVE, 'the valve opens, or passes oil, only so far', (
         Variant((Free('valve_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'valve_position', 'm'),
@@ -176,13 +179,13 @@ EFFECTS: tuple[Effect, ...] = (
     )),
     Effect('disturbance_force', MECHANICS, 'something else pushes the load', (
         Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
-        Variant((Free('disturbance_cosine', -1.0, 1.0, (0.01,), 'force', 'N'),
-                 Free('disturbance_sine', -1.0, 1.0, (0.01,), 'force', 'N'),
-                 Free('disturbance_frequency', 0.9, 1.1, (1.0,), 'residual_frequency', 'Hz'),
-                 Free('disturbance', -1.0, 1.0, (0.0,), 'force', 'N')), LOAD_SIDE),
-        Variant((Free('disturbance_pulse', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),
-                 Free('disturbance_start', 0.0, 1.0, (0.2, 0.4, 0.6), 'duration', 's'),
-                 Free('disturbance_end', 0.0, 1.0, (0.5, 0.7, 0.95), 'duration', 's')), LOAD_SIDE),
+        Variant((Free('disturbance_wave', 0.0, 1.0, (0.1,), 'force', 'N'),
+                 Free('disturbance_phase', -0.5, 1.5, (0.0, 0.2, 0.4, 0.6, 0.8), '', 'turns'),
+                 Free('disturbance_frequency', 0.98, 1.02, (1.0,), 'residual_frequency', 'Hz')),
+                LOAD_SIDE),
+        Variant((Free('disturbance_pulse', -1.0, 1.0, (0.1, -0.1), 'force', 'N'),
+                 Free('disturbance_start', 0.9, 1.1, (1.0,), 'residual_start', 's'),
+                 Free('disturbance_end', 0.9, 1.1, (1.0,), 'residual_end', 's')), LOAD_SIDE),
     )),
     Effect('sensor_offset', SENSOR, 'the force sensor does not read zero at no force', (
         Variant((Free('sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), BOTH),

@@ -7,32 +7,38 @@ loose, they swallow the effect. What is fitted on one part of the data is judged
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares, lsq_linear
-from scipy.signal import welch
 
-from asi_actuator.model.jit import FULL
+from asi_actuator.model.jit import FULL, LINEAR
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.gap import blocks
+from asi_analysis.gap.bounded import least_step, minimise
 from asi_analysis.gap.effects import EFFECTS, Effect, Free, Variant
 from asi_analysis.gap.prepare import Array, Recording, low_pass
 
 Values = dict[str, float]
 
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
-MODEL_ERROR = 0.01   # share of a signal that no model of ours is trusted to explain
+MODEL_ERROR = 0.005  # share of a signal that no model of ours is trusted to explain
 STEP = 1e-3          # of a parameter's range, for the derivatives
-# Valve position and velocity come sampled, so finer steps than this tell nothing new; but the
-# hysteresis of the full model, whose width follows the rate of the command, jumps within a sample.
+# Valve position and velocity come sampled, and lags are exact for what moves straight, so finer
+# steps than the first tell nothing new of the force; delays and a solid friction of the nominal
+# model take the second; the hysteresis of the full model, whose width follows the rate of the
+# command and so jumps within a sample, the third.
+FORCE_STEP_S = 5e-4
 STEP_S = 2.5e-4
 HYSTERESIS_STEP_S = 1e-4
 PULL = 1.0           # of the start, on a parameter that is a whole range away
 ROUNDS = 15          # of the optimiser
+ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth another
+POLISHING = 6        # of those, with all derivatives
 LARGEST = 3.0        # times a start that an effect is taken to be
+PULSE_CORNERS = 400  # places in a recording where a pulse is looked for to begin or end
 STARTS = 2           # of the best starting points that are followed
 
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
@@ -52,13 +58,36 @@ UNCERTAIN = {
 }
 
 
+# Share of what a nonlinearity of the nominal model does (with these fields and without) that its
+# formulation is not trusted to explain; set, as MODEL_ERROR is, on blind cases without effects.
+FORMULATION_ERROR = {
+    'valve': ((('valve_hysteresis_radius',), 0.1),),
+    'force': ((('friction_coulomb', 'friction_stiction_push', 'friction_stiction_pull'), 0.2),),
+    'load': (),
+}
+# What the formulation of a nonlinearity leaves open, whatever the tolerance of its size: two that
+# agree in their size need not agree in the last turn of their curve.
+SHAPES = {
+    'valve': (Free('valve_hysteresis_spread', 0.0, 1.5, (0.3,)),
+              Free('valve_hysteresis_lagged', 0.0, 1.0, (0.3,))),
+    'force': (*(Free(f'hydraulic_damping_{name}', 0.5, 2.0, (1.0,), 'nominal')
+                for name in ('velocity_width', 'width_growth', 'saturation_shift',
+                             'saturation_narrowing', 'centre_share')),
+              Free('friction_slipping', 0.0, 1.0, (0.3,)),
+              Free('friction_presliding_stiffness', 0.3, 3.0, (1.0,), 'nominal'),
+              Free('friction_stribeck_velocity', 0.3, 3.0, (1.0,), 'nominal')),
+    'load': (),
+}
+
+
 def plant_record(nominal: Mapping[str, Value]) -> np.void:
     """Return the plant's record of nominal actuator parameters, every effect null."""
     record = np.zeros(1, blocks.PLANT_DTYPE)[0]
     actuator = as_record(nominal)
     for name in actuator.dtype.names or ():
         record[name] = actuator[name]
-    for name, value in (('force_scale', 1.0), ('friction_bristle', 1e-4), ('supply_time', 0.3)):
+    for name, value in (('force_scale', 1.0), ('friction_bristle', 1e-4), ('supply_time', 0.3),
+                        ('friction_stribeck', 1.0), ('friction_falling', 1.0)):
         record[name] = value
     return record
 
@@ -121,8 +150,9 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     position = recording.valve_position
     if position is None:
         position = _valve(recording, p)
+    stiff = FULL in (p['force_sensor_model'], p['friction_model'])
     blocks.force(position, _velocity(recording, p), *blocks.parts(p), recording.period_s,
-                 recording.sub_steps(STEP_S), out)
+                 recording.sub_steps(STEP_S if stiff else FORCE_STEP_S), out)
     return out
 
 
@@ -227,38 +257,40 @@ def scales(recordings: Sequence[Recording]) -> Values:
         '': 1.0, 'command': command, 'force': force, 'velocity': velocity, 'position': position,
         'valve_position': _range([r.valve_position for r in recordings]),
         'damping': force / velocity, 'damping_quadratic': force / velocity ** 2,
-        'compliance': position / force, 'duration': duration, 'drift': force / duration,
-        'drift_curve': force / duration ** 2, 'residual_frequency': 1.0,
+        'compliance': position / force, 'drift': force / duration,
+        'drift_curve': force / duration ** 2,
     }
+
+
+def _is_modelled(name: str, nominal: np.void) -> bool:
+    """Return whether the nominal model has the block, or the load, that a parameter is of."""
+    if name.startswith('load_locked') or name in ('load_stiffness', 'load_damping'):
+        kind = ('locked', 'spring', 'free', 'prescribed')[int(nominal['load_type'])]
+        return kind == ('locked' if name.startswith('load_locked') else 'spring')
+    block = next((block for block in ('valve_flexure', 'valve_hysteresis', 'hydraulic_damping',
+                                      'fluid_dynamics', 'friction', 'force_sensor')
+                  if name.startswith(block)), None)
+    model = LINEAR if name.endswith('linear_gain') else FULL
+    return block is None or nominal[f'{block}_model'] == model
 
 
 def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float) -> tuple[Free, ...]:
     """Return the uncertain nominal parameters of these channels."""
-    kinds = ('locked', 'spring', 'free', 'prescribed')
-    kind = kinds[int(nominal['load_type'])]
-    fields = dict.fromkeys(name for channel in channels for name in UNCERTAIN[channel])
-    chosen = []
-    for name in fields:
-        block = next((b for b in ('valve_flexure', 'valve_hysteresis', 'hydraulic_damping',
-                                  'fluid_dynamics', 'friction', 'force_sensor')
-                      if name.startswith(b)), None)
-        if block is not None:
-            model = nominal[f'{block}_model']
-            if model != (1.0 if name.endswith('linear_gain') else FULL):
-                continue
-        if name.startswith('load_locked') and kind != 'locked':
-            continue
-        if name in ('load_stiffness', 'load_damping') and kind != 'spring':
-            continue
-        if nominal[name] != 0.0:
+    low, high = 1.0 - tolerance, 1.0 + tolerance
+    chosen = {}
+    for name in (name for channel in channels for name in UNCERTAIN[channel]):
+        if nominal[name] != 0.0 and _is_modelled(name, nominal):
             # The valve position is known by the product of three uncertain parameters.
             wide = name == 'valve_characteristic_gain' and 'valve' in channels
-            low, high = 1.0 - tolerance, 1.0 + tolerance
-            chosen.append(Free(name, low ** 2 / high if wide else low,
-                               high ** 2 / low if wide else high, (1.0,), 'nominal'))
+            chosen[name] = Free(name, low ** 2 / high if wide else low,
+                                high ** 2 / low if wide else high, (1.0,), 'nominal')
+    for free in (free for channel in channels for free in SHAPES[channel]):
+        if _is_modelled(free.field, nominal) and (free.scale != 'nominal'
+                                                  or nominal[free.field] != 0.0):
+            chosen[free.field] = free
     if 'force' in channels:   # a real corner is never quite hard
-        chosen.append(Free('corner', 0.0, 0.1, (0.03,)))
-    return tuple(chosen)
+        chosen['corner'] = Free('corner', 0.0, 0.1, (0.03,))
+    return tuple(chosen.values())
 
 
 def _residual(group: Group, channel: str, p: np.void) -> Array:
@@ -332,6 +364,29 @@ def held_out_error(group: Group, p: np.void) -> Values:
     return left
 
 
+def independent_samples(group: Group, p: np.void) -> Values:
+    """
+    Return how many independent samples the held-out parts are worth, by channel.
+
+    Their number over the time, in samples, that what is left goes on for: the sum of its
+    autocorrelation up to where neighbours no longer agree (Geyer 1992).
+    """
+    worth = {}
+    for channel in group.channels:
+        worth[channel] = 0.0
+        for recording in group.recordings:
+            kept = recording.held_out.astype(float)
+            left = (measured(recording, channel) - predict(recording, channel, p)) * kept
+            size = 2 * left.size
+            products = np.fft.irfft(np.abs(np.fft.rfft(left, size)) ** 2)[:left.size]
+            pairs = np.fft.irfft(np.abs(np.fft.rfft(kept, size)) ** 2)[:left.size]
+            alike = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
+            twos = alike[1:left.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
+            ends = int(np.argmax(np.append(twos, -1.0) <= 0.0))
+            worth[channel] += kept.sum() / (1.0 + 2.0 * float(twos[:ends].sum()))
+    return worth
+
+
 def _shown() -> dict[str, set[str]]:
     """Return the channels that each parameter acts on, by field."""
     shown: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
@@ -340,6 +395,8 @@ def _shown() -> dict[str, set[str]]:
     for channel, names in UNCERTAIN.items():
         for name in names:
             shown.setdefault(name, set()).add(channel)
+        for free in SHAPES[channel]:
+            shown.setdefault(free.field, set()).add(channel)
     for effect in EFFECTS:
         for variant in effect.variants:
             for free in variant.free:
@@ -357,31 +414,22 @@ def shows_in(field: str, channel: str, group: Group) -> bool:
 
 
 def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
-        fixed: Sequence[tuple[str, float]] = (), method: str = 'dogbox',
-        rounds: int = ROUNDS) -> Fitted:
+        fixed: Sequence[tuple[str, float]] = (), rounds: int = ROUNDS,
+        known: Mapping[str, Array] = MappingProxyType({}), followed: int = STARTS) -> Fitted:
     """
     Return the best fit of the free parameters, from the best few of the starts.
 
-    starts: parameter vectors, as shares of the way between bounds; the best STARTS are followed.
+    starts: parameter vectors, as shares of the way between bounds; the best `followed` of them
+    are followed; known: derivatives, by field, that are taken for granted.
     """
     problem = Problem(group, tuple(free), tuple(fixed))
     ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
     best_cost, best_theta = math.inf, ranked[0]
-    for start in ranked[:STARTS if len(starts) > 3 else 1]:
-        # A touch of a prior, so that parameters which do the same do not make it singular.
-        pull = PULL * np.eye(start.size)
-
-        def residual(theta: Array, start: Array = start) -> Array:
-            return np.concatenate([problem.residual(theta), PULL * (theta - start)])
-
-        def jacobian(theta: Array, pull: Array = pull) -> Array:
-            return np.vstack([problem.jacobian(theta), pull])
-
-        # dogbox: it lets parameters rest on their bounds, where trf creeps along them.
-        solution = least_squares(residual, start, jacobian, bounds=(0.0, 1.0), method=method,
-                                 x_scale='jac', max_nfev=rounds, ftol=1e-4, xtol=1e-5, gtol=1e-9)
-        if solution.cost < best_cost:
-            best_cost, best_theta = float(solution.cost), solution.x
+    for start in ranked[:followed if len(starts) > 3 else 1]:
+        theta, cost = minimise(problem.residual, lambda theta: problem.jacobian(theta, known),
+                               start, PULL, rounds, ROUGHLY if known else CLOSELY)
+        if cost < best_cost:
+            best_cost, best_theta = cost, theta
     record = problem.record(best_theta)
     return Fitted(record, problem.free, best_theta, best_cost, held_out_error(group, record),
                   problem)
@@ -412,11 +460,18 @@ class Problem:
         """Return what is left on the fitted parts, channel after channel, in floors."""
         return np.concatenate(self._by_channel(theta))
 
-    def jacobian(self, theta: Array) -> Array:
-        """Return its derivatives, by differences; only of channels that a parameter acts on."""
+    def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({})) -> Array:
+        """
+        Return its derivatives, by differences; only of channels that a parameter acts on.
+
+        known: those that are not worked out, by field.
+        """
         base = self._by_channel(theta)
         columns = np.zeros((sum(part.size for part in base), theta.size))
         for i, parameter in enumerate(self.free):
+            if parameter.field in known:
+                columns[:, i] = known[parameter.field]
+                continue
             step = STEP if theta[i] < 0.5 else -STEP
             moved = theta.copy()
             moved[i] += step
@@ -430,19 +485,39 @@ class Problem:
         return columns
 
 
+def _formulation_error(recordings: Sequence[Recording], channel: str, p: np.void) -> float:
+    """Return the mean square that the formulation of the nominal nonlinearities may leave."""
+    error = 0.0
+    for fields, share in FORMULATION_ERROR[channel]:
+        if _is_modelled(fields[0], p):
+            without = p.copy()
+            for name in fields:
+                without[name] = 0.0
+            error += max(float(np.mean((share * (predict(recording, channel, p)
+                                                 - predict(recording, channel, without))) ** 2))
+                         for recording in recordings)
+    return error
+
+
 def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                tolerance: float = TOLERANCE, nuisance: tuple[Free, ...] | None = None,
-               effects: tuple[Effect, ...] = EFFECTS) -> Group:
-    """Return a group of channels, ready to be fitted."""
+               effects: tuple[Effect, ...] = EFFECTS,
+               model_error: float = MODEL_ERROR) -> Group:
+    """
+    Return a group of channels, ready to be fitted.
+
+    model_error: share of a signal that the model is not trusted to explain.
+    """
     scale = scales(recordings)
     noise, floor = {}, {}
+    p = nominal.copy()
+    p['force_scale'] = scale['force']
     for channel in channels:
         noise[channel] = max(_noise(recording, channel, nominal) for recording in recordings)
         size = math.sqrt(float(np.mean([np.mean(measured(recording, channel) ** 2)
                                         for recording in recordings])))
-        floor[channel] = noise[channel] ** 2 + (MODEL_ERROR * size) ** 2
-    p = nominal.copy()
-    p['force_scale'] = scale['force']
+        floor[channel] = (noise[channel] ** 2 + (model_error * size) ** 2
+                          + _formulation_error(recordings, channel, p))
     if nuisance is None:
         hidden = 'force' in channels and any(r.valve_position is None for r in recordings)
         names = ('valve', *channels) if hidden else channels
@@ -450,17 +525,38 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     return Group(p, recordings, channels, nuisance, scale, noise, floor, effects)
 
 
+def with_known_gain(group: Group, valve: Fitted, tolerance: float) -> Group:
+    """
+    Return a group whose valve passes as much as the fit of the valve channel leaves possible.
+
+    Command to valve position and valve position to force share the full opening: by itself each
+    may be off by the tolerance of several parameters, together by that of the gain alone.
+    """
+    name = 'valve_characteristic_full_opening'
+    if group.nominal['valve_characteristic_model'] == FULL or not any(
+            free.field == name for free in group.nuisance):
+        return group
+    gain = float(valve.record['valve_characteristic_gain']
+                 / valve.problem.group.nominal['valve_characteristic_gain'])
+    low, high = 1.0 - tolerance, 1.0 + tolerance
+    opening = Free(name, max(gain / high, low / high), min(gain / low, high / low), (gain,),
+                   'nominal')
+    if opening.low >= opening.high:
+        return group
+    return replace(group, nuisance=tuple(
+        opening if free.field == name else free for free in group.nuisance
+        if free.field != 'valve_characteristic_maximum_force'))
+
+
 def fit_null(group: Group) -> Fitted:
     """
     Return the nominal model with its uncertain parameters refitted.
 
-    By two optimisers: one that is stuck here would make any effect look like an explanation.
+    To the end: a fit that is stuck here would make any effect look like an explanation.
     """
     theta = np.array([_share(_start(free, group), *_bounds(free, group))
                       for free in group.nuisance])
-    quick = fit(group, group.nuisance, [theta])
-    slow = fit(group, group.nuisance, [theta], method='trf', rounds=3 * ROUNDS)
-    return min(quick, slow, key=lambda fitted: fitted.cost)
+    return fit(group, group.nuisance, [theta], rounds=3 * ROUNDS)
 
 
 def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
@@ -520,15 +616,23 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
     return Problem(group, tuple(frees), fixed), starts
 
 
-def fit_variants(group: Group, base: Fitted, variants: Sequence[Variant]) -> Fitted:
+def fit_variants(group: Group, promise: 'Promise', variants: Sequence[Variant],
+                 followed: int = STARTS) -> Fitted:
     """
-    Return the fit of one variant each of one or more effects, all together.
+    Return the fit of one variant each of one or more effects, all together, nearly.
 
-    base: the fit to start from (nested warm start): its parameters stay, those of the variants
-    are added.
+    promise: of the fit to start from (nested warm start): its parameters stay, those of the
+    variants are added. Their derivatives change little, and are taken from there.
+    followed: how many of the best starts are followed.
     """
-    problem, starts = _added(group, base, variants)
-    return fit(group, problem.free, starts, problem.fixed)
+    problem, starts = _added(group, promise.base, variants)
+    return fit(group, problem.free, starts, problem.fixed, known=promise.derivatives,
+               followed=followed)
+
+
+def polish(group: Group, fitted: Fitted) -> Fitted:
+    """Return a fit that is nearly there, fitted to the end with all derivatives."""
+    return fit(group, fitted.free, [fitted.theta], fitted.problem.fixed, rounds=POLISHING)
 
 
 class Promise:
@@ -541,37 +645,50 @@ class Promise:
     """
 
     def __init__(self, base: Fitted) -> None:
-        self._base = base
+        self.base = base
         self._left = base.problem.residual(base.theta)
         self._jacobian = base.problem.jacobian(base.theta)
+        self.derivatives = {free.field: column for free, column
+                            in zip(base.free, self._jacobian.T, strict=True)}
         self._square = self._jacobian.T @ self._jacobian
         self._right = self._jacobian.T @ self._left
 
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
         """Return the cost that a fit of these variants may be expected to reach."""
-        problem, starts = _added(group, self._base, variants)
+        problem, starts = _added(group, self.base, variants)
         return min(self._linear(problem.residual(start) - self._left) for start in starts)
 
     def _linear(self, change: Array) -> float:
         cross = self._jacobian.T @ change
-        gram = np.block([[self._square, cross[:, None]], [cross[None], change @ change]])
-        size = np.sqrt(np.diag(gram)) + 1e-30
-        # The same small problem by its triangle: |triangle x + right| up to a constant.
-        triangle = np.linalg.cholesky(gram / np.outer(size, size)
-                                      + 1e-9 * np.eye(len(size))).T
-        slope = np.append(self._right, change @ self._left) / size
-        right = -np.linalg.solve(triangle.T, slope)
-        low = np.append(-self._base.theta, 0.0) * size
-        high = np.append(1.0 - self._base.theta, LARGEST) * size
-        solution = lsq_linear(triangle, right, (low - 1e-12, high + 1e-12), 'bvls')
-        return 0.5 * (float(self._left @ self._left) - float(right @ right)) + solution.cost
+        square = np.block([[self._square, cross[:, None]], [cross[None], change @ change]])
+        _, gain = least_step(square, np.append(self._right, change @ self._left),
+                             np.append(-self.base.theta, 0.0),
+                             np.append(1.0 - self.base.theta, LARGEST))
+        return 0.5 * float(self._left @ self._left) - gain
 
 
-def residual_frequency(group: Group, fitted: Fitted) -> float:
-    """Return the strongest frequency (Hz) in what a fit leaves of the last channel."""
+def seen_in_residual(group: Group, fitted: Fitted) -> Values:
+    """
+    Return where to look for a disturbance in what a fit leaves of the last channel.
+
+    residual_frequency: of the strongest wave, Hz; residual_start, residual_end: of the strongest
+    pulse, s.
+    """
     recording = group.recordings[0]
     channel = group.channels[-1]
     left = measured(recording, channel) - predict(recording, channel, fitted.record)
-    frequency, power = welch(left, 1.0 / recording.period_s, nperseg=min(left.size, 1 << 13),
-                             detrend='linear')
-    return float(frequency[1 + np.argmax(power[1:])])
+    left = left - left.mean()
+    count = 8 * left.size   # padded, for a frequency as fine as the wave's phase at the end
+    power = np.abs(np.fft.rfft(left * np.hanning(left.size), count)) ** 2
+    lowest = count // left.size   # one wave in the recording
+    frequency = (lowest + int(np.argmax(power[lowest:]))) / (count * recording.period_s)
+    # What a pulse from one corner to the next explains: the square of its sum over its length.
+    corners = np.linspace(0, left.size, PULSE_CORNERS + 1).astype(int)
+    sums = np.concatenate([[0.0], np.cumsum(left)])[corners]
+    inside = np.maximum(np.subtract.outer(corners, corners).T, 1)
+    outside = np.maximum(left.size - inside, 1)
+    explained = np.triu(np.subtract.outer(sums, sums).T ** 2 * (1.0 / inside + 1.0 / outside), 1)
+    start, end = np.unravel_index(int(np.argmax(explained)), explained.shape)
+    return {'residual_frequency': frequency,
+            'residual_start': max(corners[start], 1) * recording.period_s,
+            'residual_end': corners[end] * recording.period_s}

@@ -28,6 +28,8 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
                            'valve_characteristic.maximum_force': 1.0,
                            'valve_characteristic.full_opening': 0.01}
 SERVO_SHARE = 0.1   # of the motion: a servo that follows better is not where the gap is
+# Share of a signal that a rigid model of a machine with gears, belts and cables does not explain.
+RIGID_ERROR = 0.02
 BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of the dynamics
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
@@ -104,7 +106,8 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     if proportional:
         nominal['valve_characteristic_gain'] = _gain(recordings)
     gain = Free('valve_characteristic_gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal')
-    return make_group(nominal, recordings, ('valve',), nuisance=(gain,))
+    return make_group(nominal, recordings, ('valve',), nuisance=(gain,),
+                      model_error=RIGID_ERROR)
 
 
 def _gain(recordings: Sequence[Recording]) -> float:
@@ -138,7 +141,8 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
         nuisance.append(Free('drive_hold', 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, sensed)
-    return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects)
+    return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
+                      model_error=RIGID_ERROR)
 
 
 def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> tuple[Effect, ...]:

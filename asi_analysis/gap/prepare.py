@@ -31,6 +31,7 @@ REPEATED = 1e-6         # of its range: how far commands that are the same may d
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
 SHARED = 0.3            # a signal with fewer values than this share of its samples comes in steps
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
+ALIKE = 0.25            # size of a velocity over that of its position's derivative, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
@@ -62,7 +63,7 @@ class Recording:
     command: Array | None        # N, or the unit of the position servo's reference
     force: Array | None          # N
     valve_position: Array | None   # m; of a position servo: its position
-    velocity: Array | None       # m/s, measured
+    velocity: Array | None       # m/s, measured, its slow part by the measured position
     motion: Motion | None
     force_judged: Array | None   # N, force within the band of the motion
     noise: dict[str, float]      # standard deviation of each signal's noise, by signal
@@ -176,31 +177,59 @@ def _band(motion: Array, force: Array, period: float) -> float:
     return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
 
 
+def agree(position: Array, velocity: Array, period: float) -> bool:
+    """Return whether a velocity may be the derivative of a position, whatever its noise."""
+    return ALIKE < velocity_over_derivative(position, velocity, period) < 1.0 / ALIKE
+
+
+def velocity_over_derivative(position: Array, velocity: Array, period: float) -> float:
+    """Return a velocity over the derivative of a position; 1 if they are nothing alike."""
+    moved = np.gradient(position, period)
+    if np.std(moved) == 0.0 or np.std(velocity) == 0.0:
+        return 1.0
+    rough = np.convolve(moved, np.ones(9) / 9, 'same')
+    smooth = np.convolve(velocity, np.ones(9) / 9, 'same')
+    if np.corrcoef(rough, smooth)[0, 1] ** 2 < 0.5:
+        return 1.0
+    return float(smooth @ smooth / (rough @ smooth))
+
+
 def _motion(position: Array | None, velocity: Array | None, band: float,
-            period: float) -> Motion | None:
-    """Return the motion that the load has, from what was measured of it; judged up to `band`."""
+            period: float) -> tuple[Motion | None, Array | None]:
+    """
+    Return the motion that the load has, from what was measured of it; judged up to `band`.
+
+    And the velocity (m/s) whose integral is the measured position; None if it was not measured.
+    """
     source = velocity if velocity is not None else position
     if source is None:
-        return None
+        return None, None
     pad = min(int(PAD_S / period), source.size - 2)
     count = source.size + 2 * pad
     frequency = np.fft.rfftfreq(count, period)
     omega = 2.0 * np.pi * frequency
-    smooth = low_pass(frequency, min(SMOOTHING * band, 0.45 / period))
-    if position is not None:
-        x = np.fft.rfft(_extended(position, pad)) * smooth
-    if velocity is not None:
-        v = np.fft.rfft(_extended(velocity, pad)) * smooth
-        if position is None:
-            x = np.zeros_like(v)
-            x[1:] = v[1:] / (1j * omega[1:])
+    if position is None:
+        v = np.fft.rfft(_extended(source, pad))
+        x = np.zeros_like(v)
+        x[1:] = v[1:] / (1j * omega[1:])
     else:
+        x = np.fft.rfft(_extended(position, pad))
         v = 1j * omega * x
+        if velocity is not None and agree(position, velocity, period):
+            both = np.fft.rfft(np.pad(velocity, pad, 'reflect'))
+            # Each by its noise: slow motion from the position, fast motion from the velocity.
+            trust = (omega * noise_of(position)) ** 2
+            trust = trust / (trust + noise_of(velocity) ** 2 + 1e-300)
+            v += trust * (both - v)
+            x[1:] = v[1:] / (1j * omega[1:])
+    fused = np.fft.irfft(v, count)[pad:pad + source.size] if velocity is not None else None
+    smooth = low_pass(frequency, min(SMOOTHING * band, 0.45 / period))
+    x, v = x * smooth, v * smooth
     judge = low_pass(frequency, band)
     if position is None:   # what an integral adds up at low frequency says nothing
         judge = judge * (1.0 - low_pass(frequency, 0.5))
     return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count), x, v, judge, band, pad,
-                  position is not None)
+                  position is not None), fused
 
 
 def judged(values: Array, motion: Motion) -> Array:
@@ -270,10 +299,10 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
              if 'force' in moving and ('velocity' in moving or 'position' in moving)]
     recordings = []
     for number, (run, (period, moving)) in enumerate(zip(runs, read, strict=True)):
-        motion = None
+        motion, velocity = None, moving.get('velocity')
         if bands and 'force' in moving:
             band = min([*bands, RIGID_BAND_HZ] if drive == 'force' else bands)
-            motion = _motion(moving.get('position'), moving.get('velocity'), band, period)
+            motion, velocity = _motion(moving.get('position'), velocity, band, period)
         force = moving.get('force')
         fit, held = split(next(iter(moving.values())).size, period)
         for name in MEASURED & moving.keys():   # what is cut off was not measured
@@ -283,7 +312,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             fit, held = np.zeros_like(fit), fit | held
         recordings.append(Recording(
             source=run.source, period_s=period, command=moving.get('command'), force=force,
-            valve_position=moving.get('valve_position'), velocity=moving.get('velocity'),
+            valve_position=moving.get('valve_position'), velocity=velocity,
             motion=motion,
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},

@@ -10,7 +10,14 @@ from scipy.signal import correlate
 
 from asi_analysis.errors import InputError
 from asi_analysis.gap.fit import Group, measured, predict
-from asi_analysis.gap.prepare import MEASURED, Array, Recording, clipped
+from asi_analysis.gap.prepare import (
+    MEASURED,
+    Array,
+    Recording,
+    agree,
+    clipped,
+    velocity_over_derivative,
+)
 from asi_analysis.run import Run
 
 LEAST_SWING = 5.0      # times the noise that a signal must move
@@ -81,22 +88,17 @@ def check_excitation(recording: Recording) -> None:
                 f'its noise is {recording.noise[name]:.3g}; record a run in which it moves')
 
 
-def check_motion(recording: Recording, position: Array | None) -> list[str]:
-    """Return a warning if velocity is not the derivative of position."""
-    if recording.velocity is None or position is None:
+def check_motion(run: Run) -> list[str]:
+    """Return a warning if velocity is not the derivative of position; it is then not used."""
+    if run.velocity_m_s is None or run.position_m is None:
         return []
-    moved = np.gradient(position, recording.period_s)
-    if np.std(moved) == 0.0 or np.std(recording.velocity) == 0.0:
+    known = np.isfinite(run.velocity_m_s) & np.isfinite(run.position_m)
+    position, velocity = run.position_m[known], run.velocity_m_s[known]
+    if agree(position, velocity, run.period_s):
         return []
-    rough = np.convolve(moved, np.ones(9) / 9, 'same')
-    smooth = np.convolve(recording.velocity, np.ones(9) / 9, 'same')
-    if np.corrcoef(rough, smooth)[0, 1] ** 2 < 0.5:
-        return []
-    slope = float(rough @ smooth / (smooth @ smooth))
-    if slope < 0.0 or not 1.0 / FACTOR < slope < FACTOR:
-        return [f'{recording.source}: velocity is not the derivative of position: that is '
-                f'{slope:.3g} times as large; check sign and unit of velocity']
-    return []
+    slope = 1.0 / velocity_over_derivative(position, velocity, run.period_s)
+    return [f'{run.source}: velocity is not the derivative of position: that is {slope:.3g} times '
+            'as large; check sign and unit of velocity, which is left out']
 
 
 def check_against_model(group: Group) -> None:

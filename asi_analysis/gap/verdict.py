@@ -7,8 +7,8 @@ each block is driven by its measured input), then the groups are joined.
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from asi_analysis.gap.effects import BY_NAME, NO_GAP, UNKNOWN, Effect, Variant
 from asi_analysis.gap.fit import (
@@ -17,9 +17,13 @@ from asi_analysis.gap.fit import (
     Promise,
     Values,
     channels_of,
+    fit_null,
     fit_variants,
+    independent_samples,
+    polish,
     refit,
-    residual_frequency,
+    seen_in_residual,
+    with_known_gain,
 )
 
 Names = tuple[str, ...]
@@ -27,30 +31,36 @@ Names = tuple[str, ...]
 
 class Constants(NamedTuple):
     """
-    The constants of the weighing, set by hand on blind cases with seeds below 10 000 (doc/gap.md).
+    The constants of the weighing, fitted on blind cases (`python -m asi_analysis.gap.tune`).
 
-    samples: independent samples that a channel is counted as if USUAL_S are held out; price: log
-    prior of an effect against none; second: that of one more; parameter: that of a parameter more
-    than one, so that a richer effect must explain more; left: share of the mean square of the gap
-    that an explanation may leave before `unknown` is as likely; beyond: how many times the floor
-    what is left must be to be doubted; steep: how fast the doubt grows with the log of both.
+    How many effects: samples, independent samples that a channel is counted as if USUAL_S are
+    held out; price: log prior of an effect against none; second: of one more; formulation: how
+    much of what an effect explains, in rms, its formulation may leave.
+    Which: trust, share of the evidence of independent samples that is believed; parameter: log
+    prior of a parameter more than one. unknown, beyond, left: log odds of the doubt in an
+    explanation, and how they grow with the log of what it leaves, in multiples of the floor and as
+    a share of the gap.
     """
 
-    samples: float = 25.0
-    price: float = 2.0
-    second: float = 3.0
-    parameter: float = 1.0
-    left: float = 0.15
-    beyond: float = 6.0
-    steep: float = 2.0
+    samples: float = 21.0
+    price: float = 1.7
+    second: float = 5.5
+    formulation: float = 0.055
+    trust: float = 0.13
+    parameter: float = 0.45
+    unknown: float = -1.8
+    beyond: float = 1.1
+    left: float = 1.0
 
 
 CONSTANTS = Constants()
+NEAR_NOISE = 0.1   # of the noise's mean square: by less no two hypotheses are told apart
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
-SINGLES, FOLLOWED, PAIRS, FORMS = 8, 3, 4, 2
+SINGLES, FOLLOWED, SECONDS, FORMS = 8, 3, 4, 2
 LEAST_PROMISE = 0.02   # of the cost: what promises less is not fitted
+RIVAL = 4.0        # times the least cost: what is fitted to the end
 RETRIED = 3        # hypotheses from whose parameters the null fit is tried again
 WORTH = 0.8        # times the floor: what must be left for another effect to be tried
 
@@ -76,37 +86,32 @@ def excess(group: Group, left: Values) -> float:
     return max(left[channel] / group.floor[channel] for channel in group.channels)
 
 
-def _log_evidence(group: Group, left: Values, c: Constants) -> float:
-    # Errors of a model go on through a recording, so twice the length does not tell twice as much.
-    samples = c.samples * math.sqrt(group.held_out_s / USUAL_S)
-    return sum(-0.5 * samples * math.log(left[channel] + group.floor[channel])
-               for channel in group.channels)
-
-
 def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda: None
                   ) -> dict[Names, Candidate]:
     """Fit every effect on top of the nominal model's fit, and pairs of the best with others."""
     found: dict[Names, Candidate] = {(): Candidate((), (), null)}
     if excess(group, null.held_out) < WORTH:
         return found
-    group.scale['residual_frequency'] = residual_frequency(group, null)
+    group.scale.update(seen_in_residual(group, null))
     choices: dict[Names, list[tuple[Variant, ...]]] = {
         (effect.name,): [(variant,) for variant in effect.variants
                          if _may_explain(variant, group, null) and not variant.joined]
         for effect in group.effects}
     found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
-                     key=lambda c: -_log_evidence(group, c.fitted.held_out, CONSTANTS))
+                     key=lambda c: c.fitted.cost)
     null = refit(group, null, [single.fitted for single in singles[:RETRIED]])
     found[()] = Candidate((), (), null)
     if excess(group, null.held_out) < WORTH:
         return {(): found[()]}
+    if not singles or excess(group, singles[0].fitted.held_out) < WORTH:
+        return found
     for first in singles[:FOLLOWED]:
-        pairs = {tuple(sorted({*first.names, effect.name})): list(_second(group, first, effect))
-                 for effect in group.effects if effect.name not in first.names}
-        found |= _most_promising(group, first.fitted, {
-            names: variants for names, variants in pairs.items() if names not in found}, PAIRS,
-            tick)
+        found |= _grown(group, first, found, tick)
+    found |= _both_ways(group, found)
+    pairs = [candidate for names, candidate in found.items() if len(names) == 2]
+    if pairs:
+        found |= _grown(group, min(pairs, key=lambda c: c.fitted.cost), found, tick)
     for first in singles[:FOLLOWED]:
         richer = sorted((c.fitted for names, c in found.items()
                          if len(names) == 2 and set(first.variants) <= set(c.variants)),
@@ -116,15 +121,41 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     return found
 
 
+def _both_ways(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """Return pairs that leave more than one of their two effects, fitted anew from that one."""
+    better: dict[Names, Candidate] = {}
+    for names, pair in found.items():
+        if len(names) == 2:
+            alone = min((found[(name,)] for name in names if (name,) in found),
+                        key=lambda candidate: candidate.fitted.cost)
+            if alone.fitted.cost < pair.fitted.cost:
+                again = fit_variants(group, Promise(alone.fitted), pair.variants)
+                better[names] = pair._replace(fitted=polish(group, again))
+    return better
+
+
+def _grown(group: Group, first: Candidate, found: dict[Names, Candidate],
+           tick: Callable[[], None]) -> dict[Names, Candidate]:
+    """Fit the effects that promise most on top of a hypothesis, if that leaves anything."""
+    more = {tuple(sorted({*first.names, effect.name})): list(_second(group, first, effect))
+            for effect in group.effects if effect.name not in first.names}
+    return _most_promising(group, first.fitted, {
+        names: variants for names, variants in more.items() if names not in found and variants},
+        SECONDS, tick, 1)
+
+
 def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[Variant, ...]]],
-                    most: int, tick: Callable[[], None]) -> dict[Names, Candidate]:
-    """Fit the hypotheses that promise most on top of a fit, each in its most promising form."""
+                    most: int, tick: Callable[[], None], forms: int = FORMS
+                    ) -> dict[Names, Candidate]:
+    """Fit the hypotheses that promise most on top of a fit, in their most promising forms."""
+    if not choices:
+        return {}
     promise = Promise(base)
     promised = []
-    for names, forms in choices.items():
+    for names, ways in choices.items():
         costs = [(promise.cost(group, variants), number)
-                 for number, variants in enumerate(forms)]
-        promised += [(cost, names, forms[number]) for cost, number in sorted(costs)[:FORMS]
+                 for number, variants in enumerate(ways)]
+        promised += [(cost, names, ways[number]) for cost, number in sorted(costs)[:forms]
                      if cost < (1.0 - LEAST_PROMISE) * base.cost]
         tick()
     promised.sort(key=lambda entry: entry[0])
@@ -132,10 +163,13 @@ def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[
     found: dict[Names, Candidate] = {}
     for _, names, variants in promised:
         if names in chosen:
-            fitted = fit_variants(group, base, variants)
+            fitted = fit_variants(group, promise, variants, forms)
             if names not in found or fitted.cost < found[names].fitted.cost:
                 found[names] = Candidate(names, variants, fitted)
-    return found
+    least = min((candidate.fitted.cost for candidate in found.values()), default=0.0)
+    return {names: candidate._replace(fitted=polish(group, candidate.fitted))
+            if candidate.fitted.cost < RIVAL * least else candidate
+            for names, candidate in found.items()}
 
 
 def _may_explain(variant: Variant, group: Group, fitted: Fitted) -> bool:
@@ -158,43 +192,145 @@ def _second(group: Group, first: Candidate, effect: Effect) -> Iterable[tuple[Va
             yield (*first.variants, variant)
 
 
-def doubt(group: Group, null: Values, best: Values, c: Constants = CONSTANTS) -> float:
+class Evidence(NamedTuple):
+    """
+    All that the hypotheses of a group are weighed by.
+
+    noise, floor: mean squares; independent: how many independent samples; left: mean square on the
+    held-out parts; all by channel; parameters: how many an effect has.
+    """
+
+    noise: Values
+    floor: Values
+    independent: Values
+    held_out_s: float
+    left: dict[Names, Values]
+    parameters: dict[Names, int]
+
+
+def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
+    """Return what the hypotheses of a group are weighed by."""
+    best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+    return Evidence(
+        {channel: noise ** 2 for channel, noise in group.noise.items()}, group.floor,
+        independent_samples(group, best.fitted.record), group.held_out_s,
+        {names: candidate.fitted.held_out for names, candidate in found.items()},
+        {names: len({free.field for variant in candidate.variants for free in variant.free})
+         for names, candidate in found.items()})
+
+
+def as_plain(e: Evidence) -> dict[str, Any]:
+    """Return evidence as plain data, as rows.jsonl holds it."""
+    names = list(e.left)
+    return {**e._asdict(), 'names': [list(n) for n in names],
+            'left': [e.left[n] for n in names], 'parameters': [e.parameters[n] for n in names]}
+
+
+def as_evidence(plain: Mapping[str, Any]) -> Evidence:
+    """Return the evidence that plain data hold."""
+    names = [tuple(n) for n in plain['names']]
+    return Evidence(plain['noise'], plain['floor'], plain['independent'], plain['held_out_s'],
+                    dict(zip(names, plain['left'], strict=True)),
+                    dict(zip(names, plain['parameters'], strict=True)))
+
+
+def _which(e: Evidence, c: Constants) -> dict[Names, float]:
+    """
+    Return the log evidence of each hypothesis against others with as many effects.
+
+    Of independent samples above the noise: models that leave little more than the noise are told
+    apart sharply; where the best leaves more, that goes on for long and counts as few samples.
+    """
+    return {names: -c.parameter * max(e.parameters[names] - len(names), 0) - c.trust * sum(
+        0.5 * e.independent[channel] * math.log(mean + NEAR_NOISE * e.noise[channel])
+        for channel, mean in left.items()) for names, left in e.left.items()}
+
+
+def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
+    """
+    Return by how much the log evidence grows from one set of effects to a larger one.
+
+    Above the floor, and above what the formulation of the effects before is not trusted with.
+    """
+    # Errors of a model go on through a recording, so twice the length does not tell twice as much.
+    samples = c.samples * math.sqrt(e.held_out_s / USUAL_S)
+    gain = 0.0
+    for channel, floor in e.floor.items():
+        first, second = e.left[before][channel], e.left[after][channel]
+        explained = max(e.left[()][channel] - first, 0.0)
+        level = floor + c.formulation ** 2 * explained
+        gain += 0.5 * samples * math.log((first + level) / (second + level))
+    return gain
+
+
+def doubt(e: Evidence, best: Names, c: Constants) -> float:
     """
     Return the probability that something outside the vocabulary is at work.
 
-    From what the best explanation leaves: as a share of what there was, and in multiples of the
-    floor; the worst channel counts. An explanation that leaves little, or only noise, is good.
+    From what the best explanation leaves; the worst channel counts. An explanation that leaves
+    little more than the floor is good.
     """
     worst = -math.inf
-    for channel in group.channels:
-        floor = group.floor[channel]
-        over = max(best[channel] - floor, 1e-9 * floor)
-        share = over / max(null[channel] - floor, over)
-        worst = max(worst, min(math.log(share / c.left),
-                               math.log(best[channel] / floor / c.beyond)))
-    return 1.0 / (1.0 + math.exp(-c.steep * worst))
+    for channel, floor in e.floor.items():
+        left, gap = e.left[best][channel], e.left[()][channel]
+        over = left - floor
+        if over > 0.0:
+            worst = max(worst, c.unknown + c.beyond * math.log(left / floor)
+                        + c.left * math.log(over / max(gap - floor, over)))
+    return 1.0 / (1.0 + math.exp(-worst)) if worst > -50.0 else 0.0
 
 
-def weigh(group: Group, found: dict[Names, Candidate], c: Constants = CONSTANTS) -> Weighed:
+def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
     """Return the probability of every hypothesis of a group, `unknown` among them."""
-    score = {}
-    for names, candidate in found.items():
-        own = {free.field for variant in candidate.variants for free in variant.free}
-        prior = -(c.price * (len(names) > 0) + c.second * (len(names) > 1)
-                  + c.parameter * max(len(own) - len(names), 0))
-        score[names] = prior + _log_evidence(group, candidate.fitted.held_out, c)
-    best = max(score, key=lambda names: score[names])
-    weight = {names: math.exp(value - score[best]) for names, value in score.items()}
-    unknown = doubt(group, found[()].fitted.held_out, found[best].fitted.held_out, c)
-    total = sum(weight.values())
-    probability = {names: (1.0 - unknown) * w / total for names, w in weight.items()}
-    return Weighed(group, found, probability | {(UNKNOWN,): unknown})
+    which = _which(e, c)
+    most = max(map(len, which))
+    score = {0: 0.0}
+    best: dict[int, Names] = {0: ()}
+    for count in range(1, most + 1):
+        best[count] = max((names for names in which if len(names) == count),
+                          key=lambda names: which[names])
+        score[count] = (score[count - 1] - (c.second if count > 1 else c.price)
+                        + _worth(e, c, best[count - 1], best[count]))
+    highest = max(score.values())
+    weight = {count: math.exp(value - highest) for count, value in score.items()}
+    chance = {}
+    for names, value in which.items():
+        count = len(names)
+        same = sum(math.exp(which[other] - which[best[count]]) for other in which
+                   if len(other) == count)
+        chance[names] = (weight[count] / sum(weight.values())
+                         * math.exp(value - which[best[count]]) / same)
+    unknown = doubt(e, max(chance, key=lambda names: chance[names]), c)
+    return {names: (1.0 - unknown) * p for names, p in chance.items()} | {(UNKNOWN,): unknown}
 
 
-def join(groups: list[Weighed]) -> dict[Names, float]:
+def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
+    """Return a group with the probability of every hypothesis, `unknown` among them."""
+    return Weighed(group, found, probabilities(evidence_of(group, found)))
+
+
+def weigh_groups(groups: Sequence[Group], tolerance: float,
+                 tick: Callable[[], None] = lambda: None) -> list[Weighed]:
+    """Return the groups with the probabilities of their hypotheses, in the order of the signal."""
+    weighed: list[Weighed] = []
+    for group in groups:
+        known = weighed and weighed[0].probability[(UNKNOWN,)] < 0.5
+        if known and weighed[0].group.channels == ('valve',):
+            best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
+            group = with_known_gain(group, weighed[0].candidates[best].fitted, tolerance)
+        weighed.append(weigh(group, candidates_of(group, fit_null(group), tick)))
+    return weighed
+
+
+def join(groups: Sequence[Weighed]) -> dict[Names, float]:
     """Return the probability of every hypothesis about the whole chain."""
+    return join_probabilities([weighed.probability for weighed in groups])
+
+
+def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, float]:
+    """Return the probability of every union of one hypothesis of each group."""
     joined: dict[Names, float] = {}
-    for parts in itertools.product(*(weighed.probability.items() for weighed in groups)):
+    for parts in itertools.product(*(chances.items() for chances in groups)):
         names = tuple(sorted({name for part, _ in parts for name in part}))
         joined[names] = joined.get(names, 0.0) + math.prod(p for _, p in parts)
     return joined
