@@ -29,7 +29,8 @@ def least_step(square: Array, slope: Array, low: Array, high: Array) -> tuple[Ar
     # The same problem by its triangle: |triangle step + right| up to a constant.
     triangle = np.linalg.cholesky(square / np.outer(size, size) + 1e-9 * np.eye(size.size)).T
     right = -np.linalg.solve(triangle.T, slope / size)
-    solution = lsq_linear(triangle, right, (low * size - 1e-12, high * size + 1e-12), 'bvls')
+    solution = lsq_linear(triangle, right, (low * size - 1e-12, high * size + 1e-12), 'bvls',
+                          max_iter=20 * size.size)
     return solution.x / size, 0.5 * float(right @ right) - float(solution.cost)
 
 

@@ -410,7 +410,8 @@ SHOWN = _shown()
 def shows_in(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
     through = channel == 'force' and not group.measures_valve and 'valve' in SHOWN[field]
-    return channel in SHOWN[field] or through
+    inert = field == 'load_mass' and group.nominal['force_sensor_mass_share'] != 0.0
+    return channel in SHOWN[field] or through or inert
 
 
 def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],

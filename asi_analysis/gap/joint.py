@@ -30,6 +30,7 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
 SERVO_SHARE = 0.1   # of the motion: a servo that follows better is not where the gap is
 # Share of a signal that a rigid model of a machine with gears, belts and cables does not explain.
 RIGID_ERROR = 0.02
+SERVO_ERROR = 0.03   # and a drive without any dynamics of its own
 BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of the dynamics
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
@@ -107,7 +108,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         nominal['valve_characteristic_gain'] = _gain(recordings)
     gain = Free('valve_characteristic_gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal')
     return make_group(nominal, recordings, ('valve',), nuisance=(gain,),
-                      model_error=RIGID_ERROR)
+                      model_error=SERVO_ERROR)
 
 
 def _gain(recordings: Sequence[Recording]) -> float:
