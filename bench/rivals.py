@@ -94,7 +94,8 @@ def slopes(x, command, flux, p):
                      - p.load_locked_damping * velocity) / p.load_mass
     out[SEAL] = velocity - loss * abs(velocity) * x[SEAL]
     out[SENSOR] = x[SENSOR_RATE]
-    out[SENSOR_RATE] = _second_order(x[SENSOR], x[SENSOR_RATE], transmitted,
+    felt = transmitted - p.force_sensor_mass_share * p.load_mass * out[VELOCITY]
+    out[SENSOR_RATE] = _second_order(x[SENSOR], x[SENSOR_RATE], felt,
                                      p.force_sensor_natural_frequency,
                                      p.force_sensor_damping_ratio)
     out[CARD] = x[CARD_RATE]
