@@ -1,5 +1,6 @@
 """doc/performance.md and its pictures, from what was measured."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -83,16 +84,18 @@ def error_against_time(measured: Measured) -> Figure:
 def shares(measured: Measured) -> Figure:
     """Draw how much of each limit's speed is reached."""
     bars = [r for module in measured.values() for r in results_of(module) if r.share is not None]
-    picture = Figure(figsize=(7.0, 0.6 + 0.26 * len(bars)), layout='constrained')
+    picture = Figure(figsize=(7.0, 0.6 + 0.36 * len(bars)), layout='constrained')
     _bars(picture.subplots(), bars[::-1])
     return picture
 
 
 def _bars(ax: Axes, bars: Sequence[Result]) -> None:
     ax.barh(range(len(bars)), [100.0 * (r.share or 0.0) for r in bars])
-    ax.set_yticks(range(len(bars)), [f'{r.what} / {r.rival}' for r in bars], fontsize=7)
+    labels = [textwrap.fill(f"{r.what.removesuffix(', ours / empty nodes')} / {r.rival}", 44)
+              for r in bars]
+    ax.set_yticks(range(len(bars)), labels, fontsize=7)
     ax.axvline(100.0, color='black', linewidth=0.8)
-    ax.set_xlabel("share of the limit's speed, %")
+    ax.set_xlabel("% of the limit's speed")
 
 
 def parts_of_tick(measured: Measured) -> Figure:
