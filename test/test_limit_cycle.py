@@ -29,8 +29,8 @@ def test_errors_reach_the_cramer_rao_bound(case):
 
 @pytest.mark.parametrize('family', FAMILIES)
 def test_each_family_gets_its_verdict(family):
-    row = check_verdicts(family, count=2, seed=3)
-    assert row['right'] == 2, row
+    row = check_verdicts(family, count=3, seed=3)
+    assert row['right'] == 3, row
     assert row['false_limit_cycles'] == 0
 
 
