@@ -20,8 +20,9 @@ from asi_analysis.prediction.simulation import (
     Values,
     as_balance,
     loop_of,
+    remembering,
     step_run,
-    step_swings,
+    step_runs,
     sustained,
 )
 
@@ -85,7 +86,7 @@ def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: f
     run = step_run(changed, settings, rate_hz)
     simulated, predicted = sustained(run), None
     if simulated is not None:
-        loop = loop_of(changed, settings, rate_hz)
+        loop = remembering(loop_of(changed, settings, rate_hz), run, simulated.frequency_hz)
         guess = as_balance(run, simulated, float(loop.compensator['gain']), HARMONICS)
         predicted = hb.balance(loop, guess)
     return Cycles(simulated, predicted,
@@ -112,8 +113,9 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
         return document | {'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'}
     report('shares', 0.1)
     subsets = _all_subsets()
-    swings = step_swings([only(subset, actuator) for subset in subsets],
-                         [with_gain(controller, at)] * len(subsets), rate_hz)
+    runs = step_runs([only(subset, actuator) for subset in subsets],
+                     [with_gain(controller, at)] * len(subsets), rate_hz)
+    swings = [sustained(run) for run in runs]
     amplitudes = {subset: swing.amplitude if swing else 0.0
                   for subset, swing in zip(subsets, swings, strict=True)}
     shares = shapley(amplitudes)

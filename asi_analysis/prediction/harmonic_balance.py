@@ -36,18 +36,26 @@ HARMONICS: Final = 9
 GRID: Final = 512            # samples of a period where the clock plays no part
 SETTLING: Final = 2          # periods
 AVERAGED: Final = 10         # periods over which the clock's phases are averaged
+SEALS_SETTLING: Final = 60   # periods at most until the seals are where they were a period ago
+SETTLED_N: Final = 1e-7      # how nearly, as a force
 SUBSTEPS: Final = 8          # of a control period, for the hysteresis
 TOLERANCE: Final = 1e-7      # of the residual, over the size of the command
 MOST_STEPS: Final = 30
 
 
 class Loop(NamedTuple):
-    """What is balanced: plant and compensator as records, control period (s), reference (N)."""
+    """
+    What is balanced: plant and compensator as records, control period (s), reference (N).
+
+    friction_n: mean friction (N) that seals remember which the cycle does not slide, so that each
+    value has a cycle of its own; without one, that of a piston which came slowly.
+    """
 
     plant: np.void
     compensator: np.void
     period_s: float
     reference_n: float
+    friction_n: float | None = None
 
 
 class Balance(NamedTuple):
@@ -119,15 +127,32 @@ def _forces(position, velocity, p, static, damping):
         damping[k] = hydraulic_damping(velocity[k], valve_opening(position[k], p), p)
 
 
+def valve_forces(position: Array, velocity: Array, p: np.void) -> tuple[Array, Array]:
+    """Return static valve force and hydraulic damping (N) at valve positions and velocities."""
+    static, damping = np.empty(len(position)), np.empty(len(position))
+    _forces(np.ascontiguousarray(position), np.ascontiguousarray(velocity), p, static, damping)
+    return static, damping
+
+
 @jit
 def _rub(velocity, seal, period, p, out):
+    """Fill in the friction of a period that leaves the seals where it found them."""
     step = period / velocity.size
-    for _ in range(SETTLING + 1):
+    before = change_before = 0.0
+    for turn in range(SEALS_SETTLING):
+        begin = seal
         for k in range(velocity.size):
             mean = 0.5 * (velocity[k - 1] + velocity[k])
             rub = friction(seal, mean, velocity[k], p, step)
             seal = rub.seal
             out[k] = rub.force
+        change = seal - begin
+        if abs(change) * p.friction_presliding_stiffness < SETTLED_N:
+            break
+        # Seals that hardly slide creep, for thousands of periods: by the secant instead.
+        slope = (change - change_before) / (begin - before) if turn > 0 else -1.0
+        before, change_before = begin, change
+        seal = begin - change / min(max(slope, -1.0), -0.01)
 
 
 def _wave(harmonics: Complex) -> Array:
@@ -155,8 +180,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     _drive(rest(), command, frequency_hz, limit, p, loop.period_s, drive)
     position = valve_position(_wave(drive * linear.flexure(f, p)), p)
     speed = _wave(velocity)
-    static, damping, rub = np.empty(GRID), np.empty(GRID), np.empty(GRID)
-    _forces(position, speed, p, static, damping)
+    static, damping = valve_forces(position, speed, p)
     hydraulic = _harmonics(static - damping, count) * linear.fluid(f, p)
 
     stiffness = load_spring(p)[0]
@@ -164,11 +188,14 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     if p['friction_model'] == FULL and stiffness:
         # Seals that never slide remember where they began: at the rest position.
         swing = _wave(np.concatenate([[0.0], velocity[1:] / (2j * np.pi * f[1:])]))
-        mean = (hydraulic[0].real + p['load_external_force']) / (
-            stiffness + p['friction_presliding_stiffness'])
+        springs = stiffness + p['friction_presliding_stiffness']
+        mean = ((hydraulic[0].real + p['load_external_force']) / springs
+                if loop.friction_n is None
+                else loop.friction_n / p['friction_presliding_stiffness'])
         bound = max(p['friction_stiction_push'], p['friction_stiction_pull'])
         bound /= p['friction_presliding_stiffness']
         seal = float(np.clip(mean + swing[-1], -bound, bound))
+    rub = np.empty(GRID)
     _rub(speed, seal, 1.0 / frequency_hz, p, rub)
     transmitted = hydraulic - _harmonics(rub, count)
     excess = transmitted[1:] - velocity[1:] * linear.impedance(f[1:], p)

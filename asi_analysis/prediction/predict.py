@@ -5,6 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from asi_analysis.closed_loop import LoopRun
+from asi_analysis.limit_cycle.sinusoid import Oscillation
 from asi_analysis.prediction import harmonic_balance as hb
 from asi_analysis.prediction.floquet import multipliers
 from asi_analysis.prediction.one_harmonic import (
@@ -17,8 +19,9 @@ from asi_analysis.prediction.simulation import (
     Values,
     as_balance,
     loop_of,
+    remembering,
     step_run,
-    step_swings,
+    step_runs,
     sustained,
 )
 
@@ -56,7 +59,7 @@ def first_cycle(actuator: Values, controller: Values, rate_hz: float, first: flo
         run = step_run(actuator, settings, rate_hz)
         swing = sustained(run)
         if swing is not None:
-            loop = loop_of(actuator, settings, rate_hz)
+            loop = remembering(loop_of(actuator, settings, rate_hz), run, swing.frequency_hz)
             own = float(loop.compensator['gain'])
             found = hb.balance(loop, as_balance(run, swing, own, harmonics))
             if found is not None:
@@ -73,7 +76,7 @@ def simulated_onset(actuator: Values, controller: Values, rate_hz: float, low: f
         gains.append(gains[-1] * RAISE)
     for first in range(1, len(gains), SIDE_BY_SIDE):
         tried = [with_gain(controller, gain) for gain in gains[first:first + SIDE_BY_SIDE]]
-        swings = step_swings([actuator] * len(tried), tried, rate_hz)
+        swings = [sustained(run) for run in step_runs([actuator] * len(tried), tried, rate_hz)]
         cycling = [k for k, swing in enumerate(swings, first) if swing is not None]
         if cycling:
             break
@@ -206,8 +209,10 @@ def _compared(actuator: Values, controller: Values, rate_hz: float, points: list
         second = None
         if stable:
             settings = with_gain(controller, point.gain)
-            swing = sustained(step_run(actuator, settings, rate_hz))
+            run = step_run(actuator, settings, rate_hz)
+            swing = sustained(run)
             if swing is not None:
+                point = _as_the_step_left_it(actuator, settings, rate_hz, point, run, swing)
                 second = float(multipliers(actuator, settings, rate_hz, swing.frequency_hz)[1])
                 errors.append((point.frequency_hz / swing.frequency_hz - 1.0,
                                point.amplitude_n / swing.amplitude - 1.0))
@@ -219,6 +224,15 @@ def _compared(actuator: Values, controller: Values, rate_hz: float, points: list
         document['largest_frequency_error'], document['largest_amplitude_error'] = (
             float(value) for value in np.abs(errors).max(0))
     return cycles
+
+
+def _as_the_step_left_it(actuator: Values, controller: Values, rate_hz: float, point: hb.Balance,
+                         run: LoopRun, swing: Oscillation) -> hb.Balance:
+    """Return the balance near a point of the branch with what the seals of a run remember."""
+    loop = remembering(loop_of(actuator, controller, rate_hz), run, swing.frequency_hz)
+    own = float(loop.compensator['gain'])
+    found = hb.balance(loop, point._replace(gain=own))
+    return point if found is None else found._replace(gain=point.gain)
 
 
 def as_text(document: dict[str, Any]) -> str:
