@@ -13,6 +13,9 @@ from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.answer import limit_cycle
 from asi_analysis.limit_cycle.check import FAMILIES, check_accuracy, check_verdicts
+from asi_analysis.limit_cycle.noise import BLOCK, _triangle_of_lags
+from asi_analysis.limit_cycle.record import condensed, plain
+from asi_analysis.limit_cycle.sinusoid import fit_record
 from asi_analysis.limit_cycle.verdict import flat_share, judge_run
 from asi_analysis.run import Run
 
@@ -25,6 +28,36 @@ def test_errors_reach_the_cramer_rao_bound(case):
     assert row['amplitude_error_over_bound'] < 1.5
     assert 0.88 <= row['frequency_coverage'] <= 0.995
     assert 0.88 <= row['amplitude_coverage'] <= 0.995
+
+
+@pytest.mark.parametrize('missing', [0.0, 0.1])
+def test_condensed_record_gives_what_its_samples_give(missing):
+    random = np.random.default_rng(4)
+    t = np.arange(24000) / 12.0 - 1000.0
+    t = t[random.random(t.size) >= missing]
+    angle = 2.0 * np.pi * (1.01 * t + 3e-7 * t * t)
+    y = (np.exp(-2e-4 * t) * (np.cos(angle) + 0.1 * np.sin(3.0 * angle)) + (t / 1000.0) ** 3
+         + 0.01 * random.standard_normal(t.size))
+    short = condensed(t, y, 1.01, 5)
+    assert len(short.values) < 0.2 * t.size
+    few, all_samples = (fit_record(record, 1.01, 5, True) for record in (short, plain(t, y)))
+    assert len(few.harmonics) == len(all_samples.harmonics) == 3
+    for value in ('frequency_hz', 'amplitude', 'rate'):
+        deviation = getattr(all_samples, f'{value}_sd'.replace('hz_sd', 'sd_hz'))
+        assert getattr(few, value) == pytest.approx(getattr(all_samples, value),
+                                                    abs=0.01 * deviation)
+        assert np.diff(few.interval(value)) == pytest.approx(
+            np.diff(all_samples.interval(value)), rel=1e-4)
+    assert few.noise == pytest.approx(all_samples.noise, rel=1e-6)
+    assert few.at(t) == pytest.approx(all_samples.at(t), abs=1e-3)
+
+
+def test_noise_model_of_a_long_record_is_that_of_its_rows():
+    values = np.cumsum(np.random.default_rng(2).standard_normal(2 * BLOCK))
+    rows = np.lib.stride_tricks.sliding_window_view(values, 25)[:, ::-1]
+    assert _triangle_of_lags(values, 24) == pytest.approx(np.linalg.cholesky(rows.T @ rows).T)
+    # What its neighbours foretell is left to the rows: products of lags would lose the digits.
+    assert _triangle_of_lags(np.sin(0.01 * np.arange(2 * BLOCK)), 24) is None
 
 
 @pytest.mark.parametrize('family', FAMILIES)

@@ -5,6 +5,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.limit_cycle.sinusoid import least_squares
+
 Array = npt.NDArray[np.float64]
 
 MOST_WINDOWS: Final = 250
@@ -38,7 +40,7 @@ def envelope(time_s: Array, values: Array, frequency_hz: float) -> Envelope:
             continue
         phase = 2.0 * np.pi * frequency_hz * t
         columns = np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(t)), t])
-        coefficients = np.linalg.lstsq(columns, values[part], rcond=None)[0]
+        coefficients = least_squares(columns, values[part])
         residual = values[part] - columns @ coefficients
         deviation = np.sqrt(2.0 / len(t) * (residual @ residual) / (len(t) - 4))
         rows.append((start + 0.5 * window, np.hypot(*coefficients[:2]), deviation,

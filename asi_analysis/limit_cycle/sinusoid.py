@@ -6,18 +6,16 @@ decaying at a common rate with a frequency that moves. Everything but frequency,
 linear, so a Gauss-Newton search in those finds the least squares, which for white noise is the
 maximum of the likelihood and reaches the Cramér-Rao bound (Rife and Boorstyn, IEEE Trans.
 Information Theory 20, 1974; Stoica and Moses, Spectral Analysis of Signals, 2005, chapter 4).
-Sample times may have holes.
+Sample times may have holes. Long records are condensed before (`record.py`).
 """
 
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import fft, stats
 
 from asi_analysis.limit_cycle.noise import triangle
-
-Array = npt.NDArray[np.float64]
+from asi_analysis.limit_cycle.record import Array, ComplexArray, Record, condensed, legendre
 
 MOST_HARMONICS: Final = 15
 # The highest that is looked for beyond half the sampling rate.
@@ -25,6 +23,7 @@ MOST_FOLDED: Final = 3
 # Chance of taking one harmonic, or one term of the drift, that is not there.
 FALSE_TERM: Final = 1e-3
 STEPS: Final = 30
+LONG_SPECTRUM: Final = 2**18
 # A step that promises to lower the squares by less than this share of what noise has a degree of
 # freedom is not made: it would move frequency and rate by 1e-4 of their deviations.
 CLOSE: Final = 1e-8
@@ -37,10 +36,12 @@ class Oscillation(NamedTuple):
     `harmonics` holds complex amplitudes: signal = Re(sum of harmonics[h-1] exp(2 pi i h f t)),
     with t counted from `origin_s`. `rate` is that of the envelope, 1/s, 0 unless it was fitted;
     so is `sweep`, that of the frequency, Hz/s.
+    `drift` holds the mean, Legendre polynomials over `span_s` about the origin.
     The `_sd` are standard deviations, `freedom` their degrees of freedom.
     """
 
     origin_s: float
+    span_s: float
     frequency_hz: float
     frequency_sd_hz: float
     amplitude: float
@@ -48,13 +49,26 @@ class Oscillation(NamedTuple):
     rate: float
     rate_sd: float
     sweep: float
-    harmonics: npt.NDArray[np.complex128]
+    harmonics: ComplexArray
     thd: float
-    mean: float
+    drift: Array
     noise: float
     cycles: float
     freedom: int
-    residual: Array
+
+    @property
+    def mean(self) -> float:
+        """The mean of the drift."""
+        return float(self.drift[0])
+
+    def at(self, time_s: Array) -> Array:
+        """Return the oscillation and its mean at times (s)."""
+        t = time_s - self.origin_s
+        waves = _waves(t, np.array([self.frequency_hz, self.rate, self.sweep]),
+                       len(self.harmonics))
+        return np.polynomial.legendre.legval(2.0 * t / self.span_s, self.drift) + sum(
+            amplitude.real * wave.real - amplitude.imag * wave.imag
+            for amplitude, wave in zip(self.harmonics, waves, strict=True))
 
     def interval(self, value: str, confidence: float = 0.95) -> tuple[float, float]:
         """Return the interval of 'frequency_hz', 'amplitude' or 'rate' at a confidence."""
@@ -80,26 +94,21 @@ def on_grid(time_s: Array, values: Array) -> tuple[Array, float]:
     return np.interp(grid, time_s, values), period
 
 
-def _drift(time_s: Array, order: int) -> Array:
-    """Return the columns of a drifting mean: Legendre polynomials over the record."""
-    relative = 2.0 * (time_s - time_s[0]) / (time_s[-1] - time_s[0]) - 1.0
-    return np.polynomial.legendre.legvander(relative, order)
-
-
 def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5) -> float:
     """
     Return the frequency (Hz) of the highest peak of the periodogram.
 
     The drift of the mean, to third order, is taken off first; fewer than `lowest_cycles` in the
-    record do not count. NaN if there are too few samples.
+    record do not count. NaN if there are too few samples. To an eighth of a line of the spectrum,
+    half a line in records so long that no peak can hide between lines.
     """
     time_s, values = known(time_s, values)
     if len(values) < 8:
         return np.nan
     even, period = on_grid(time_s, values)
-    drift = _drift(np.arange(len(even), dtype=float), 3)
-    even = even - drift @ _least_squares(drift, even)
-    size = fft.next_fast_len(8 * len(even), real=True)
+    drift = legendre(np.linspace(-0.5, 0.5, len(even)), 1.0, 3)
+    even = even - drift @ least_squares(drift, even)
+    size = fft.next_fast_len(max(min(8 * len(even), LONG_SPECTRUM), 2 * len(even)), real=True)
     power = np.abs(fft.rfft(even, size)) ** 2
     first = int(np.ceil(lowest_cycles * size / len(even)))
     if first >= len(power) - 1 or not power[first:].any():
@@ -117,82 +126,98 @@ def _normal(gram: Array, right: Array) -> Array:
         return np.linalg.lstsq(scaled, right / sizes, rcond=None)[0] / sizes
 
 
-def _least_squares(columns: Array, values: Array) -> Array:
+def least_squares(columns: Array, values: Array) -> Array:
     """Return the coefficients of the columns; by the normal equations, which are fast."""
     return _normal(columns.T @ columns, columns.T @ values)
 
 
 class _Solution(NamedTuple):
     nonlinear: Array   # frequency Hz, rate 1/s, sweep Hz/s
+    waves: list[ComplexArray]
     coefficients: Array
     columns: Array
     gram: Array        # products of the columns
     residual: Array
+    squares: float     # of all that is left of the samples
 
 
-def _columns(t: Array, drift: Array, nonlinear: Array, harmonics: int) -> Array:
+def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[ComplexArray]:
+    """Return the harmonics of unit amplitude at times about the middle."""
     frequency, rate, sweep = nonlinear
     angle = 2.0 * np.pi * (frequency * t + 0.5 * sweep * t * t)
     turn = np.empty(len(t), np.complex128)
     turn.real, turn.imag = np.cos(angle), np.sin(angle)
     # Kept from overflowing: a fit that runs away there is refused by its residual.
-    wave = np.exp(np.clip(rate * t, -30.0, 30.0)) * turn if rate else turn
+    waves = [np.exp(np.clip(rate * t, -30.0, 30.0)) * turn if rate else turn]
+    for _ in range(harmonics - 1):
+        waves.append(waves[-1] * turn)
+    return waves
+
+
+def _columns(record: Record, drift: Array, waves: list[ComplexArray]) -> Array:
+    """Return the columns of the linear part: the drift, the cosines, the sines."""
+    harmonics = len(waves)
     # Column by column in memory, as they are filled and used.
-    columns = np.empty((len(t), drift.shape[1] + 2 * harmonics), order='F')
+    columns = np.empty((len(record.values), drift.shape[1] + 2 * harmonics), order='F')
     columns[:, :drift.shape[1]] = drift
-    for h in range(harmonics):
-        columns[:, drift.shape[1] + h] = wave.real
-        columns[:, drift.shape[1] + harmonics + h] = wave.imag
-        wave = wave * turn
+    for h, wave in enumerate(waves):
+        made = record.rows(h + 1, wave)
+        columns[:, drift.shape[1] + h] = made.real
+        columns[:, drift.shape[1] + harmonics + h] = made.imag
     return columns
 
 
-def _solve(t: Array, values: Array, drift: Array, nonlinear: Array, harmonics: int,
-           grows: bool) -> _Solution:
+def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows: bool
+           ) -> _Solution:
     """Return the least squares over everything: Gauss-Newton in frequency, rate and sweep."""
-    span = t[-1] - t[0]
+    span = record.span_s
     most = np.array([0.2 / span, 2.0 / span, 1.0 / span**2])
     best: _Solution | None = None
-    least = np.inf
     trial, damping, step, promise = nonlinear, 1.0, np.zeros(3), 0.0
     for _ in range(STEPS):
-        columns = _columns(t, drift, trial, harmonics)
+        waves = _waves(record.t, trial, harmonics)
+        columns = _columns(record, drift, waves)
         gram = columns.T @ columns
-        coefficients = _normal(gram, columns.T @ values)
-        residual = values - columns @ coefficients
-        squares = float(residual @ residual)
-        if best is None or squares < least:
-            least = squares
-            best = _Solution(trial, coefficients, columns, gram, residual)
-            step, promise = _step(t, best, drift.shape[1], harmonics, grows)
+        coefficients = _normal(gram, columns.T @ record.values)
+        residual = record.values - columns @ coefficients
+        squares = record.beyond + float(residual @ residual)
+        if best is None or squares < best.squares:
+            best = _Solution(trial, waves, coefficients, columns, gram, residual, squares)
+            step, promise = _step(record, best, drift.shape[1], grows)
             damping = min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))
         else:
             damping *= 0.3
         trial = best.nonlinear + damping * step
-        if damping * (2.0 - damping) * promise <= CLOSE / len(t) * least or trial[0] <= 0.0:
+        if (damping * (2.0 - damping) * promise <= CLOSE / record.samples * best.squares
+                or trial[0] <= 0.0):
             break
     assert best is not None
     return best
 
 
-def _slopes(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bool) -> Array:
+def _amplitudes(solution: _Solution, drift: int) -> ComplexArray:
+    """Return the complex amplitudes of the harmonics."""
+    cosines, sines = np.split(solution.coefficients[drift:], 2)
+    return cosines - 1j * sines
+
+
+def _slopes(record: Record, solution: _Solution, drift: int, grows: bool) -> Array:
     """Return the derivatives of the model with frequency and, if it grows, rate and sweep."""
-    cosine = solution.columns[:, drift:drift + harmonics]
-    sine = solution.columns[:, drift + harmonics:]
-    a = solution.coefficients[drift:drift + harmonics]
-    b = solution.coefficients[drift + harmonics:]
-    order = np.arange(1, harmonics + 1)
-    with_frequency = 2.0 * np.pi * t * (cosine @ (order * b) - sine @ (order * a))
-    if not grows:
-        return with_frequency[:, None]
-    return np.column_stack([with_frequency, t * (cosine @ a + sine @ b),
-                            0.5 * t * with_frequency])
+    t = record.t
+    slopes = np.zeros((len(record.values), 3 if grows else 1))
+    for h, (amplitude, wave) in enumerate(zip(
+            _amplitudes(solution, drift), solution.waves, strict=True), 1):
+        moved = amplitude * t * wave
+        turned = 2j * np.pi * h * moved
+        given = np.column_stack([turned, moved, 0.5 * t * turned]) if grows else turned[:, None]
+        slopes += record.rows(h, given).real
+    return slopes
 
 
-def _step(t: Array, solution: _Solution, drift: int, harmonics: int, grows: bool
+def _step(record: Record, solution: _Solution, drift: int, grows: bool
           ) -> tuple[Array, float]:
     """Return the step in frequency, rate and sweep, and how much lower it promises the squares."""
-    slopes = _slopes(t, solution, drift, harmonics, grows)
+    slopes = _slopes(record, solution, drift, grows)
     mixed = slopes.T @ solution.columns
     right = np.concatenate([slopes.T @ solution.residual, solution.columns.T @ solution.residual])
     change = _normal(np.block([[slopes.T @ slopes, mixed], [mixed.T, solution.gram]]), right)
@@ -212,18 +237,17 @@ def _better(less: float, more: float, terms: int, freedom: int, chance: float) -
     return bool(stats.f.sf(gain, terms, freedom) < chance)
 
 
-def _choose_drift(t: Array, values: Array, start: Array, grows: bool, most: int) -> int:
+def _choose_drift(record: Record, start: Array, grows: bool, most: int) -> int:
     """Return the order of the drift: raised as long as one of the next two orders helps."""
     squares: dict[int, float] = {}
     order = 0
     while order < most:
         for trial in range(order, min(order + 2, most) + 1):
             if trial not in squares:
-                left = _solve(t, values, _drift(t, trial), start, 1, grows).residual
-                squares[trial] = float(left @ left)
+                squares[trial] = _solve(record, record.drift(trial), start, 1, grows).squares
         for trial in range(order + 1, min(order + 2, most) + 1):
-            if _better(squares[order], squares[trial], trial - order, len(t) - trial - 4,
-                       FALSE_TERM):
+            if _better(squares[order], squares[trial], trial - order,
+                       record.samples - trial - 4, FALSE_TERM):
                 order = trial
                 break
         else:
@@ -246,125 +270,135 @@ def _told_apart(t: Array, frequency: float) -> int:
     return MOST_HARMONICS
 
 
-def _choose_harmonics(t: Array, values: Array, drift: Array, start: Array, grows: bool) -> int:
+def _most_harmonics(t: Array, frequency: float) -> int:
     """
-    Return the highest harmonic that rises above the noise.
+    Return how many harmonics are looked for.
 
     Above half the sampling rate a harmonic shows at another frequency, but it shows.
     """
-    below_half = int(0.49 / (start[0] * float(np.median(np.diff(t)))))
+    below_half = int(0.49 / (frequency * float(np.median(np.diff(t)))))
     # Not so the many high ones: some of them would always fall near the first.
-    most = min(max(below_half, min(_told_apart(t, start[0]), MOST_FOLDED)), MOST_HARMONICS,
-               (len(t) - drift.shape[1] - 4) // 6)
+    return max(min(max(below_half, min(_told_apart(t, frequency), MOST_FOLDED)), MOST_HARMONICS,
+                   (len(t) - 5) // 6), 1)
+
+
+def _choose_harmonics(record: Record, drift: Array, start: Array, grows: bool, most: int) -> int:
+    """Return the highest harmonic that rises above the noise."""
+    most = min(most, (record.samples - drift.shape[1] - 4) // 6)
     highest = 1
-    solution = _solve(t, values, drift, start, 1, grows)
+    solution = _solve(record, drift, start, 1, grows)
     while highest < most:
         # Each against what is left: those that count make the rest stand out, so look again.
-        left = solution.residual
-        squares = float(left @ left)
-        waves = _columns(t, drift[:, :0], solution.nonlinear, most)
-        gram, right = waves.T @ waves, waves.T @ left
+        waves = _columns(record, drift[:, :0],
+                         _waves(record.t, solution.nonlinear, most))
+        gram, right = waves.T @ waves, waves.T @ solution.residual
         for trial in range(most, highest, -1):
             pair = [trial - 1, most + trial - 1]
             gain = float(right[pair] @ _normal(gram[np.ix_(pair, pair)], right[pair]))
             # The low ones are the likely ones; the chances of all add up to FALSE_TERM.
             chance = FALSE_TERM / (trial * (trial - 1))
-            if _better(squares, max(squares - gain, 0.0), 2,
-                       len(t) - solution.columns.shape[1] - 3, chance):
+            if _better(solution.squares, max(solution.squares - gain, 0.0), 2,
+                       record.samples - solution.columns.shape[1] - 3, chance):
                 highest = trial
                 break
         else:
             break
-        solution = _solve(t, values, drift, solution.nonlinear, highest, grows)
+        solution = _solve(record, drift, solution.nonlinear, highest, grows)
     return highest
 
 
-def _local_noise(t: Array, residual: Array, frequency: float, freedom: int) -> tuple[float, int]:
+def _local_noise(record: Record, solution: _Solution, freedom: int) -> tuple[float, int]:
     """
-    Return the variance of the noise that matters at `frequency`, and its degrees of freedom.
+    Return the variance of the noise that matters at the line, and its degrees of freedom.
 
     White noise: that of the residual. Where the residual's spectrum stands above white on either
     side of the line, that of the spectrum there.
     """
-    white = float(residual @ residual) / freedom
-    span = t[-1] - t[0]
+    white = solution.squares / freedom
+    cycles = solution.nonlinear[0] * record.span_s
     near = [line for line in (-8, -7, -6, -5, -4, -3, -2, 2, 3, 4, 5, 6, 7, 8)
-            if 1.0 < frequency * span + line < 0.5 * len(t)]
-    if len(near) < 4 or len(t) < 40 or white == 0.0:
+            if 1.0 < cycles + line < 0.5 * record.samples]
+    if len(near) < 4 or record.samples < 40 or white == 0.0:
         return white, freedom
-    carried = residual * np.exp(-2j * np.pi * frequency * t)
-    turn = np.exp(-2j * np.pi / span * t)
-    wave, power = turn, {}
-    for line in range(2, 9):
-        wave = wave * turn
-        power[line], power[-line] = np.abs(carried @ wave) ** 2, np.abs(carried @ wave.conj()) ** 2
-    local = float(np.mean([power[line] for line in near])) / len(t)
+    lines = (cycles + np.array(near)) / record.span_s
+    waves = record.rows(1, np.exp(2j * np.pi * record.t[:, None] * lines))
+    local = float(np.mean(np.abs(solution.residual @ waves) ** 2)) / record.samples
     if stats.f.sf(local / white, 2 * len(near), freedom) < 0.01:
         return local, 2 * len(near)
     return white, freedom
 
 
-def fit(time_s: Array, values: Array, frequency_hz: float | None = None,
-        grows: bool = False, rate: float = 0.0) -> Oscillation | None:
+def fit(time_s: Array, values: Array, frequency_hz: float | None = None) -> Oscillation | None:
     """
-    Return the oscillation in a signal, None if there are too few samples.
+    Return the oscillation of constant amplitude in a signal, None if there are too few samples.
 
-    frequency_hz: where to look, the highest peak of the spectrum if not given; grows: fit
-    rate (from `rate` on, 1/s) and sweep too. NaN samples are left out.
+    frequency_hz: where to look, the highest peak of the spectrum if not given. NaN samples are
+    left out.
+    """
+    found = fits(time_s, values, frequency_hz, (False,))
+    return found[0] if found else None
+
+
+def fits(time_s: Array, values: Array, frequency_hz: float | None = None,
+         grows: tuple[bool, ...] = (False, True)) -> list[Oscillation]:
+    """
+    Return the oscillation in a signal, once for each of `grows`; none if too few samples.
+
+    grows: fit the rate of the envelope and the sweep of the frequency too.
     """
     time_s, values = known(np.asarray(time_s, float), np.asarray(values, float))
     if len(values) < 9:
-        return None
+        return []
     if frequency_hz is None:
         frequency_hz = dominant_frequency(time_s, values)
     if not np.isfinite(frequency_hz) or np.ptp(values) == 0.0:
-        return None
-    origin = 0.5 * (time_s[0] + time_s[-1])
-    t = time_s - origin
-    scale = float(np.std(values))
-    scaled = values / scale
-
-    cycles = frequency_hz * (t[-1] - t[0])
-    most_drift = int(np.clip(cycles, 0, min(10, len(t) // 5)))
-    start = np.array([frequency_hz, rate, 0.0])
-    drift = _drift(t, _choose_drift(t, scaled, start, grows, most_drift))
-    harmonics = _choose_harmonics(t, scaled, drift, start, grows)
-    solution = _solve(t, scaled, drift, start, harmonics, grows)
-    return _result(time_s, t, solution, drift.shape[1], harmonics, grows, scale)
+        return []
+    origin = float(0.5 * (time_s[0] + time_s[-1]))
+    harmonics = _most_harmonics(time_s, frequency_hz)
+    record = condensed(time_s - origin, values, frequency_hz, harmonics)
+    return [fit_record(record, frequency_hz, harmonics, each)._replace(origin_s=origin)
+            for each in grows]
 
 
-def _result(time_s: Array, t: Array, solution: _Solution, drift: int, harmonics: int,
-            grows: bool, scale: float) -> Oscillation:
+def fit_record(record: Record, frequency_hz: float, most: int, grows: bool) -> Oscillation:
+    """Return the oscillation in a record, of up to so many harmonics; times as in the record."""
+    most_drift = int(np.clip(frequency_hz * record.span_s, 0, min(10, record.samples // 5)))
+    start = np.array([frequency_hz, 0.0, 0.0])
+    drift = record.drift(_choose_drift(record.first(1), start, grows, most_drift))
+    harmonics = _choose_harmonics(record, drift, start, grows, most)
+    solution = _solve(record, drift, start, harmonics, grows)
+    return _result(record, solution, drift.shape[1], harmonics, grows)
+
+
+def _result(record: Record, solution: _Solution, drift: int, harmonics: int, grows: bool
+            ) -> Oscillation:
     nonlinear = 3 if grows else 1
     frequency, rate, sweep = map(float, solution.nonlinear)
-    freedom = max(len(t) - solution.columns.shape[1] - nonlinear, 1)
-    jacobian = np.hstack([_slopes(t, solution, drift, harmonics, grows), solution.columns])
-    variance, local_freedom = _local_noise(t, solution.residual, frequency, freedom)
+    freedom = max(record.samples - solution.columns.shape[1] - nonlinear, 1)
+    jacobian = np.hstack([_slopes(record, solution, drift, grows), solution.columns])
+    variance, local_freedom = _local_noise(record, solution, freedom)
     # Columns of very different size: scaled, so that the inverse is well conditioned.
     sizes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     spread = np.linalg.pinv(triangle(jacobian / sizes)) / sizes[:, None]
     covariance = variance * spread @ spread.T
 
-    a = solution.coefficients[drift:drift + harmonics]
-    b = solution.coefficients[drift + harmonics:]
-    amplitudes = np.hypot(a, b)
+    amplitudes = _amplitudes(solution, drift)
+    sizes = np.abs(amplitudes)
     at_cosine, at_sine = nonlinear + drift, nonlinear + drift + harmonics
     pair = np.ix_([at_cosine, at_sine], [at_cosine, at_sine])
-    direction = np.array([a[0], b[0]]) / max(amplitudes[0], 1e-300)
+    direction = np.array([amplitudes[0].real, -amplitudes[0].imag]) / max(sizes[0], 1e-300)
     deviations = np.sqrt(np.diag(covariance))
     # A harmonic that is only noise has its variance as mean power: taken off, lest THD be biased.
-    power = np.array([max(amplitudes[h] ** 2 - covariance[at_cosine + h, at_cosine + h]
+    power = np.array([max(sizes[h] ** 2 - covariance[at_cosine + h, at_cosine + h]
                           - covariance[at_sine + h, at_sine + h], 0.0)
                       for h in range(1, harmonics)])
     return Oscillation(
-        origin_s=float(time_s[0] + time_s[-1]) / 2.0,
+        origin_s=0.0, span_s=record.span_s,
         frequency_hz=frequency, frequency_sd_hz=float(deviations[0]),
-        amplitude=scale * float(amplitudes[0]),
-        amplitude_sd=scale * float(np.sqrt(direction @ covariance[pair] @ direction)),
+        amplitude=float(sizes[0]),
+        amplitude_sd=float(np.sqrt(direction @ covariance[pair] @ direction)),
         rate=rate, rate_sd=float(deviations[1]) if grows else 0.0, sweep=sweep,
-        harmonics=(scale * (a - 1j * b)).astype(np.complex128),
-        thd=float(np.sqrt(power.sum()) / max(amplitudes[0], 1e-300)),
-        mean=scale * float((solution.columns[:, :drift] @ solution.coefficients[:drift]).mean()),
-        noise=scale * float(np.sqrt(solution.residual @ solution.residual / freedom)),
-        cycles=float(frequency * (t[-1] - t[0]) * len(t) / (len(t) - 1)),
-        freedom=local_freedom, residual=scale * solution.residual)
+        harmonics=amplitudes, thd=float(np.sqrt(power.sum()) / max(sizes[0], 1e-300)),
+        drift=solution.coefficients[:drift], noise=float(np.sqrt(solution.squares / freedom)),
+        cycles=frequency * record.span_s * record.samples / (record.samples - 1),
+        freedom=local_freedom)

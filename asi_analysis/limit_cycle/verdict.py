@@ -10,17 +10,22 @@ which a linear loop left alone cannot make, or by a decay that must be smaller t
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import integrate, signal, stats
 
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle import envelope as env
 from asi_analysis.limit_cycle import segments as seg
 from asi_analysis.limit_cycle.noise import Autoregression, autoregression, surrogates
-from asi_analysis.limit_cycle.sinusoid import Oscillation, dominant_frequency, fit, known, on_grid
+from asi_analysis.limit_cycle.record import Array, ComplexArray
+from asi_analysis.limit_cycle.sinusoid import (
+    Oscillation,
+    dominant_frequency,
+    fit,
+    fits,
+    known,
+    on_grid,
+)
 from asi_analysis.run import Run
-
-Array = npt.NDArray[np.float64]
 
 RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
 FEWEST_CYCLES: Final = 3.0
@@ -41,6 +46,9 @@ CLAIM: Final = 0.9
 # far passes with 0.96 of its fundamental.
 STOPPED: Final = 0.25
 SURROGATES: Final = 200
+# Samples of a record that are compared with surrogates; of a longer one, windows spread over it.
+COMPARED: Final = 8192
+WINDOWS: Final = 4
 # Standard deviations of the surrogates by which an envelope must stand out.
 TELLING: Final = 4.0
 # Share of the scatter of an envelope's logarithm that a straight line must explain to be a decay.
@@ -120,7 +128,8 @@ def judge_run(run: Run, name: str | None = None) -> list[Segment]:
     for start, end in zip(edges[:-1], edges[1:], strict=True):
         part = slice(*np.searchsorted(time_s, [start, end]))
         if part.stop - part.start > 1:
-            found += _judge_stretch(run, chosen, time_s, values, part)
+            found += _judge_stretch(run, chosen, time_s, values, part,
+                                    frequency if len(edges) == 2 else None)
     return _merge(found)
 
 
@@ -155,8 +164,8 @@ def reduce(time_s: Array, values: Array, frequency_hz: float) -> tuple[Array, Ar
     return (time_s[:whole].reshape(-1, size).mean(1), values[:whole].reshape(-1, size).mean(1))
 
 
-def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, part: slice
-                   ) -> list[Segment]:
+def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, part: slice,
+                   frequency: float | None) -> list[Segment]:
     time_s, values = all_times[part], all_values[part]
 
     def segment(start: float, end: float, verdict: str, confidence: float, why: str,
@@ -167,7 +176,8 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
     whole = (time_s[0], time_s[-1])
     if np.ptp(values) == 0.0:
         return [segment(*whole, 'noise', 1.0, 'the signal does not move')]
-    frequency = dominant_frequency(time_s, values)
+    if frequency is None:
+        frequency = dominant_frequency(time_s, values)
     cycles = (time_s[-1] - time_s[0]) * frequency
     if not np.isfinite(frequency) or cycles < 0.9 * FEWEST_CYCLES:
         return [segment(*whole, 'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')]
@@ -218,13 +228,13 @@ def _describe(t: Array, y: Array, frequency: float, floor: float) -> _Piece:
     drift = np.polynomial.polynomial.Polynomial.fit(t, y, 1)(t)
     best = describe(y - drift, 2)
     kind = 'noise'
-    steady, moving = fit(t, y, frequency), fit(t, y, frequency, grows=True)
+    steady, moving = fits(t, y, frequency) or (None, None)
     for oscillation, nonlinear in ((steady, 1), (moving, 3)):
         if oscillation is None or oscillation.cycles < 0.8 * FEWEST_CYCLES:
             continue
         # The frequency was searched for among as many as there are samples: ln n once more.
         parameters = 2 + 2 * len(oscillation.harmonics) + nonlinear + 1
-        noise = describe(oscillation.residual, parameters)
+        noise = describe(y - oscillation.at(t), parameters)
         if noise.description < best.description:
             kind, best = 'line', noise
     return _Piece(t, y, kind, steady, moving, best.description, best)
@@ -459,12 +469,14 @@ def _surrogate_scores(t: Array, y: Array, frequency: float) -> tuple[float, floa
     """
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
-    skip = min(int(0.5 / (frequency * period)), len(even) // 8)
-    spread, fall, trend = _envelope_scores(even, period, frequency, skip)
+    windows, at = _windows(even)
+    skip = min(int(0.5 / (frequency * period)), windows.shape[1] // 8)
+    spread, fall, trend = _envelope_scores(windows, at, period, frequency, skip)
     others: list[tuple[float, float]] = []
-    for row in surrogates(model, len(even), SURROGATES, len(even)):
+    for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
         # Each at its own highest peak: that of a record stands out where a burst happens to be.
-        other, _, other_trend = _envelope_scores(row, period, _highest_peak(row, period), skip)
+        other, _, other_trend = _envelope_scores(rows, at, period, _highest_peak(rows, period),
+                                                 skip)
         others.append((other, abs(other_trend)))
         # Once a surrogate stands out as much, in both, the others can no longer change a score.
         if all(max(column) >= own for column, own in zip(
@@ -473,6 +485,17 @@ def _surrogate_scores(t: Array, y: Array, frequency: float) -> tuple[float, floa
     steadiness, size = (_score(own, np.array(column)) for own, column in zip(
         (spread, abs(trend)), zip(*others, strict=True), strict=True))
     return steadiness, fall, float(np.copysign(size, trend))
+
+
+def _windows(even: Array) -> tuple[Array, Array]:
+    """Return windows of a record (rows), all of it if it is short, and where each sample is."""
+    at = np.linspace(-1.0, 1.0, len(even))
+    if len(even) <= COMPARED:
+        return even[None], at[None]
+    size = COMPARED // WINDOWS
+    starts = np.linspace(0, len(even) - size, WINDOWS).astype(int)
+    samples = starts[:, None] + np.arange(size)
+    return even[samples], at[samples]
 
 
 def _trend_verdict(fall: float, trend: float) -> tuple[str, float, str]:
@@ -489,16 +512,18 @@ def _score(own: float, others: Array) -> float:
     return float((own - others.mean()) / max(others.std(), 1e-12))
 
 
-def _envelope_scores(values: Array, period: float, frequency: float, skip: int
+def _envelope_scores(windows: Array, at: Array, period: float, frequency: float, skip: int
                      ) -> tuple[float, float, float]:
     """
     Return how steady the envelope about a frequency is, the fall of its logarithm, its trend.
 
-    skip: samples at either end that are left out; trend: of a straight line, negative if up.
+    windows: of the record, a row each; at: where their samples are in the record, -1 to 1; skip:
+    samples at either end that are left out; trend: of a straight line, negative if up.
     """
-    power = _envelope_power(values, period, frequency)[skip:len(values) - skip]
+    kept = slice(skip, windows.shape[1] - skip)
+    power = (np.abs(_analytic(windows, period, frequency)) ** 2)[:, kept].ravel()
     level = 0.5 * np.log(np.maximum(power, 1e-12 * power.max()))
-    x = np.linspace(-1.0, 1.0, len(power))
+    x = at[:, kept].ravel()
     slope = float(level @ x / (x @ x))
     # A straight line, not a jump: the share of the level's variance that the slope explains.
     explained = slope * np.sqrt((x * x).mean()) / max(float(level.std()), 1e-12)
@@ -506,28 +531,25 @@ def _envelope_scores(values: Array, period: float, frequency: float, skip: int
             -slope * abs(explained))
 
 
-def _highest_peak(values: Array, period: float) -> float:
+def _highest_peak(windows: Array, period: float) -> float:
     """Return the frequency (Hz) of the highest peak of the spectrum above 1.5 cycles."""
-    power = np.abs(np.fft.rfft(values - values.mean()))
-    return float(2 + np.argmax(power[2:])) / (len(values) * period)
+    centred = windows - windows.mean(1, keepdims=True)
+    power = (np.abs(np.fft.rfft(centred)) ** 2).sum(0)
+    return float(2 + np.argmax(power[2:])) / (windows.shape[1] * period)
 
 
-def _envelope_power(values: Array, period: float, frequency: float) -> Array:
-    """Return the squared envelope about a frequency."""
-    return np.abs(signal.hilbert(_around(values, period, frequency))) ** 2
-
-
-def _around(values: Array, period: float, frequency: float) -> Array:
-    """Return what a signal holds about a frequency."""
+def _analytic(values: Array, period: float, frequency: float) -> ComplexArray:
+    """Return the analytic signal of what values (along the last axis) hold about a frequency."""
     band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), 1e-3, 0.98)
-    return signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
-                              values - values.mean())
+    around = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
+                                values - values.mean(-1, keepdims=True))
+    return np.asarray(signal.hilbert(around))
 
 
 def _cycle_figures(piece: _Piece, frequency: float) -> dict[str, Any]:
     """Return frequency and amplitude with intervals from the scatter of the cycles."""
     even, period = on_grid(piece.time_s, piece.values)
-    analytic = signal.hilbert(_around(even, period, frequency))
+    analytic = _analytic(even, period, frequency)
     size = max(int(round(1.0 / (frequency * period))), 1)
     phase = np.unwrap(np.angle(analytic))[size:-size:size] / (2.0 * np.pi)
     amplitude = np.abs(analytic)[size:-size:size]

@@ -1,0 +1,129 @@
+"""
+A record as the fits of a sine see it: its samples or, of a long one, a few numbers that stand in.
+
+Near a frequency that is roughly known, every column of the model is a harmonic of a carrier times
+something slow. So a long record is cut into blocks, and in a block the slow is a cubic, given at
+four nodes. The QR factors of all carriers times cubics turn the samples of a block into as many
+numbers as there are columns; least squares on these numbers are least squares on the samples. It
+costs one pass over the record, however many fits follow.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+# The slow is met to 1e-3 as long as frequency times harmonic is within 13 lines of the carrier's.
+BLOCKS: Final = 64
+NODES: Final = 4
+
+
+class Record(NamedTuple):
+    """
+    Values at times about their middle, condensed or not.
+
+    `t` (s): where columns of the model are to be given. `bases[h]` makes rows of what moves about
+    harmonic h of a carrier, (blocks, rows, nodes); empty if the rows are the samples themselves.
+    """
+
+    t: Array
+    values: Array              # a row each
+    beyond: float              # squares of the samples that no column reaches
+    samples: int
+    span_s: float
+    period_s: float
+    back: ComplexArray         # at each node: turns the carrier back to the middle of its block
+    bases: tuple[ComplexArray, ...] = ()
+
+    def rows(self, harmonic: int, given: ComplexArray) -> ComplexArray:
+        """Return the rows of complex columns given at `t`, which move about a harmonic."""
+        if not self.bases:
+            return given
+        slow = given.reshape(len(self.t), -1) * (self.back**harmonic)[:, None]
+        made = self.bases[harmonic] @ slow.reshape(BLOCKS, NODES, -1)
+        return made.reshape(-1, *given.shape[1:])
+
+    def drift(self, order: int) -> Array:
+        """Return the rows of a drifting mean: Legendre polynomials over the record."""
+        return self.rows(0, legendre(self.t, self.span_s, order).astype(complex)).real
+
+    def first(self, harmonics: int) -> 'Record':
+        """Return the record for models of no more than so many harmonics."""
+        if not self.bases:
+            return self
+        kept = (1 + 2 * harmonics) * NODES
+        values = self.values.reshape(BLOCKS, -1)
+        return self._replace(
+            values=values[:, :kept].ravel(),
+            beyond=self.beyond + float(np.sum(values[:, kept:] ** 2)),
+            bases=tuple(base[:, :kept] for base in self.bases[:harmonics + 1]))
+
+
+def legendre(t: Array, span_s: float, order: int) -> Array:
+    """Return Legendre polynomials (columns) over a span about 0."""
+    return np.asarray(np.polynomial.legendre.legvander(2.0 * t / span_s, order))
+
+
+def plain(t: Array, values: Array) -> Record:
+    """Return a record as its samples; t: times (s) about their middle."""
+    return Record(t, values, 0.0, len(t), float(t[-1] - t[0]), float(np.median(np.diff(t))),
+                  np.ones(0, complex))
+
+
+def condensed(t: Array, values: Array, frequency_hz: float, harmonics: int) -> Record:
+    """Return a record for fits near a frequency with so many harmonics; as it is if short."""
+    record = plain(t, values)
+    if len(t) < 2 * BLOCKS * (1 + 2 * harmonics) * NODES:
+        return record
+    edges = np.cumsum([0, *map(len, np.array_split(t, BLOCKS))])
+    parts = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    ends = np.array([[t[part][0], t[part][-1]] for part in parts])
+    middle, half = ends.mean(1), 0.5 * np.ptp(ends, axis=1)
+    nodes = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+    rows: list[Array] = []
+    bases: list[Array] = []
+    beyond, index = 0.0, 0
+    while index < BLOCKS:
+        # Blocks sampled alike, as most are if no sample is missing, share their factors.
+        times = t[parts[index]] - middle[index]
+        last = index + 1
+        while last < BLOCKS and _alike(t[parts[last]] - middle[last], times, record.period_s):
+            last += 1
+        columns = _columns(times, nodes * half[index], frequency_hz, harmonics)
+        sides = np.column_stack([values[part] for part in parts[index:last]])
+        factor = np.asarray(np.linalg.qr(np.hstack([columns, sides]), mode='r'))
+        size = columns.shape[1]
+        rows.append(factor[:size, size:].T)
+        bases += [factor[:size, :size]] * (last - index)
+        beyond += float(np.sum(factor[size:, size:] ** 2))
+        index = last
+    own = (half[:, None] * nodes).ravel()
+    return record._replace(
+        t=np.repeat(middle, NODES) + own, values=np.vstack(rows).ravel(), beyond=beyond,
+        back=np.exp(-2j * np.pi * frequency_hz * own), bases=_by_harmonic(np.array(bases)))
+
+
+def _alike(times: Array, others: Array, period_s: float) -> bool:
+    return len(times) == len(others) and bool(np.abs(times - others).max() < 1e-6 * period_s)
+
+
+def _columns(times: Array, nodes: Array, frequency_hz: float, harmonics: int) -> Array:
+    """Return 1 and the carriers, each times the cubics that are 1 at one node, 0 at the others."""
+    width = nodes.max()
+    cubics = np.vander(times / width, NODES) @ np.linalg.inv(np.vander(nodes / width, NODES))
+    carrier = np.exp(2j * np.pi * frequency_hz * times)
+    columns, wave = [cubics], carrier
+    for _ in range(harmonics):
+        columns += [cubics * wave.real[:, None], cubics * wave.imag[:, None]]
+        wave = wave * carrier
+    return np.hstack(columns)
+
+
+def _by_harmonic(factors: Array) -> tuple[ComplexArray, ...]:
+    """Return the factors of the blocks apart for each harmonic, its cosine + i its sine."""
+    each = factors.reshape(*factors.shape[:2], -1, NODES)
+    return (each[:, :, 0].astype(complex),
+            *(each[:, :, h] + 1j * each[:, :, h + 1] for h in range(1, each.shape[2], 2)))
