@@ -507,7 +507,8 @@ def gap_check(
     jobs: Jobs = 2,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
-        help='Directory for new cases; it must not exist')] = Path('runs/gap_check'),
+        help='Directory for new cases; one that the same call left undone is gone on with')
+    ] = Path('runs/gap_check'),
     as_json: Json = False,
 ) -> None:
     """Diagnose blind cases, then open the sealed answers and say how often it was right."""
@@ -521,9 +522,6 @@ def gap_check(
     with workers(jobs, dask), progress() as told:
         if directory is None:
             from asi_examiner.bags import write_cases
-            if out.exists():
-                raise InputError(f'{out} exists already: give another --out, or that directory '
-                                 'as an argument to check it again')
             for done in write_cases(out, cases, seed, world, load, signals):
                 told(f'{done} of {cases} cases written', done / cases)
         document = check(directory or out, told)

@@ -3,12 +3,13 @@ Write blind cases as bags without hints, and the answers in one sealed file besi
 
 A directory of cases: `nominal_WORLD_LOAD.yaml` (the model file that a user would have), `case_K/`
 (bags whose name and metadata tell nothing), `fresh_K/` (another recording of the same machine),
-`cases.json` (which bags and model belong together) and `answers.sealed` (compressed, so that no
-search in the files finds a hint).
+`cases.json` (which bags and model belong together), `examiner.json` (what was asked for) and
+`answers.sealed` (compressed, so that no search in the files finds a hint).
 """
 
 import base64
 import json
+import shutil
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 import yaml
 
 from asi_analysis.bag import write_bag
+from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
 from asi_analysis.run import Run
 from asi_examiner.cases import EFFECTS, NOISE, Case, draw, excite
@@ -38,6 +40,15 @@ class Answer(NamedTuple):
     load: str
     signals: str
     visibility: float       # in multiples of the noise
+    sizes: dict[str, float]   # of the effects, those in the diagnosis' units, by its names
+
+
+# Parameters of an effect that mean the same here and there, and their names there.
+SAME = {'extra_delay': 'command_delay', 'bias': 'command_bias', 'deadband': 'command_deadband',
+        'quantum': 'command_quantum', 'force_limit': 'force_limit', 'supply_drop': 'supply_drop',
+        'friction': 'friction_level', 'asymmetry': 'friction_asymmetry', 'viscous': 'viscous',
+        'gap': 'backlash', 'push_constant': 'disturbance', 'push_burst': 'disturbance_pulse',
+        'sensor_offset': 'sensor_offset', 'sensor_scale': 'sensor_gain_error'}
 
 
 def as_run(recording: np.ndarray, hidden: tuple[str, ...] = ()) -> Run:
@@ -70,12 +81,16 @@ def model_text(nominal: Mapping[str, Any]) -> str:
 
 def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answer:
     """Write one case's bag, its fresh bag and its model; return the answer."""
+    for torn in (f'case_{number:04d}', f'fresh_{number:04d}'):   # of a call that was stopped
+        shutil.rmtree(out / torn, ignore_errors=True)
     write_bag(as_run(case.recording, HIDDEN[signals]), out / f'case_{number:04d}', {})
     write_bag(as_run(fresh(case), HIDDEN[signals]), out / f'fresh_{number:04d}', {})
     (out / f'nominal_{case.world}_{case.load}.yaml').write_text(model_text(case.nominal))
     return Answer(case.kind, list(case.effects),
                   [EFFECTS[name] for name in case.effects if name in EFFECTS], case.excitation,
-                  case.world, case.load, signals, case.visibility)
+                  case.world, case.load, signals, case.visibility,
+                  {there: float(case.plant[here]) for here, there in SAME.items()
+                   if case.plant[here] != case.without[here]})
 
 
 def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str) -> Answer:
@@ -84,22 +99,44 @@ def _write(out: Path, number: int, seed: int, world: str, load: str, signals: st
 
 def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load: str = 'spring',
                 signals: str = 'all') -> Iterator[int]:
-    """Write `count` cases of seeds from `seed` on into a directory; yields how many are done."""
-    out.mkdir(parents=True, exist_ok=True)
-    names = [f'{number:04d}' for number in range(count)]
-    (out / 'cases.json').write_text(json.dumps([
-        {'bag': f'case_{name}', 'fresh': f'fresh_{name}', 'model': f'nominal_{world}_{load}.yaml'}
-        for name in names], indent=1))
-    answers = {}
+    """
+    Write `count` cases of seeds from `seed` on into a directory; yields how many are done.
+
+    A directory that the same call left undone is gone on with; raises InputError for any other.
+    """
+    asked = {'count': count, 'seed': seed, 'world': world, 'load': load, 'signals': signals}
+    call, index, sealed = out / 'examiner.json', out / 'cases.json', out / 'answers.sealed'
+    if not out.exists():
+        out.mkdir(parents=True)
+        call.write_text(json.dumps(asked))
+    elif not call.exists() or json.loads(call.read_text()) != asked:
+        raise InputError(f'{out} exists already: give another --out, or that directory as an '
+                         'argument to check it again')
+    answers = _opened(sealed) if sealed.exists() else {}
+    first = len(answers)
     written = each(_write, ((out, number, seed + number, world, load, signals)
-                            for number in range(count)))
-    for done, (name, answer) in enumerate(zip(names, written, strict=True), 1):
-        answers[f'case_{name}'] = answer._asdict()
-        yield done
-    seal(answers, out / 'answers.sealed')
+                            for number in range(first, count)))
+    for number, answer in enumerate(written, first):
+        answers[f'case_{number:04d}'] = answer._asdict()
+        seal(answers, sealed)
+        _replace(index, json.dumps(
+            [{'bag': f'case_{done:04d}', 'fresh': f'fresh_{done:04d}',
+              'model': f'nominal_{world}_{load}.yaml'} for done in range(number + 1)],
+            indent=1).encode())
+        yield number + 1
 
 
 def seal(answers: Mapping[str, Any], path: Path) -> None:
     """Write answers so that they cannot be read by chance."""
-    path.write_bytes(base64.b85encode(zlib.compress(json.dumps(answers).encode())))
+    _replace(path, base64.b85encode(zlib.compress(json.dumps(answers).encode())))
 
+
+def _opened(path: Path) -> dict[str, Any]:
+    return json.loads(zlib.decompress(base64.b85decode(path.read_bytes())))
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all."""
+    part = path.with_suffix('.part')
+    part.write_bytes(content)
+    part.replace(path)

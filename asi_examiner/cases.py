@@ -268,8 +268,10 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             chosen = tuple(map(str, rng.choice(list(EFFECTS), 2 if kind == 'pair' else 1,
                                                replace=False)))
         values, seen = dict(true), math.inf
-        for name in chosen:
-            extra = draw_effect(name, rng, size, world)
+        extras = [draw_effect(name, rng, size, world) for name in chosen]
+        if len(extras) == 2 and extras[0].keys() & extras[1].keys():
+            continue   # the second would take the place of the first: that is one effect
+        for extra in extras:
             if kind == 'small':
                 extra = {key: value * (0.02 if key not in ('slip_distance', 'dahl', 'breakaway',
                                                            'piston_share', 'drift_time') else 1.0)

@@ -77,22 +77,23 @@ def maxwell_slip(elements, v, forward, backward, forward_break, backward_break, 
     Return the friction force (N) after `h` s at velocity v; updates the elements.
 
     elements: SLIPS springs, as shares of their own slip force; or a single state after Dahl.
+    Forward or backward is which way an element is bent: by the sign of the velocity, the force of
+    one that sticks would jump with every tremor, and push.
     """
-    level, limit = (forward, forward_break) if v >= 0.0 else (backward, backward_break)
-    height = level
-    if stribeck > 0.0:
-        height = level + (limit - level) * math.exp(-abs(v) / stribeck)
+    fall = math.exp(-abs(v) / stribeck) if stribeck > 0.0 else 0.0
+    ahead = forward + (forward_break - forward) * fall
+    back = backward + (backward_break - backward) * fall
     if dahl > 0.5:
         s = elements[0]
         elements[0] = s + h * v / distance * (1.0 - s * (1.0 if v >= 0.0 else -1.0))
-        return height * elements[0]
+        return (ahead if s >= 0.0 else back) * elements[0]
     total = 0.0
     for i in range(SLIPS):
         reach = distance * (0.4 + 0.4 * i)
-        s = elements[i] + h * v / reach
-        elements[i] = min(max(s, -1.0), 1.0)
-        total += elements[i] / SLIPS
-    return height * total
+        s = min(max(elements[i] + h * v / reach, -1.0), 1.0)
+        elements[i] = s
+        total += (ahead if s >= 0.0 else back) * s / SLIPS
+    return total
 
 
 @jit

@@ -17,6 +17,7 @@ from asi_analysis.gap.check import score
 from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.run import Run
+from asi_examiner import bags
 
 TEXTBOOK = {'load.type': 'spring', 'valve_hysteresis.model': 'off',
             'valve_characteristic.model': 'off', 'hydraulic_damping.model': 'linear',
@@ -70,6 +71,8 @@ def test_effect_is_named(changed, effect, field, value):
     assert (first['effect'], answer['where'][0]['block']) == (effect, first['block'])
     if field:
         assert first['parameters'][field] == pytest.approx(value, rel=0.15)
+        low, high = first['parameters_low'][field], first['parameters_high'][field]
+        assert low <= value <= high <= low + 0.5 * value
     assert answer['gap']['after_nrmse'] < 0.03
     assert answer['gap']['shrink_low'] <= answer['gap']['shrink'] <= answer['gap']['shrink_high']
 
@@ -144,13 +147,16 @@ def test_diagnosis_does_not_know_the_examiner():
 
 def _said(verdict: str, probability: float, effect: str, block: str) -> dict[str, object]:
     return {'verdict': verdict, 'probability': probability, 'ambiguity_set': [verdict],
-            'which': [{'effect': effect, 'block': block, 'probability': probability}],
+            'which': [{'effect': effect, 'block': block, 'probability': probability,
+                       'parameters': {'size': 1.0}, 'parameters_low': {'size': 0.8},
+                       'parameters_high': {'size': 1.1}}],
             'where': [{'block': block, 'share': 1.0}], 'seconds': 1.0,
             'gap': {'shrink': 0.9, 'shrink_low': 0.8, 'shrink_high': 0.95}, 'fresh_shrink': 0.7}
 
 
 def test_score_counts_what_was_said_against_the_truth():
-    lag = {'kind': 'effect', 'effects': ['valve_lag'], 'blocks': ['valve'], 'excitation': 'loop'}
+    lag = {'kind': 'effect', 'effects': ['valve_lag'], 'blocks': ['valve'], 'excitation': 'loop',
+           'sizes': {'size': 1.2}}
     none = {'kind': 'none', 'effects': [], 'blocks': [], 'excitation': 'loop'}
     rows = [{'bag': 'a', **_said('valve_lag', 0.95, 'valve_lag', 'valve')},
             {'bag': 'b', **_said('valve_bias', 0.95, 'valve_bias', 'valve')},
@@ -162,6 +168,7 @@ def test_score_counts_what_was_said_against_the_truth():
     assert figures['false_alarm_rate'] == 1.0
     assert figures['confidently_wrong_rate'] == pytest.approx(1 / 3)
     assert figures['interval_coverage'] == 0.0
+    assert figures['size_coverage'] == 0.0   # of the case where the effect is right
     assert figures['unknown_rate'] is None
 
 
@@ -177,3 +184,20 @@ def test_check_that_was_stopped_goes_on(tmp_path, monkeypatch):
     assert [(row['bag'], row['verdict']) for row in rows] == [
         ('a', 'no_gap'), ('b', 'unknown'), ('c', 'unknown')]
     assert [json.loads(line)['bag'] for line in kept.read_text().splitlines()] == ['a', 'b', 'c']
+
+
+def test_cases_that_were_left_undone_are_gone_on_with(tmp_path, monkeypatch):
+    written = []
+    case = bags.Answer('none', [], [], 'loop', 'textbook', 'spring', 'all', 0.0, {})
+    monkeypatch.setattr(bags, '_write', lambda out, number, *more: written.append(number) or case)
+    for done in bags.write_cases(tmp_path / 'cases', 4, 7):
+        if done == 2:
+            break   # as Ctrl-C does
+    index = json.loads((tmp_path / 'cases' / 'cases.json').read_text())
+    assert [entry['bag'] for entry in index] == ['case_0000', 'case_0001']
+    assert set(check.unseal(tmp_path / 'cases' / 'answers.sealed')) == {'case_0000', 'case_0001'}
+    written.clear()
+    assert list(bags.write_cases(tmp_path / 'cases', 4, 7)) == [3, 4]
+    assert written == [2, 3]
+    with pytest.raises(InputError, match='exists already'):
+        list(bags.write_cases(tmp_path / 'cases', 5, 7))

@@ -449,7 +449,8 @@ def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out
 
     Friction beyond the sensor, what backlash takes away from spring and damper, disturbance.
     position m, velocity m/s: of the piston; stiffness N/m, damping N s/m of the load; start: time
-    of the first sample, s.
+    of the first sample, s. Friction and backlash remember nothing of before time 0, where the
+    motion is made up.
     """
     elements, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
     left, before = position[0], position[0]
@@ -457,6 +458,8 @@ def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out
     omega = 2.0 * math.pi * e.disturbance_frequency
     for k in range(out.shape[0]):
         x, v = position[k], velocity[k]
+        if start + k * period < 0.5 * period:
+            left, before = x, x
         total = e.load_offset - e.disturbance
         if e.friction_inside < 0.5:
             if e.friction_level > 0.0:

@@ -111,6 +111,15 @@ def is_right(row: Row, answer: Mapping[str, Any]) -> bool:
     return row['verdict'] == truth_of(answer) or small
 
 
+def sizes_held(row: Row, answer: Mapping[str, Any]) -> list[bool]:
+    """Return, for each size that is known of the effects in a verdict, if an interval holds it."""
+    right = [entry for entry in row['which'] if entry['effect'] in answer['effects']
+             and entry['effect'] in row['verdict'].split('+')]
+    return [entry['parameters_low'][name] <= size <= entry['parameters_high'][name]
+            for name, size in answer.get('sizes', {}).items()
+            for entry in right if name in entry['parameters']]
+
+
 def _share(values: Sequence[bool]) -> float | None:
     return float(np.mean(values)) if len(values) else None
 
@@ -166,6 +175,7 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
         'shrink_within_005': _share([abs(gap['shrink'] - value) <= 0.05 for gap, value in fresh]),
         'interval_coverage': _share([gap['shrink_low'] <= value <= gap['shrink_high']
                                      for gap, value in fresh]),
+        'size_coverage': _share([held for r, a in both for held in sizes_held(r, a)]),
         'median_seconds': float(np.median(seconds)),
         'refused': sum(r['verdict'] == 'refused' for r in rows),
         'by_kind': {kind: len(chosen) for kind, chosen in (
@@ -225,7 +235,8 @@ def show(result: Mapping[str, Any]) -> None:
              'mean_ambiguity_size': 'at most 1.5', 'false_alarm_rate': 'at most 0.03',
              'unknown_rate': '0.90', 'pair_rate': '0.85', 'pair_one_rate': '0.99',
              'confidently_wrong_rate': 'at most 0.02', 'calibration_error': 'at most 0.05',
-             'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99'}
+             'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99',
+             'size_coverage': ''}
     print(f'{result["cases"]} cases: ' + ', '.join(
         f'{count} {kind}' for kind, count in result['by_kind'].items()))
     for key in (*reach, 'small_wrong_rate', 'median_seconds', 'refused'):

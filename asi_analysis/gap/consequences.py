@@ -15,9 +15,8 @@ from asi_actuator.parameters import ParameterError, Value
 from asi_analysis.analysis import analyze
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.gap.diagnose import Diagnosis
-from asi_analysis.gap.fit import Fitted, Group
 from asi_analysis.gap.model_file import improved_model
-from asi_analysis.gap.verdict import CONSTANTS
+from asi_analysis.gap.uncertainty import draw, likelihood
 from asi_analysis.prediction.predict import simulated_onset
 from asi_analysis.run import Run
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
@@ -71,28 +70,13 @@ def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Conseque
     onset = improved['onset_gain']
     lowest = [NEAR * onset] if onset else []
     rng = np.random.default_rng(1)
-    drawn = [loop([draw(weighed.group, candidate.fitted, rng)
-                   for weighed, candidate in zip(diagnosis.groups, best, strict=True)], lowest)
-             for _ in range(DRAWS)]
+    fits = [(candidate.fitted, likelihood(candidate.fitted)) for candidate in best]
+    others = [loop([draw(fitted, found, rng) for fitted, found in fits], lowest)
+              for _ in range(DRAWS)]
     measured = _figures_of(run) if recorded else {}
     return [Consequence(name, nominal[name], improved[name],
-                        *_interval(improved[name], [each[name] for each in drawn]),
+                        *_interval(improved[name], [each[name] for each in others]),
                         measured.get(name)) for name in improved]
-
-
-def draw(group: Group, fitted: Fitted, rng: np.random.Generator) -> np.void:
-    """
-    Return the record of a fit drawn from its uncertainty.
-
-    Its residuals are correlated: they count as the few samples that the verdict counts them as.
-    """
-    jacobian = fitted.problem.jacobian(fitted.theta)
-    counted = CONSTANTS.samples * len(group.channels) / jacobian.shape[0]
-    left = 2.0 * fitted.cost / jacobian.shape[0]
-    information = jacobian.T @ jacobian * counted / max(left, 1e-12) + np.eye(fitted.theta.size)
-    triangle = np.linalg.cholesky(information)
-    step = np.linalg.solve(triangle.T, rng.standard_normal(fitted.theta.size))
-    return fitted.problem.record(np.clip(fitted.theta + step, 0.0, 1.0))
 
 
 def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_s: float,

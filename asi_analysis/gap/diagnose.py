@@ -11,10 +11,18 @@ from asi_actuator.parameters import Value
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap import next_experiment, quality, where
 from asi_analysis.gap.effects import BLOCK_OF, NO_GAP, UNKNOWN
-from asi_analysis.gap.fit import TOLERANCE, Group, make_group, plant_record
+from asi_analysis.gap.fit import (
+    TOLERANCE,
+    Fitted,
+    Group,
+    Values,
+    make_group,
+    plant_record,
+)
 from asi_analysis.gap.joint import drive_of, joint_groups
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.shrink import Shrink, shrink_of
+from asi_analysis.gap.uncertainty import intervals
 from asi_analysis.gap.verdict import (
     Candidate,
     Names,
@@ -153,8 +161,8 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
     return max(shown, key=explained)
 
 
-def _effect_values(diagnosis: Diagnosis, name: str) -> dict[str, float]:
-    """Return the fitted parameters of an effect, in the best hypothesis that holds it."""
+def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:
+    """Return the fit of the best hypothesis that holds an effect, and the effect's fields."""
     for weighed in diagnosis.groups:
         holding = [candidate for names, candidate in weighed.candidates.items() if name in names]
         if holding:
@@ -162,11 +170,26 @@ def _effect_values(diagnosis: Diagnosis, name: str) -> dict[str, float]:
             chosen = own if name in own.names else max(
                 holding, key=lambda c: weighed.probability.get(c.names, 0.0))
             effect = next(e for e in weighed.group.effects if e.name == name)
-            fields = {free.field for variant in effect.variants if variant in chosen.variants
-                      for free in variant.free}
-            return {field: value for field, value in chosen.fitted.values.items()
-                    if field in fields}
-    return {}
+            return chosen.fitted, {free.field for variant in effect.variants
+                                   if variant in chosen.variants for free in variant.free}
+    return None
+
+
+def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Values]]:
+    """Return the fitted parameters of effects, and the ends of their intervals, by effect."""
+    known: dict[int, dict[str, tuple[float, float]]] = {}   # an interval serves many effects
+    sizes = {}
+    for name in names:
+        fitted, fields = _holding(diagnosis, name) or (None, set())
+        if fitted is not None and id(fitted) not in known:
+            known[id(fitted)] = intervals(fitted)
+        shown = [] if fitted is None else [
+            (field, value, *known[id(fitted)][field]) for field, value in fitted.values.items()
+            if field in fields]
+        sizes[name] = {'parameters': {field: value for field, value, _, _ in shown},
+                       'parameters_low': {field: low for field, _, low, _ in shown},
+                       'parameters_high': {field: high for field, _, _, high in shown}}
+    return sizes
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -175,12 +198,12 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     # First the effects of the verdict, that which explains more by itself before the other.
     alone = {name: max(w.probability.get((name,), 0.0) for w in diagnosis.groups)
              for name in BLOCK_OF}
-    which = [{'effect': name, 'block': BLOCK_OF[name], 'probability': chance[name],
-              'parameters': _effect_values(diagnosis, name)}
-             for name in sorted(BLOCK_OF, key=lambda n: (n not in diagnosis.verdict, -alone[n]
-                                                             if n in diagnosis.verdict
-                                                             else -chance[n]))
-             if chance[name] > 0.001]
+    told_of = [name for name in sorted(BLOCK_OF, key=lambda n: (
+        n not in diagnosis.verdict, -alone[n] if n in diagnosis.verdict else -chance[n]))
+        if chance[name] > 0.001]
+    sizes = _sizes(diagnosis, told_of)
+    which = [{'effect': name, 'block': BLOCK_OF[name], 'probability': chance[name], **sizes[name]}
+             for name in told_of]
     left = ambiguity_set(diagnosis.joined)
     main = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)

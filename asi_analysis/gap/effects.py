@@ -87,9 +87,6 @@ _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
                       Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'),
                       Free('friction_falling', 1.0, 2.0, (1.5,)))
 
-# The right size of a step is a narrow place: many starts, each 1.5 % from the next.
-QUANTA = tuple(0.02 * 1.015 ** k for k in range(186))
-
 EFFECTS: tuple[Effect, ...] = (
     Effect('transport_delay', COMMAND_PATH, 'the command arrives later', (
         Variant((Free('command_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's'),),
@@ -98,8 +95,9 @@ EFFECTS: tuple[Effect, ...] = (
                 needs=('valve_flexure_model', 'valve_flexure_delay')),
     )),
     Effect('command_quantisation', COMMAND_PATH, 'the command comes in steps', (
-        *(Variant((Free('command_quantum', 0.004, 0.5, QUANTA, 'command', 'N'),), VALVE_SIDE,
-                  (('command_phase', phase),)) for phase in (0.0, 0.5)),
+        *(Variant((Free('command_quantum', 0.97, 1.03, (1.0,), seen, 'N'),), VALVE_SIDE,
+                  (('command_phase', phase),))
+          for phase, seen in ((0.0, 'residual_step'), (0.5, 'residual_step_edge'))),
     )),
     Effect('valve_hysteresis', VALVE, 'the valve lags behind a turning command', (
         Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),

@@ -38,7 +38,6 @@ ROUNDS = 15          # of the optimiser
 ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth another
 POLISHING = 6        # of those, with all derivatives
 LARGEST = 3.0        # times a start that an effect is taken to be
-PULSE_CORNERS = 400  # places in a recording where a pulse is looked for to begin or end
 STARTS = 2           # of the best starting points that are followed
 
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
@@ -666,30 +665,3 @@ class Promise:
                              np.append(-self.base.theta, 0.0),
                              np.append(1.0 - self.base.theta, LARGEST))
         return 0.5 * float(self._left @ self._left) - gain
-
-
-def seen_in_residual(group: Group, fitted: Fitted) -> Values:
-    """
-    Return where to look for a disturbance in what a fit leaves of the last channel.
-
-    residual_frequency: of the strongest wave, Hz; residual_start, residual_end: of the strongest
-    pulse, s.
-    """
-    recording = group.recordings[0]
-    channel = group.channels[-1]
-    left = measured(recording, channel) - predict(recording, channel, fitted.record)
-    left = left - left.mean()
-    count = 8 * left.size   # padded, for a frequency as fine as the wave's phase at the end
-    power = np.abs(np.fft.rfft(left * np.hanning(left.size), count)) ** 2
-    lowest = count // left.size   # one wave in the recording
-    frequency = (lowest + int(np.argmax(power[lowest:]))) / (count * recording.period_s)
-    # What a pulse from one corner to the next explains: the square of its sum over its length.
-    corners = np.linspace(0, left.size, PULSE_CORNERS + 1).astype(int)
-    sums = np.concatenate([[0.0], np.cumsum(left)])[corners]
-    inside = np.maximum(np.subtract.outer(corners, corners).T, 1)
-    outside = np.maximum(left.size - inside, 1)
-    explained = np.triu(np.subtract.outer(sums, sums).T ** 2 * (1.0 / inside + 1.0 / outside), 1)
-    start, end = np.unravel_index(int(np.argmax(explained)), explained.shape)
-    return {'residual_frequency': frequency,
-            'residual_start': max(corners[start], 1) * recording.period_s,
-            'residual_end': corners[end] * recording.period_s}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import coherence, resample_poly
+from scipy.signal import coherence, resample_poly, welch
 
 from asi_analysis.errors import InputError
 from asi_analysis.run import Run
@@ -21,7 +21,9 @@ BURN_OUT_S = 0.1        # and at the end, after which the motion goes on unknown
 MOST_MISSING = 0.05     # share of missing samples that is still bridged
 PARTS = 12              # of a recording: every other one is held out
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
-SMOOTHING = 2.5         # the motion is smoothed at this multiple of the band that is judged
+# The motion is smoothed at this multiple of the band that is judged, or where its power is no more
+# than this multiple of the noise's: friction and backlash act on all of the motion that there is.
+SMOOTHING, OUTSTANDING = 2.5, 4.0
 COHERENT = 0.95         # share of the power that motion and force have in common
 LOWEST_BAND_HZ = 20.0
 # A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
@@ -177,6 +179,18 @@ def _band(motion: Array, force: Array, period: float) -> float:
     return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
 
 
+def _clear(velocity: Array, omega: Array, noise: Array, period: float) -> float:
+    """
+    Return the frequency (Hz) up to which a velocity (m/s) stands out of its noise.
+
+    noise: its variance, if it were as strong everywhere, at each omega (rad/s).
+    """
+    frequency, power = welch(velocity, 1.0 / period, nperseg=min(velocity.size // 4, 1024))
+    level = 2.0 * period * np.interp(2.0 * np.pi * frequency, omega, noise)
+    above = frequency[power > OUTSTANDING * level]
+    return float(above[-1]) if above.size else 0.0
+
+
 def agree(position: Array, velocity: Array, period: float) -> bool:
     """Return whether a velocity may be the derivative of a position, whatever its noise."""
     return ALIKE < velocity_over_derivative(position, velocity, period) < 1.0 / ALIKE
@@ -210,20 +224,23 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     omega = 2.0 * np.pi * frequency
     if position is None:
         v = np.fft.rfft(_extended(source, pad))
+        noise = np.full_like(omega, noise_of(source) ** 2)
         x = np.zeros_like(v)
         x[1:] = v[1:] / (1j * omega[1:])
     else:
         x = np.fft.rfft(_extended(position, pad))
         v = 1j * omega * x
+        noise = (omega * noise_of(position)) ** 2
         if velocity is not None and agree(position, velocity, period):
             both = np.fft.rfft(np.pad(velocity, pad, 'reflect'))
             # Each by its noise: slow motion from the position, fast motion from the velocity.
-            trust = (omega * noise_of(position)) ** 2
-            trust = trust / (trust + noise_of(velocity) ** 2 + 1e-300)
+            trust = noise / (noise + noise_of(velocity) ** 2 + 1e-300)
             v += trust * (both - v)
+            noise = trust * noise_of(velocity) ** 2
             x[1:] = v[1:] / (1j * omega[1:])
     fused = np.fft.irfft(v, count)[pad:pad + source.size] if velocity is not None else None
-    smooth = low_pass(frequency, min(SMOOTHING * band, 0.45 / period))
+    corner = max(SMOOTHING * band, _clear(np.fft.irfft(v, count)[pad:-pad], omega, noise, period))
+    smooth = low_pass(frequency, min(corner, 0.45 / period))
     x, v = x * smooth, v * smooth
     judge = low_pass(frequency, band)
     if position is None:   # what an integral adds up at low frequency says nothing

@@ -22,6 +22,7 @@ from asi_analysis.run import Run
 
 LEAST_SWING = 5.0      # times the noise that a signal must move
 FACTOR = 4.0           # no actuator differs so much from its own model
+SOFTER = 2.0           # times as much: what a load may give way more than its model
 UNLIKE = 0.3           # correlation with the model below which it is another machine
 ALIKE = 0.6            # correlation above which a factor or a sign is told apart from the shape
 BRAKED = 0.2           # correlation of force and velocity that no load has against the motion
@@ -117,7 +118,8 @@ def check_against_model(group: Group) -> None:
             if alike < -ALIKE:
                 raise InputError(f'{where}: the sign is reversed (correlation {alike:.2f}); check '
                                  f'the sign of {output} and of {driven}')
-            if alike > ALIKE and not 1.0 / FACTOR < slope < FACTOR:
+            least = 1.0 / FACTOR if channel != 'load' else 1.0 / (SOFTER * FACTOR)
+            if alike > ALIKE and not least < slope < FACTOR:
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
                                  f'and of {driven}, or the model')
             shift, shifted = best_shift(real[kept], model[kept], recording.period_s)

@@ -15,6 +15,12 @@ def figure(value: float | None) -> str:
     return '-' if value is None else f'{value:.4g}'
 
 
+def sizes(row: Mapping[str, Any]) -> list[str]:
+    """Return the parameters of an effect with their 95 % intervals, one text each."""
+    return [f'{name} {value:.4g} [{row["parameters_low"][name]:.4g}, '
+            f'{row["parameters_high"][name]:.4g}]' for name, value in row['parameters'].items()]
+
+
 def show(document: Mapping[str, Any]) -> None:
     """Print the verdict in three sentences, then the tables."""
     console = Console()
@@ -26,8 +32,7 @@ def show(document: Mapping[str, Any]) -> None:
               if row['share'] > 0.005]),
             ('which', ('effect', 'block', 'probability', 'parameters'),
              [(row['effect'], row['block'], f'{100 * row["probability"]:.1f} %',
-               ', '.join(f'{name} {value:.4g}' for name, value in row['parameters'].items()))
-              for row in document['which'][:6]]),
+               ', '.join(sizes(row))) for row in document['which'][:6]]),
             ('how far, on held-out data (share of the signal)',
              ('channel', 'nominal', 'refitted', 'with the effect', 'noise', 'shrink'),
              [(row['channel'], *(f'{100 * row[key]:.2f} %' for key in (

@@ -8,6 +8,8 @@ each block is driven by its measured input), then the groups are joined.
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from asi_analysis.gap.effects import BY_NAME, NO_GAP, UNKNOWN, Effect, Variant
@@ -22,9 +24,9 @@ from asi_analysis.gap.fit import (
     independent_samples,
     polish,
     refit,
-    seen_in_residual,
     with_known_gain,
 )
+from asi_analysis.gap.seen import seen
 
 Names = tuple[str, ...]
 
@@ -92,7 +94,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     found: dict[Names, Candidate] = {(): Candidate((), (), null)}
     if excess(group, null.held_out) < WORTH:
         return found
-    group.scale.update(seen_in_residual(group, null))
+    group.scale.update(seen(null))
     choices: dict[Names, list[tuple[Variant, ...]]] = {
         (effect.name,): [(variant,) for variant in effect.variants
                          if _may_explain(variant, group, null) and not variant.joined]
@@ -107,11 +109,11 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     if not singles or excess(group, singles[0].fitted.held_out) < WORTH:
         return found
     for first in singles[:FOLLOWED]:
-        found |= _grown(group, first, found, tick)
+        found |= _grown(first, found, tick)
     found |= _both_ways(group, found)
     pairs = [candidate for names, candidate in found.items() if len(names) == 2]
     if pairs:
-        found |= _grown(group, min(pairs, key=lambda c: c.fitted.cost), found, tick)
+        found |= _grown(min(pairs, key=lambda c: c.fitted.cost), found, tick)
     for first in singles[:FOLLOWED]:
         richer = sorted((c.fitted for names, c in found.items()
                          if len(names) == 2 and set(first.variants) <= set(c.variants)),
@@ -134,20 +136,31 @@ def _both_ways(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candi
     return better
 
 
-def _grown(group: Group, first: Candidate, found: dict[Names, Candidate],
-           tick: Callable[[], None]) -> dict[Names, Candidate]:
+def _grown(first: Candidate, found: dict[Names, Candidate], tick: Callable[[], None]
+           ) -> dict[Names, Candidate]:
     """Fit the effects that promise most on top of a hypothesis, if that leaves anything."""
+    group = first.fitted.problem.group
+    # Seen better, once the first is out of the way; but what it rests on itself stays.
+    group = replace(group, scale=group.scale | {
+        name: value for name, value in seen(first.fitted).items()
+        if name not in {free.scale for free in first.fitted.free}})
     more = {tuple(sorted({*first.names, effect.name})): list(_second(group, first, effect))
             for effect in group.effects if effect.name not in first.names}
     return _most_promising(group, first.fitted, {
-        names: variants for names, variants in more.items() if names not in found and variants},
-        SECONDS, tick, 1)
+        names: variants for names, variants in more.items() if variants}, SECONDS, tick, 1, {
+            names: candidate.fitted.cost for names, candidate in found.items()})
 
 
 def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[Variant, ...]]],
-                    most: int, tick: Callable[[], None], forms: int = FORMS
+                    most: int, tick: Callable[[], None], forms: int = FORMS,
+                    reached: Mapping[Names, float] = MappingProxyType({})
                     ) -> dict[Names, Candidate]:
-    """Fit the hypotheses that promise most on top of a fit, in their most promising forms."""
+    """
+    Fit the hypotheses that promise most on top of a fit, in their most promising forms.
+
+    reached: costs of those that were fitted before, on top of another fit: of two effects one may
+    hide what form the other has, so they are fitted again if they promise more from here.
+    """
     if not choices:
         return {}
     promise = Promise(base)
@@ -156,7 +169,8 @@ def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[
         costs = [(promise.cost(group, variants), number)
                  for number, variants in enumerate(ways)]
         promised += [(cost, names, ways[number]) for cost, number in sorted(costs)[:forms]
-                     if cost < (1.0 - LEAST_PROMISE) * base.cost]
+                     if cost < (1.0 - LEAST_PROMISE) * min(base.cost,
+                                                           reached.get(names, math.inf))]
         tick()
     promised.sort(key=lambda entry: entry[0])
     chosen = list(dict.fromkeys(names for _, names, _ in promised))[:most]
@@ -164,7 +178,8 @@ def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[
     for _, names, variants in promised:
         if names in chosen:
             fitted = fit_variants(group, promise, variants, forms)
-            if names not in found or fitted.cost < found[names].fitted.cost:
+            best = found[names].fitted.cost if names in found else reached.get(names, math.inf)
+            if fitted.cost < best:
                 found[names] = Candidate(names, variants, fitted)
     least = min((candidate.fitted.cost for candidate in found.values()), default=0.0)
     return {names: candidate._replace(fitted=polish(group, candidate.fitted))

@@ -1,0 +1,112 @@
+"""
+Where to begin with effects that a fit finds only from nearby: seen in what another fit leaves.
+
+A disturbance (how often, from when to when) and the steps of a command. What the parameters that
+are fitted already could do as well is taken away first, so that it hides nothing.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.fft import next_fast_len
+
+from asi_analysis.gap import blocks
+from asi_analysis.gap.fit import STEP, Fitted, Values, measured, predict, shows_in
+from asi_analysis.gap.prepare import Array, Recording
+
+Complex = npt.NDArray[np.complexfloating]
+
+CORNERS = 400      # places in a recording where a pulse is looked for to begin or end
+# Steps of a command: how many its largest value has. Half of one between two that are tried is
+# the most that any of its levels is then off by.
+STEPS = np.arange(2.0, 60.0, 0.35)
+RESPONSE_S = 0.2   # after which a valve has answered
+
+
+def seen(fitted: Fitted) -> Values:
+    """
+    Return where a fit's first recording shows effects that are narrow places.
+
+    residual_frequency: of the strongest wave in the load, Hz; residual_start, residual_end: of
+    its strongest pulse, s; residual_step, residual_step_edge: of the command (N) with a step's
+    middle at zero, with an edge there.
+    """
+    group = fitted.problem.group
+    found: Values = {}
+    if 'load' in group.channels:
+        left, known = _left(fitted, 'load')
+        found |= _wave(left, group.recordings[0].period_s)
+        found |= _pulse(left, known, group.recordings[0].period_s)
+    for channel in group.channels:
+        if channel == 'valve' or channel == 'force' and not group.measures_valve:
+            found |= _steps(fitted, channel)
+    return found
+
+
+def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
+    """Return what a fit leaves of a channel, and orthonormal what its parameters can change."""
+    group = fitted.problem.group
+    recording = group.recordings[0]
+    base = predict(recording, channel, fitted.record)
+    columns = [np.ones_like(base)]
+    for number, free in enumerate(fitted.free):
+        if shows_in(free.field, channel, group):
+            moved = fitted.theta.copy()
+            moved[number] += STEP if moved[number] < 0.5 else -STEP
+            columns.append(predict(recording, channel, fitted.problem.record(moved)) - base)
+    size = [np.linalg.norm(column) for column in columns]
+    known, _ = np.linalg.qr(np.array([column / norm for column, norm in
+                                      zip(columns, size, strict=True) if norm > 0.0]).T)
+    left = measured(recording, channel) - base
+    return left - known @ (known.T @ left), known
+
+
+def _wave(left: Array, period: float) -> Values:
+    count = 8 * left.size   # padded, for a frequency as fine as the wave's phase at the end
+    power = np.abs(np.fft.rfft(left * np.hanning(left.size), count)) ** 2
+    lowest = count // left.size   # one wave in the recording
+    return {'residual_frequency': (lowest + int(np.argmax(power[lowest:]))) / (count * period)}
+
+
+def _pulse(left: Array, known: Array, period: float) -> Values:
+    """Return from which corner to which a pulse explains most: its square over its length."""
+    corners = np.linspace(0, left.size, CORNERS + 1).astype(int)
+    sums = np.concatenate([[0.0], np.cumsum(left)])[corners]
+    parts = np.concatenate([np.zeros((1, known.shape[1])), np.cumsum(known, axis=0)])[corners]
+    between = parts[:, None] - parts[None]
+    length = np.abs(np.subtract.outer(corners, corners)) - np.sum(between ** 2, axis=2)
+    explained = np.triu(np.subtract.outer(sums, sums) ** 2 / np.maximum(length, 1.0), 1)
+    start, end = np.unravel_index(int(np.argmax(explained)), explained.shape)
+    return {'residual_start': max(corners[start], 1) * period,
+            'residual_end': corners[end] * period}
+
+
+def _steps(fitted: Fitted, channel: str) -> Values:
+    """Return the steps of the command that explain most, both ways that they may lie."""
+    recording = fitted.problem.group.recordings[0]
+    command = recording.command
+    assert command is not None
+    left, known = _left(fitted, channel)
+    count = next_fast_len(command.size + int(RESPONSE_S / recording.period_s), real=True)
+    response = _response(recording, fitted.record, count)
+    largest = float(np.abs(command).max())
+    found = {}
+    for name, phase in (('residual_step', 0.0), ('residual_step_edge', 0.5)):
+        explained = []
+        for step in largest / STEPS:
+            change = step * (np.floor(command / step + 0.5 - phase) + phase) - command
+            moved = np.fft.irfft(response * np.fft.rfft(change, count), count)[:command.size]
+            size = float(moved @ moved) - float(np.sum((known.T @ moved) ** 2))
+            explained.append(max(float(moved @ left), 0.0) ** 2 / max(size, 1e-300))
+        found[name] = float(largest / STEPS[int(np.argmax(explained))])
+    return found
+
+
+def _response(recording: Recording, p: np.void, count: int) -> Complex:
+    """Return the valve's frequency response to its command, hysteresis left out."""
+    plain = p.copy()
+    plain['valve_hysteresis_model'] = 0
+    step = np.zeros((2, int(RESPONSE_S / recording.period_s)))
+    step[0, 1:] = 1.0
+    blocks.valve(step[0], *blocks.parts(plain), recording.period_s, recording.sub_steps(1e-3),
+                 step[1])
+    return np.fft.rfft(np.diff(step[1], append=step[1, -1]), count)
