@@ -1,10 +1,12 @@
 """What the scenarios share: processes, a ROS node that listens, and the tally."""
 
+import math
 import os
 import signal
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,7 +79,9 @@ class Rig:
         self.node: Node = rclpy.create_node('torture')
         self._executor = LoopExecutor()
         self._executor.add_node(self.node)
-        self.diagnostics: dict[str, Any] = {}
+        # What each node has said last; nothing yet of a node that has just begun.
+        self.diagnostics: dict[str, Any] = defaultdict(
+            lambda: {'at': -math.inf, 'text': '', 'state': ''})
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
         self._thread = threading.Thread(target=self._executor.spin)
         self._thread.start()
