@@ -21,7 +21,7 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS
 # Phase counts most where the limit cycle is.
 PREWARP_HZ: Final = 90.0
 MOST_SECTIONS: Final = 8
-OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 16.0, 'lead2': 1.5, 'lead4': 1.5,
+OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 16.0, 'lead2': 2.7, 'lead4': 2.2,
                    'custom': 1.0}
 
 
@@ -95,7 +95,7 @@ def design(values: Mapping[str, Value]) -> Design:
     if name in ('lead2', 'lead4'):
         order = int(name[-1])
         zero = 2.0 * math.pi * float(v[f'{name}.zero_frequency'])
-        lag = 1.0 / float(v['lead_lag.lag_time'])
+        lag = 1.0 / float(v[f'{name}.lag_time'])
         ratio = float(v[f'{name}.lag_ratio'])
         return Design((-zero,) * order + (-lag,),
                       (-zero * float(v[f'{name}.ratio']),) * order + (-lag / ratio,),

@@ -133,7 +133,9 @@ def processes(rig: Rig, tally: Tally, end: float) -> None:
                 if not is_alive(loop.processes['recorder']):
                     tally.samples_lost += loop.lost()
             except NotThere as error:
-                tally.count(what, str(error))
+                tally.count(what, f'{error}; ' + '; '.join(
+                    f'{name} ({process.poll()}): {process.text[-200:]}'
+                    for name, process in loop.processes.items()))
             if trace := rig.tracebacks():
                 tally.failures.append(f'{what}: {trace}')
                 return

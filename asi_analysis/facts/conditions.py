@@ -37,7 +37,7 @@ class Conditions(NamedTuple):
     lead4: StepTest = StepTest(
         {'compensator': 'lead4', 'gain': 3.389, 'lead4.zero_frequency': 120.4,
          'lead4.ratio': 1.973, 'lead4.lag_ratio': 108.2,
-         'lead_lag.lag_time': 0.1257}, 266.9, LOCKED)
+         'lead4.lag_time': 0.1257}, 266.9, LOCKED)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0
