@@ -142,7 +142,7 @@ def _point(controller: Values) -> np.ndarray:
     family = str(v['compensator'])
     second = float(v[f'{family}.ratio']) if family == 'lead4' else 1.0
     values = [float(v['gain']) or OWN_GAIN[family], float(v[f'{family}.lag_ratio']),
-              float(v['lead_lag.lag_time']), *2 * [float(v[f'{family}.zero_frequency'])],
+              float(v[f'{family}.lag_time']), *2 * [float(v[f'{family}.zero_frequency'])],
               float(v[f'{family}.ratio']), second, 1.0, 1.0, 1.0, 1.0, float(v['feedforward'])]
     return np.clip([np.log(value / low) / np.log(high / low)
                     for value, (low, high) in zip(values, RANGES.values(), strict=True)], 0.0, 1.0)
