@@ -278,6 +278,8 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
         Key('dither', '[object]', 'rival cure, if the loop cycles', (
             Key('frequency_hz', 'number', 'of the dither'),
             Key('amplitude_n', 'number?', 'least command that quenches; null: none'),
+            Key('least_left', 'number', 'least share of the cycle that any amplitude leaves'),
+            Key('least_left_at_n', 'number', 'that amplitude'),
             Key('valve_travel_m_s', 'number?', 'mean speed of the valve with it'),
             Key('force_ripple_n', 'number?', 'rms force with it'))),
         Key('design', 'object?', 'best design found, if asked for', (

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
-from asi_analysis.attribution.loops import CAUSES, loop
+from asi_analysis.attribution.loops import CAUSES, VALVE_FAULTS, loop
 from asi_analysis.attribution.shape import FEATURES, shape
 from asi_analysis.errors import InputError
 
@@ -111,17 +111,31 @@ def probabilities(features: Array, learnt: dict[str, Any]) -> Array:
 
 
 def judged(features: Array, causes: Causes, learnt: dict[str, Any]) -> dict[str, Any]:
-    """Return how often the most probable cause is right, and what stated probabilities mean."""
+    """
+    Return how often the most probable cause is right, and what stated probabilities mean.
+
+    Beside that, how often the valve as a whole is rightly blamed: its faults are hard to tell
+    apart.
+    """
     p = probabilities(features, learnt)
     best = p.argmax(1)
     sure = p.max(1) > SURE
     confusion = np.zeros((len(CAUSES), len(CAUSES)), int)
     np.add.at(confusion, (causes, best), 1)
+    valve = p[:, :len(VALVE_FAULTS)].sum(1)
+    at_fault = causes < len(VALVE_FAULTS)
+    blamed = valve > SURE
     return {'right': float((best == causes).mean()), 'sure': float(sure.mean()),
-            'right_when_sure': float((best == causes)[sure].mean()) if sure.any() else None,
+            'right_when_sure': _mean((best == causes)[sure]),
             'mean_probability': float(p.max(1).mean()),
-            'mean_probability_when_sure': float(p.max(1)[sure].mean()) if sure.any() else None,
+            'mean_probability_when_sure': _mean(p.max(1)[sure]),
+            'valve_right': float(((valve > 0.5) == at_fault).mean()),
+            'valve_blamed': _mean(blamed[at_fault]), 'right_when_blamed': _mean(at_fault[blamed]),
             'confusion': confusion.tolist()}
+
+
+def _mean(values: npt.NDArray[Any]) -> float | None:
+    return float(values.mean()) if len(values) else None
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
 """
 Simulated control loops with a known fault: what the attribution by shape is learnt from.
 
-Two worlds with different equations, so that what is learnt in one can be judged in the other.
-'learn': first-order processes with a lag and a delay or an integrator, PI; the valve of Choudhury
-and Kano, the play, the sum of plays, a valve that ends softly. 'judge': processes of third order,
-also with inverse response, PID; the valve of He with a friction that scatters and a stem that
-takes its time, a soft play, the hysteresis of Duhem (Coleman and Hodgdon), a valve that ends
-before its command.
+Two worlds with different equations, so that what is learnt in one can be judged in the other;
+in both, PI and PID control and slaves whose set point a master moves. 'learn': first-order
+processes with a lag and a delay or an integrator; the valve of Choudhury and Kano, the play, the
+sum of plays, a valve that ends softly. 'judge': processes of third order, also with inverse
+response; the valve of He with a friction that scatters and a stem that takes its time, a soft
+play, the hysteresis of Duhem (Coleman and Hodgdon), a valve that ends before its command.
 
 The fault is the cause by construction: without noise the loop swings with it and comes to rest
 without it. A period of the controller is the unit of time, a valve's stroke of 1 its fault.
@@ -26,9 +26,13 @@ Random = np.random.Generator
 
 CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuning',
                  'disturbance')
+# Faults of the valve: when they cannot be told apart, the valve still can be blamed.
+VALVE_FAULTS: Final = CAUSES[:3]
 WORLDS: Final = ('learn', 'judge')
 # A swing that others find at its own frequency, within this factor, can be seen.
 VISIBLE: Final = 1.5
+# Share of the loops whose set point another loop moves.
+SLAVES: Final = 0.35
 # Steps of the simulation for one of the controller.
 SUBSTEPS: Final = 4
 # Numbers by which the compiled loop knows a valve.
@@ -228,7 +232,7 @@ def _plant(world: str, random: Random) -> Plant:
     inverse = second * random.uniform(0.2, 0.8) * (random.random() < 0.3) * (world == 'judge')
     usual = 8.0 * delay if integrating else min(lag + second, 8.0 * delay)
     integral = usual * 10.0 ** random.uniform(-0.5, 0.6)
-    derivative = random.uniform(0.1, 0.5) * delay * (world == 'judge') * (random.random() < 0.5)
+    derivative = random.uniform(0.1, 0.5) * delay * (random.random() < 0.3)
     return Plant((lag, second, third), delay, integrating, float(inverse), 1.0, integral,
                  float(derivative), float(random.choice([0.0, 1.0, 3.0])) * (delay > 2.0))
 
@@ -249,15 +253,15 @@ def _outside(cause: str, period: float, count: int, random: Random) -> Array:
     """Return the load that makes a loop swing from outside: of any regularity and shape."""
     if cause != 'disturbance':
         return np.zeros(count)
-    # A phase that wanders, by up to a quarter of a turn a period, and a size that does.
-    wander = 10.0 ** random.uniform(-3.0, -0.6)
+    # A phase that wanders, by up to a turn a period, and a size that does.
+    wander = 10.0 ** random.uniform(-3.0, 0.0)
     angle = 2.0 * np.pi * (np.arange(count) / period
                            + np.cumsum(random.standard_normal(count)) * wander / np.sqrt(period))
     shape = random.integers(4)
     wave = (np.sin(angle), np.sin(angle) + 0.4 * np.sin(2.0 * angle + 1.0),
             np.tanh(random.uniform(1.0, 8.0) * np.sin(angle)), np.arcsin(0.98 * np.sin(angle))
             )[shape]
-    size = np.exp(random.uniform(0.0, 0.6) * _drift(count, 3.0 * period, random))
+    size = np.exp(10.0 ** random.uniform(-2.5, -0.2) * _drift(count, 3.0 * period, random))
     return wave * size
 
 
@@ -288,8 +292,7 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
              'saturation': random.uniform(1.15, 3.0)}.get(cause, random.uniform(0.1, 0.65))
     plant = plant._replace(gain=share * limit_gain)
     limit = 1.0 if cause == 'saturation' and valve.kind == LINEAR else 1e9
-    if cause in ('stiction', 'backlash', 'hysteresis') and random.random() < 0.3 and (
-            not plant.integrating):
+    if cause != 'saturation' and not plant.integrating and random.random() < SLAVES:
         plant = _mastered(plant, random)
         horizon = min(int(horizon + 30.0 * plant.tank_integral), 15_000)
         if _lasts(still(plant, Valve(), limit, horizon)[1]):
@@ -309,14 +312,19 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
     total = count + settle
     outside = _outside(cause, period, total, random)
     by_reference = random.random() < 0.3
-    load = 10.0 ** random.uniform(-2.2, -0.4) * _drift(
+    load = 10.0 ** random.uniform(-3.0, -0.4) * _drift(
         total, period * 10.0 ** random.uniform(-0.7, 1.0), random) + random.uniform(-0.7, 0.7)
-    weather = Weather(outside * by_reference, load + outside * (not by_reference),
+    # What the master is asked for, or what flows into its tank, moves a slave's set point.
+    asked = np.zeros(total) if plant.tank == 0.0 else 10.0 ** random.uniform(-1.5, 0.0) * _drift(
+        total, period * 10.0 ** random.uniform(-0.3, 1.0), random)
+    weather = Weather(outside * by_reference + asked, load + outside * (not by_reference),
                       np.zeros(total), random.standard_normal(total))
     # What has to cycle by itself begins well off its set point; what noise shakes, at rest.
     start = 0.0 if cause in ('tight_tuning', 'disturbance') else 3.0
     _, quiet = run_loop(plant, valve, limit, weather, start)
-    hiss = float(np.std(quiet[settle:])) * 10.0 ** random.uniform(-2.5, -0.5)
+    # A tight loop also swings with nothing but the noise of its sensor.
+    most = 0.7 if cause == 'tight_tuning' else -0.5
+    hiss = float(np.std(quiet[settle:])) * 10.0 ** random.uniform(-3.0, most)
     command, output = run_loop(plant, valve, limit, weather._replace(
         noise=hiss * random.standard_normal(total)), start)
     return _recorded(command[settle:], output[settle:], period, random, cause)

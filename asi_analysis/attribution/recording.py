@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from asi_analysis.attribution.ablation import attribute
+from asi_analysis.attribution.loops import VALVE_FAULTS
 from asi_analysis.attribution.shape import Shape, shape
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.verdict import Segment, judge_run, response_of
@@ -27,8 +28,6 @@ EMPTY: Final[dict[str, Any]] = dict.fromkeys(
 SPREAD: Final = (0.03, 0.15)
 # Less of a record than this is no part to be judged alone.
 LEAST_PART: Final = 0.5
-# Faults of the valve: when they cannot be told apart, the valve still can be blamed.
-VALVE: Final = ('stiction', 'backlash', 'hysteresis')
 # How common the causes are, against each other, in loops that swing: surveys find a third of them
 # due to the valve, nearly always friction, a third to tuning, the rest to what comes from outside
 # (Bialkowski, Pulp & Paper Canada 94, 1993; Desborough and Miller, CPC VI, 2001).
@@ -128,10 +127,10 @@ def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) ->
             'by shape')
     if most >= NAMED:
         return f'{what}: {_words(first)} ({100 * most:.0f} %)'
-    valve = sum(chances[name] for name in VALVE)
+    valve = sum(chances[name] for name in VALVE_FAULTS)
     if valve >= NAMED:
         kinds = ', '.join(f'{_words(name)} {100 * chance:.0f} %'
-                          for name, chance in chances.items() if name in VALVE)
+                          for name, chance in chances.items() if name in VALVE_FAULTS)
         return f'{what}: the valve ({100 * valve:.0f} %), but which fault cannot be told: {kinds}'
     test = SEPARATE.get(frozenset({first, second}),
                         'a step of the command in manual, and a run at half the gain')

@@ -68,7 +68,7 @@ def hysteresis(command: Array, width: float, first: int) -> Array:
     return np.mean([play(command, each, first) for each in widths], axis=0)
 
 
-def clip(command: Array, share: float) -> Array:
-    """Return the command held within `share` of its swing about the middle of it."""
-    middle, half = 0.5 * (command.max() + command.min()), 0.5 * np.ptp(command)
-    return np.clip(command, middle - share * half, middle + share * half)
+def clip(command: Array, half: float) -> Array:
+    """Return the command held within `half`, in its units, of the middle of its swing."""
+    middle = 0.5 * (command.max() + command.min())
+    return np.clip(command, middle - half, middle + half)

@@ -87,7 +87,8 @@ def as_text(document: dict[str, Any]) -> str:
                  if row['amplitude_n'] is not None else '') for row in document['replayed']]
     for row in document['dither']:
         lines.append(f'dither of {row["frequency_hz"]:g} Hz: ' + (
-            'none up to the limit of the command quenches' if row['amplitude_n'] is None else
+            f'none quenches; {row["least_left_at_n"]:.0f} N leaves least of the cycle, '
+            f'{100 * row["least_left"]:.0f} %' if row['amplitude_n'] is None else
             f'{row["amplitude_n"]:.0f} N quenches; valve travel '
             f'{1e3 * row["valve_travel_m_s"]:.3g} mm/s, force ripple '
             f'{row["force_ripple_n"]:.3g} N rms'))

@@ -59,7 +59,8 @@ def dither(actuator: Values, controller: Values, rate_hz: float,
     Return for each frequency the least dither (N of command) that quenches the cycle.
 
     With the valve's travel (m/s, mean of its speed) and the force ripple (N rms) that it costs;
-    amplitude None where none up to MOST_N does. The controller must cycle without dither.
+    amplitude None where none up to MOST_N does. Beside it the least share of the cycle that any
+    dither tried leaves, and that dither (N). The controller must cycle without dither.
     """
     cycling = _slow_swing(_run(actuator, controller, rate_hz, 0.0, 0.0)[0], rate_hz)
     rows = []
@@ -68,19 +69,23 @@ def dither(actuator: Values, controller: Values, rate_hz: float,
         if frequency >= 0.45 * rate_hz:
             continue
 
-        def quenched(amplitude: float, frequency: float = frequency) -> bool:
+        def left(amplitude: float, frequency: float = frequency) -> float:
             force, _ = _run(actuator, controller, rate_hz, amplitude, frequency)
-            return _slow_swing(force, rate_hz) < QUENCHED * cycling
+            return _slow_swing(force, rate_hz) / cycling
 
         tried = np.geomspace(20.0, MOST_N, 14)
-        works = next((float(a) for a in tried if quenched(float(a))), None)
+        shares = [left(float(amplitude)) for amplitude in tried]
+        works = next((float(a) for a, share in zip(tried, shares, strict=True)
+                      if share < QUENCHED), None)
+        least = int(np.argmin(shares))
         row: dict[str, Any] = {'frequency_hz': frequency, 'amplitude_n': None,
+                               'least_left': shares[least], 'least_left_at_n': float(tried[least]),
                                'valve_travel_m_s': None, 'force_ripple_n': None}
         if works is not None:
             low = works / (tried[1] / tried[0])
             while works / low > 1.0 + ACCURACY:
                 middle = math.sqrt(works * low)
-                low, works = (low, middle) if quenched(middle) else (middle, works)
+                low, works = (low, middle) if left(middle) < QUENCHED else (middle, works)
             force, valve = _run(actuator, controller, rate_hz, works, frequency)
             row |= {'amplitude_n': works, 'force_ripple_n': float(force.std()),
                     'valve_travel_m_s': float(np.abs(np.diff(valve)).mean() * rate_hz)}
