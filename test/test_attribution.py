@@ -12,10 +12,13 @@ from asi_analysis.attribution.ablation import NONLINEARITIES, attribute, shapley
 from asi_analysis.attribution.calibration import WEIGHTS, examples, judged
 from asi_analysis.attribution.loops import (
     WORLDS,
+    Plant,
     Valve,
+    Weather,
     _lasts,
     _plant,
     loop,
+    run_loop,
     still,
     ultimate_gain,
 )
@@ -124,6 +127,19 @@ def test_weights_are_right_on_loops_of_other_equations():
     assert judged_['right'] > 0.5      # six causes: chance is 0.17
     # What it says of itself is not better than what it is.
     assert judged_['mean_probability'] < judged_['right'] + 0.15
+
+
+def test_no_valve_is_blamed_for_a_tight_loop_that_its_sensor_shakes():
+    # As Choudhury, Shah, Thornhill (Automatica 40, 2004): 3 exp(-10 s) / (10 s + 1), PI, gain
+    # close to the limit. A play explains what a coarse linear model leaves over.
+    none = np.zeros(4000)
+    hiss = 0.3 * np.random.default_rng(0).standard_normal(4000)
+    plant = Plant((10.0, 0.05, 0.05), 10.0, False, 0.0, 1.0, 10.0, 0.0, 0.0)
+    plant = plant._replace(gain=0.93 * ultimate_gain(plant, 2000))
+    command, output = run_loop(plant, Valve(), 1e9, Weather(none, none, hiss, none), start=0.0)
+    found = attribute_run(Run(np.arange(4000.0), command_n=command, force_n=output))
+    assert found['causes'][0]['nonlinearity'] == 'tight_tuning'
+    assert found['causes'][0]['probability'] > 0.8
 
 
 def test_units_sign_and_time_scale_of_the_output_change_nothing():
