@@ -72,8 +72,8 @@ class ActuatorNode(Node):
         self.unseen = 0
 
         self._valve_m = 0.0
-        self.stamp_ns = 0
-        self.state = b''
+        # The bytes of the newest state, and of its stamp: of /clock.
+        self.state = self.clock = b''
         self.states = self.create_publisher(JointState, 'joint_states', STREAM_QOS)
         self.forces = self.create_publisher(WrenchStamped, 'force', STREAM_QOS)
         self.valve_positions = self.create_publisher(Float64, 'valve_position', STREAM_QOS)
@@ -126,9 +126,9 @@ class ActuatorNode(Node):
         force, valve, position, velocity = self.measured
         valve_velocity = (valve - self._valve_m) * self.rate_hz
         self._valve_m = valve
-        self.stamp_ns = stamp_ns
-        self.state = wire.state(stamp_ns, (position, valve), (velocity, valve_velocity),
-                                (force, self.applied_n))
+        self.clock = wire.clock(stamp_ns)
+        self.state = wire.state(self.clock, position, valve, velocity, valve_velocity,
+                                force, self.applied_n)
         self.statistics.tick(self.health.saturated)
 
     def tell_state(self, stamp_ns: int) -> None:
@@ -142,9 +142,10 @@ class ActuatorNode(Node):
     def publish_rest(self) -> None:
         """Publish what is not `joint_states`."""
         assert self.measured is not None
-        self.forces.publish(wire.wrench(self.stamp_ns, self.measured.force_n))
-        self.valve_positions.publish(wire.number(self.measured.valve_position_m))
-        self.velocities.publish(wire.number(self.measured.velocity_m_s))
+        force, valve, _, velocity = self.measured
+        self.forces.publish(wire.wrench(self.clock, force))
+        self.valve_positions.publish(wire.number(valve))
+        self.velocities.publish(wire.number(velocity))
 
     def destroy_node(self) -> None:
         """Close the valve, then end."""
@@ -357,7 +358,7 @@ class LockStep:
 
     def _publish(self) -> None:
         self.node.states.publish(self.node.state)
-        self.clocks.publish(wire.clock(self.stamp_ns))
+        self.clocks.publish(self.node.clock)
 
     def _watch(self) -> None:
         """Publish the first state when all are there; later, see to it that it is answered."""

@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections import deque
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -72,26 +73,23 @@ class Rest:
 
     def __init__(self, rate_hz: float):
         """Begin without readings."""
-        self._history = np.zeros((3, max(4, round(WINDOW_S * rate_hz))))
-        self._count = 0
+        self._readings: deque[tuple[float, float, float]] = deque(
+            maxlen=max(4, round(WINDOW_S * rate_hz)))
 
     def add(self, reading_n: float, command_n: float, valve_m: float) -> None:
         """Take a reading of the force sensor (N), with the command (N) and the valve position."""
-        place = self._count % self._history.shape[1]
-        history = self._history
-        history[0, place], history[1, place], history[2, place] = reading_n, command_n, valve_m
-        self._count += 1
+        self._readings.append((reading_n, command_n, valve_m))
 
     def mean_n(self) -> float:
         """Return the mean of the readings, N."""
-        return float(self._history[0].mean())
+        return float(np.mean(self._readings, axis=0)[0])
 
     def problem(self, most_noise_n: float) -> str:
         """Return why the mean is not that of a sensor at rest; '' if it is."""
-        length = self._history.shape[1]
-        if self._count < length:
-            return f'there are {self._count} readings so far, it takes {length}'
-        force, command, valve = np.roll(self._history, -(self._count % length), axis=1)
+        if len(self._readings) != self._readings.maxlen:
+            return (f'there are {len(self._readings)} readings so far, '
+                    f'it takes {self._readings.maxlen}')
+        force, command, valve = np.transpose(self._readings)
         if np.ptp(command) > CHANGE_N:
             return (f'the valve command moved by {np.ptp(command):.3g} N within the last '
                     f'{WINDOW_S:g} s, at most {CHANGE_N:g} N is rest')

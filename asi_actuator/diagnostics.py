@@ -7,10 +7,12 @@ each run of an experiment, so a recorder keeps it there, and the first not.
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -35,39 +37,38 @@ class LoopStatistics:
 
     def __init__(self) -> None:
         self.ticks = 0
-        self._last_ns = 0
-        self._periods_ns = np.full(WINDOW, np.nan)
-        self._latencies_ns = np.full(WINDOW, np.nan)
-        self._saturated = np.zeros(WINDOW, bool)
+        self._ticked_ns: deque[float] = deque(maxlen=WINDOW)
+        self._saturated: deque[bool] = deque(maxlen=WINDOW)
+        self._latencies_ns: deque[float] = deque(maxlen=WINDOW)
 
     def tick(self, saturated: bool) -> None:
         """Count a tick that happens now."""
-        now_ns = time.perf_counter_ns()
-        place = self.ticks % WINDOW
-        if self._last_ns:
-            self._periods_ns[place] = now_ns - self._last_ns
-        self._last_ns = now_ns
-        self._saturated[place] = saturated
         self.ticks += 1
+        self._ticked_ns.append(time.perf_counter_ns())
+        self._saturated.append(saturated)
 
     def latency(self, latency_ns: float) -> None:
         """Note how long the answer of the last tick took."""
-        self._latencies_ns[self.ticks % WINDOW] = latency_ns
+        self._latencies_ns.append(latency_ns)
 
     def values(self) -> dict[str, object]:
         """Return what there is to say, by key; the unit is part of the key."""
         return {
             'ticks': self.ticks,
-            **_summary('period', self._periods_ns),
-            **_summary('latency', self._latencies_ns),
-            'saturation share': self._saturated[:self.ticks].mean() if self.ticks else 0.0,
+            **_summary('period', np.diff(_array(self._ticked_ns))),
+            **_summary('latency', _array(self._latencies_ns)),
+            'saturation share': sum(self._saturated) / max(1, len(self._saturated)),
         }
 
 
-def _summary(name: str, times_ns: np.ndarray) -> dict[str, object]:
-    times_ms = times_ns[~np.isnan(times_ns)] * 1e-6
-    if not times_ms.size:
+def _array(times_ns: deque[float]) -> npt.NDArray[np.float64]:
+    return np.fromiter(times_ns, float, len(times_ns))
+
+
+def _summary(name: str, times_ns: npt.NDArray[np.float64]) -> dict[str, object]:
+    if not times_ns.size:
         return {}
+    times_ms = times_ns * 1e-6
     middle = float(np.median(times_ms))
     return {f'{name} median (ms)': middle, f'{name} mean (ms)': float(times_ms.mean()),
             f'{name} jitter p99 (ms)': float(np.quantile(np.abs(times_ms - middle), 0.99)),

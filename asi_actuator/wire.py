@@ -10,7 +10,7 @@ Whatever is laid out in another way, as with another frame or other joints, rclp
 from collections.abc import Mapping
 from math import nan
 from struct import Struct
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message
@@ -34,23 +34,22 @@ def _string(text: str) -> bytes:
 _TWO: Final = _COUNT.pack(2)
 _FRAME: Final = _string(FRAME)
 _NAMES: Final = (_FRAME, _TWO, *map(_string, JOINTS), _TWO)
+_NAMED: Final = Struct('<11sx4s11sx10s2x4s4x')
+_BEFORE_NUMBERS: Final = _NAMED.pack(*_NAMES)
 
 _CLOCK: Final = Struct('<4siI')
 _FLOAT: Final = Struct('<4sd')
-_WRENCH: Final = Struct('<4siI11s5xd40s')
-_STATE: Final = Struct('<4siI11sx4s11sx10s2x4s4x2d4s4x2d4s4x2d')
-
-
-class Stamped(NamedTuple):
-    """The number that a message is about, and its stamp."""
-
-    stamp_ns: int
-    value: float
+# Written after the bytes of a clock, which are those of a stamp too; and read.
+_WRENCH: Final = Struct('<12s11s5xd40x')
+_STATE: Final = Struct(f'<12s{_NAMED.size}s2d4s4x2d4s4x2d')
+_WRENCH_READ: Final = Struct('<4siI11s5xd40x')
+_STATE_READ: Final = Struct(f'<4siI{_NAMED.format[1:]}16x4s20x4s4xd8x')
+_AROUND_NUMBERS: Final = [*_NAMES, _TWO, _TWO]
 
 
 def clock(stamp_ns: int) -> bytes:
     """Return a rosgraph_msgs/Clock."""
-    return _CLOCK.pack(_HEADER, *divmod(stamp_ns, _SECOND_NS))
+    return _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
 
 
 def number(value: float) -> bytes:
@@ -58,16 +57,16 @@ def number(value: float) -> bytes:
     return _FLOAT.pack(_HEADER, value)
 
 
-def wrench(stamp_ns: int, force_n: float) -> bytes:
-    """Return a geometry_msgs/WrenchStamped of the piston: a force along x."""
-    return _WRENCH.pack(_HEADER, *divmod(stamp_ns, _SECOND_NS), _FRAME, force_n, b'')
+def wrench(stamp: bytes, force_n: float) -> bytes:
+    """Return a geometry_msgs/WrenchStamped of the piston: a force along x. `stamp`: its clock."""
+    return _WRENCH.pack(stamp, _FRAME, force_n)
 
 
-def state(stamp_ns: int, position: tuple[float, float], velocity: tuple[float, float],
-          effort: tuple[float, float]) -> bytes:
-    """Return a sensor_msgs/JointState: each quantity of piston and valve."""
-    return _STATE.pack(_HEADER, *divmod(stamp_ns, _SECOND_NS), *_NAMES, *position, _TWO,
-                       *velocity, _TWO, *effort)
+def state(stamp: bytes, position_m: float, valve_m: float, velocity: float,
+          valve_velocity: float, force_n: float, command_n: float) -> bytes:
+    """Return a sensor_msgs/JointState: position, velocity, effort of piston and valve."""
+    return _STATE.pack(stamp, _BEFORE_NUMBERS, position_m, valve_m,
+                       _TWO, velocity, valve_velocity, _TWO, force_n, command_n)
 
 
 def status(stamp_ns: int, level: bytes, node: str, name: str, text: str,
@@ -96,27 +95,26 @@ def time(data: bytes) -> int:
     return nanoseconds(message.clock) if message else 0
 
 
-def force(data: bytes) -> Stamped:
-    """Return force.x of a geometry_msgs/WrenchStamped; nan at 0 if it is none."""
+def force(data: bytes) -> tuple[int, float]:
+    """Return stamp (ns) and force.x of a geometry_msgs/WrenchStamped; 0 and nan if it is none."""
     if len(data) == _WRENCH.size:
-        header, seconds, nanoseconds_, frame, force_n, _ = _WRENCH.unpack(data)
+        header, seconds, nanoseconds_, frame, force_n = _WRENCH_READ.unpack(data)
         if header == _HEADER and frame == _FRAME:
-            return Stamped(seconds * _SECOND_NS + nanoseconds_, force_n)
+            return seconds * _SECOND_NS + nanoseconds_, force_n
     message = _unpacked(data, WrenchStamped)
-    return (Stamped(nanoseconds(message.header.stamp), message.wrench.force.x) if message
-            else Stamped(0, nan))
+    return (nanoseconds(message.header.stamp), message.wrench.force.x) if message else (0, nan)
 
 
-def piston_effort(data: bytes) -> Stamped:
-    """Return the effort of the piston in a sensor_msgs/JointState; nan if there is none."""
+def piston_effort(data: bytes) -> tuple[int, float]:
+    """Return stamp (ns) and effort of the piston in a sensor_msgs/JointState; 0, nan if none."""
     if len(data) == _STATE.size:
-        found = _STATE.unpack(data)
-        if found[0] == _HEADER and found[3:8] == _NAMES and found[10] == found[13] == _TWO:
-            return Stamped(found[1] * _SECOND_NS + found[2], found[14])
+        header, seconds, nanoseconds_, *around, force_n = _STATE_READ.unpack(data)
+        if header == _HEADER and around == _AROUND_NUMBERS:
+            return seconds * _SECOND_NS + nanoseconds_, force_n
     message = _unpacked(data, JointState)
     if message is None or PISTON not in message.name[:len(message.effort)]:
-        return Stamped(0, nan)
-    return Stamped(nanoseconds(message.header.stamp), message.effort[message.name.index(PISTON)])
+        return 0, nan
+    return nanoseconds(message.header.stamp), message.effort[message.name.index(PISTON)]
 
 
 def _unpacked(data: bytes, kind: Any) -> Any:

@@ -1,7 +1,6 @@
 """The controller without ROS: reference, compensator, and when they begin."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,30 +9,21 @@ from asi_actuator.model.jit import jit
 from asi_actuator.parameters import Parameter, Value, as_record
 from asi_controller.compensator import REST, compensate, compensator
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
-from asi_controller.reference import reference_force
-
-
-class Answer(NamedTuple):
-    """The answer to a state: desired force and valve command, N."""
-
-    reference_n: float
-    command_n: float
+from asi_controller.reference import TOPIC, reference_force
 
 
 @jit
-def _reference_force(time, references):
-    """Return the desired force; `references`: an array of one record (see `_compensate`)."""
-    return reference_force(time, references[0])
-
-
-@jit
-def _compensate(compensators, reference, measured):
+def _answer(references, compensators, enabled, time, topic, measured):
     """
-    Return the valve command; `compensators`: an array of one record.
+    Return desired force, valve command, and whether that is at its limit.
 
-    Compiled code takes that in less time than the record: of it numpy spells out every field.
+    references, compensators: arrays of one record. Compiled code takes those in less time than
+    the records: of them numpy spells out every field.
     """
-    return compensate(compensators[0], reference, measured)
+    signal, c = references[0], compensators[0]
+    reference = topic if signal.reference_shape == TOPIC else reference_force(time, signal)
+    command = compensate(c, reference, measured) if enabled else 0.0
+    return reference, command, abs(command) >= c.saturation
 
 
 def _of(table: tuple[Parameter, ...], values: Mapping[str, Value]) -> dict[str, Value]:
@@ -85,7 +75,6 @@ class Controller:
                            running: np.void | None = None) -> None:
         self._compensators = np.array([
             compensator(_of(COMPENSATOR_PARAMETERS, values), self.rate_hz, running)])
-        self._saturation_n = float(self._compensators['saturation'][0])
 
     def _start_reference(self, values: Mapping[str, Value]) -> None:
         self._references: npt.NDArray[np.void] = np.array([
@@ -101,16 +90,13 @@ class Controller:
             self._compensators['fresh'] = REST
         self.enabled = enabled
 
-    def answer(self, stamp_ns: int, force_n: float) -> Answer:
-        """Return the answer to the force (N) that was measured at a stamp."""
+    def answer(self, stamp_ns: int, force_n: float) -> tuple[float, float]:
+        """Return the desired force and the command (N) for the force (N) measured at a stamp."""
         if self._start_ns is None:
             self._start_ns = stamp_ns
-        reference = self.topic_n
-        if self.generates:
-            time_s = (stamp_ns - self._start_ns) * 1e-9
-            if self.lockstep:
-                time_s = round(time_s * self.rate_hz) * (1.0 / self.rate_hz)
-            reference = _reference_force(time_s, self._references)
-        command = _compensate(self._compensators, reference, force_n) if self.enabled else 0.0
-        self.saturated = abs(command) >= self._saturation_n
-        return Answer(reference, command)
+        time_s = (stamp_ns - self._start_ns) * 1e-9
+        if self.lockstep:
+            time_s = round(time_s * self.rate_hz) * (1.0 / self.rate_hz)
+        reference_n, command_n, self.saturated = _answer(
+            self._references, self._compensators, self.enabled, time_s, self.topic_n, force_n)
+        return reference_n, command_n

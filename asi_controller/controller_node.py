@@ -8,9 +8,9 @@ from typing import Final, Protocol
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from rclpy.time import Time
 from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -81,10 +81,11 @@ class ControllerNode(Node):
         """Publish the answer to the state of a stamp."""
         reference, command = self.controller.answer(stamp_ns, force_n)
         # First what the actuator waits for.
-        self.command = wire.wrench(stamp_ns, command)
+        stamp = wire.clock(stamp_ns)
+        self.command = wire.wrench(stamp, command)
         self.commands.publish(self.command)
         if self.controller.generates:
-            self.references.publish(wire.wrench(stamp_ns, reference))
+            self.references.publish(wire.wrench(stamp, reference))
         self.statistics.tick(self.controller.saturated)
 
     def ready(self) -> bool:
@@ -103,7 +104,7 @@ class ControllerNode(Node):
                 throttle_duration_sec=1.0)
 
     def _on_reference(self, message: bytes) -> None:
-        force_n = wire.force(message).value
+        _, force_n = wire.force(message)
         if math.isfinite(force_n):
             self.controller.topic_n = force_n
         else:
@@ -175,14 +176,15 @@ class LockStep:
         self.repeats = 0
         self.wrong_since: float | None = None
         self.resent = 0
-        self.clock, self.clock_ns = ROSClock(), 0
-        # ROS time as with use_sim_time, but /clock is heard raw: rclpy's own subscription takes
-        # ten times as long (bench/loop_rate.py).
+        # ROS time as with use_sim_time, but /clock is heard raw, and given to rcl as a number:
+        # rclpy's own subscription takes ten times as long (bench/loop_rate.py).
+        clock, self.clock_ns = ROSClock(), 0
         source = TimeSource()
         source.ros_time_is_active = True
-        source.attach_clock(self.clock)
+        source.attach_clock(clock)
+        self._set_time = clock.handle.set_ros_time_override
         node.create_subscription(ClockMessage, '/clock', self._on_clock, CONTROL_QOS, raw=True)
-        node.create_timer(1.0 / node.rate_hz, self._answer_if_due, clock=self.clock)
+        node.create_timer(1.0 / node.rate_hz, self._answer_if_due, clock=clock)
         if not node.recorded:
             node.create_timer(WATCH_PERIOD_S, self._answer_if_due,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -206,8 +208,7 @@ class LockStep:
 
     def _on_clock(self, message: bytes) -> None:
         self.clock_ns = wire.time(message)
-        self.clock.set_ros_time_override(
-            Time(nanoseconds=self.clock_ns, clock_type=ClockType.ROS_TIME))
+        self._set_time(rclpy_implementation.rcl_time_point_t(self.clock_ns, ClockType.ROS_TIME))
 
     def health(self) -> tuple[bytes, str]:
         if self.pending is not None:

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from asi_actuator import wire
 from bench.empty_nodes import messages
 from bench.result import Result, interleaved, ratios
-from bench.timed_node import OWN, PARTS
+from bench.timed_node import CALLBACKS, PARTS
 
 ROOT: Final = Path(__file__).parents[1]
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
@@ -172,19 +173,32 @@ def lockstep(rounds: int, seconds: float) -> list[Result]:
     return results
 
 
-def tick(seconds: float) -> list[Result]:
-    """Return where the time of a tick goes, of both nodes together."""
-    with process(*node('bench.timed_node', 'controller', **SINE)) as controller:
-        with process(*node('bench.timed_node', 'actuator')) as actuator, listener() as heard:
+def timed(seconds: float, *options: str) -> tuple[float, dict[str, float]]:
+    """Return the period and what both nodes together spend in it, by part, us."""
+    with process(*node('bench.timed_node', 'controller', *options, **SINE)) as controller:
+        with process(*node('bench.timed_node', 'actuator', *options)) as actuator, \
+                listener() as heard:
             heard.run(seconds)
             period_us = 1e6 / heard.rate_hz()
             actuator.terminate()
             told = [actuator.communicate(timeout=PATIENCE_S)[0]]
         controller.terminate()
         told.append(controller.communicate(timeout=PATIENCE_S)[0])
-    both = [json.loads(text.splitlines()[-1]) for text in told]
-    spent = {part: sum(times[part] for times in both) for part in PARTS if part != 'waiting'}
-    own_us = sum(spent[part] for part in OWN)
+    spent: Counter[str] = Counter()
+    for text in told:
+        spent.update(json.loads(text.splitlines()[-1]))
+    return period_us, dict(spent)
+
+
+def tick(seconds: float) -> list[Result]:
+    """Return where the time of a tick goes, of both nodes together."""
+    period_us, whole = timed(seconds)
+    _, apart = timed(seconds, '--parts')
+    own_us = whole[CALLBACKS]
+    inside = {part: apart[part] for part in PARTS} | {'wiring': apart[CALLBACKS]}
+    share = own_us / sum(inside.values())
+    spent = ({part: whole[part] for part in ('sending', 'executor')}
+             | {part: us * share for part, us in inside.items()})
     # While one works the other mostly waits; what is left is DDS, and waking up.
     spent['DDS, the kernel, waking up'] = period_us - sum(spent.values())
     own = Result('loop_rate.own', 'lock-step: our own code, of a tick',
@@ -199,9 +213,9 @@ def conversions(rounds: int) -> list[Result]:
     sent = messages()
     found = []
     for topic, pack, unpack in (
-            ('joint_states', lambda: wire.state(1, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)),
+            ('joint_states', lambda: wire.state(wire.clock(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
              wire.piston_effort),
-            ('valve_command', lambda: wire.wrench(1, 0.0), wire.force),
+            ('valve_command', lambda: wire.wrench(wire.clock(1), 0.0), wire.force),
             ('/clock', lambda: wire.clock(1), wire.time)):
         message, data = sent[topic], pack()
 

@@ -32,6 +32,10 @@ def a_wrench(frame: str) -> WrenchStamped:
     return message
 
 
+def our_state() -> bytes:
+    return wire.state(wire.clock(STAMP_NS), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
 def a_status(text: str) -> DiagnosticArray:
     message = DiagnosticArray(status=[DiagnosticStatus(
         level=DiagnosticStatus.ERROR, name='node: state', hardware_id='node', message=text,
@@ -45,9 +49,8 @@ def a_status(text: str) -> DiagnosticArray:
                    {'reason': text[1:]}), a_status(text)) for text in ('', 'a', 'ab', 'abc', 'ö')),
     (wire.clock(STAMP_NS), Clock(clock=STAMP)),
     (wire.number(-0.1), Float64(data=-0.1)),
-    (wire.wrench(STAMP_NS, -7.5), a_wrench('piston')),
-    (wire.state(STAMP_NS, (1.0, 2.0), (3.0, 4.0), (5.0, 6.0)),
-     a_state('piston', {'piston': 5.0, 'valve': 6.0}))])
+    (wire.wrench(wire.clock(STAMP_NS), -7.5), a_wrench('piston')),
+    (our_state(), a_state('piston', {'piston': 5.0, 'valve': 6.0}))])
 def test_rclpy_reads_what_is_packed(data: bytes, message: Any) -> None:
     assert deserialize_message(data, type(message)) == message
     assert len(serialize_message(message)) == len(data)
@@ -67,18 +70,18 @@ def test_what_rclpy_packs_is_unpacked_whatever_its_layout(frame: str) -> None:
 def test_what_has_no_such_number_is_nan() -> None:
     for names in (['piston'], ['valve', 'piston'], ['valve', 'p']):
         state = JointState(name=names, effort=[1.0] * (len(names) - 1))
-        assert math.isnan(wire.piston_effort(serialize_message(state)).value)
-    packed = wire.state(STAMP_NS, (1.0, 2.0), (3.0, 4.0), (5.0, 6.0))
+        assert math.isnan(wire.piston_effort(serialize_message(state))[1])
+    packed = our_state()
     for broken in (b'', packed[:50], b'\0\1\0\0' + b'\xff' * (len(packed) - 4)):
-        assert math.isnan(wire.piston_effort(broken).value)
-        assert math.isnan(wire.force(broken[:76]).value)
+        assert math.isnan(wire.piston_effort(broken)[1])
+        assert math.isnan(wire.force(broken[:76])[1])
     assert wire.time(b'\0\1') == 0
 
 
 def test_bytes_that_are_ours_are_not_left_to_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also as another publisher of the same message fills the gaps: with anything."""
-    state = bytearray(wire.state(STAMP_NS, (1.0, 2.0), (3.0, 4.0), (5.0, 6.0)))
-    wrench = bytearray(wire.wrench(STAMP_NS, -7.5))
+    state = bytearray(our_state())
+    wrench = bytearray(wire.wrench(wire.clock(STAMP_NS), -7.5))
     for place in (23, 39, 50, 51, 56, 59, 80, 104):
         state[place] = 0xA5
     wrench[23:28] = b'\xa5' * 5

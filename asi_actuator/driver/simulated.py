@@ -10,6 +10,7 @@ from asi_actuator.model.jit import jit
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record
 
 NAMES = frozenset(parameter.name for parameter in ACTUATOR_PARAMETERS)
+HEALTHY, SATURATED = Health(), Health(saturated=True)
 
 
 def physical(values: Mapping[str, Value]) -> np.void:
@@ -59,8 +60,9 @@ class SimulatedActuator:
         return self._measured
 
     def health(self) -> Health:
-        return Health(saturated=abs(self._measured.valve_position_m) >= self._full_opening_m
-                      or self._drive_n >= self._drive_limit_n)
+        saturated = (abs(self._measured.valve_position_m) >= self._full_opening_m
+                     or self._drive_n >= self._drive_limit_n)
+        return SATURATED if saturated else HEALTHY
 
     def configure(self, values: Mapping[str, Value]) -> None:
         """Take new physical parameters from the next tick on; the state stays."""
