@@ -8,6 +8,7 @@ import pytest
 
 from asi_analysis.errors import InputError
 from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.next_motion import CATALOGUE, choose_motion, imagined
 from asi_analysis.run import Run
 
 RATE_HZ, SUB_STEPS = 500.0, 40
@@ -59,11 +60,22 @@ def test_rigid_joint_has_no_gap():
 
 
 def test_friction_of_a_joint_that_turns():
-    answer = document(diagnose([joint(friction=0.15)], {}, 'joint'))
+    diagnosis = diagnose([joint(friction=0.15)], {}, 'joint')
+    answer = document(diagnosis)
     assert answer['which'][0]['effect'] == 'coulomb_friction'
     assert 'coulomb_friction' in answer['ambiguity_set']
     assert answer['where'][0]['block'] == 'mechanics'
     assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
+    # What to record next is a motion that the joint can do.
+    separations = choose_motion(diagnosis.groups, [('coulomb_friction',), ('stiction',)])[
+        'separations']
+    assert max(separations.values()) > 5.0 * min(separations.values())
+    group = diagnosis.groups[0].group
+    known = group.recordings[0].motion
+    for name in CATALOGUE:
+        moved = imagined(group, name)[0].motion
+        for here, there in ((moved.position, known.position), (moved.velocity, known.velocity)):
+            assert np.ptp(here[moved.pad:-moved.pad]) < 1.1 * np.ptp(there), name
 
 
 def test_late_command_of_a_joint():

@@ -20,6 +20,7 @@ from asi_analysis.gap.fit import (
     plant_record,
 )
 from asi_analysis.gap.joint import drive_of, joint_groups
+from asi_analysis.gap.next_motion import choose_motion
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.shrink import Shrink, shrink_of
 from asi_analysis.gap.uncertainty import intervals
@@ -140,6 +141,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     if plant == 'actuator' and len(left) > 1:
         force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0
         experiment = next_experiment.choose(weighed, left, model, max(round(force, -1), 10.0))
+    elif len(left) > 1:
+        experiment = choose_motion(weighed, left)
     if [g.channels for g in groups] == [('valve',), ('force', 'load')]:
         chain = where.along_the_chain(groups[0], groups[1], groups[0].nominal, groups[1].nominal)
     return Diagnosis(answer.sources, weighed, joined, verdict, shrinks, notes, experiment, chain)
@@ -270,7 +273,8 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
     if UNKNOWN in verdict.split('+') and answer['unexplained']:
         third = f'{answer["unexplained"]} {third}'
     if answer['next_experiment']:
-        third += f' To tell: {answer["next_experiment"]["command"]}'
+        next_one = answer['next_experiment']
+        third += f' To tell: {next_one["command"] or next_one["excitation"]}'
     return [first, second, third]
 
 

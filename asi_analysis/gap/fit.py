@@ -32,7 +32,7 @@ STEP = 1e-3          # of a parameter's range, for the derivatives
 # command and so jumps within a sample, the third.
 FORCE_STEP_S = 5e-4
 STEP_S = 2.5e-4
-HYSTERESIS_STEP_S = 1e-4
+HYSTERESIS_STEP_S = 2e-4
 PULL = 1.0           # of the start, on a parameter that is a whole range away
 ROUNDS = 15          # of the optimiser
 ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth another
@@ -49,7 +49,9 @@ UNCERTAIN = {
     'force': ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force',
               'hydraulic_damping_linear_gain', 'hydraulic_damping_maximum_force',
               'hydraulic_damping_viscous', 'hydraulic_damping_saturation_velocity',
-              'hydraulic_damping_velocity_width', 'fluid_dynamics_frequency',
+              *(f'hydraulic_damping_{name}' for name in (
+                  'velocity_width', 'width_growth', 'saturation_shift', 'saturation_narrowing',
+                  'centre_share')), 'fluid_dynamics_frequency',
               'friction_linear_gain', 'friction_coulomb', 'friction_stiction_push',
               'friction_stiction_pull', 'force_sensor_natural_frequency', 'force_sensor_delay'),
     'load': ('load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
@@ -69,10 +71,7 @@ FORMULATION_ERROR = {
 SHAPES = {
     'valve': (Free('valve_hysteresis_spread', 0.0, 1.5, (0.3,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.3,))),
-    'force': (*(Free(f'hydraulic_damping_{name}', 0.5, 2.0, (1.0,), 'nominal')
-                for name in ('velocity_width', 'width_growth', 'saturation_shift',
-                             'saturation_narrowing', 'centre_share')),
-              Free('friction_slipping', 0.0, 1.0, (0.3,)),
+    'force': (Free('friction_slipping', 0.0, 1.0, (0.3,)),
               Free('friction_presliding_stiffness', 0.3, 3.0, (1.0,), 'nominal'),
               Free('friction_stribeck_velocity', 0.3, 3.0, (1.0,), 'nominal')),
     'load': (),
