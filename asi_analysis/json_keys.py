@@ -271,8 +271,9 @@ DOCUMENTS: Final[dict[str, tuple[Key, ...]]] = {
             Key('condition', 'object', 'parameters of actuator and reference, control rate'))),
         Key('replayed', '[object]', 'the worst finds run over ROS, if asked for', (
             Key('bag', 'text', 'path of the bag'),
-            Key('verdict', 'text', 'of `asi limit-cycle` on its last segment'),
+            Key('verdict', 'text', 'of `asi limit-cycle` on its last segment, or fault'),
             Key('confidence', 'number', 'of the verdict'),
+            Key('why', 'text', 'in words'),
             Key('amplitude_n', 'number?', 'null: it comes to rest'),
             Key('frequency_hz', 'number?', 'its frequency'))),
         Key('dither', '[object]', 'rival cure, if the loop cycles', (

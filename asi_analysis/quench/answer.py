@@ -82,7 +82,7 @@ def as_text(document: dict[str, Any]) -> str:
                      f'{c["rate_hz"]:g} Hz control, load {c["actuator"]["load.type"]}, '
                      f'{r["reference.shape"]} of {r["reference.amplitude"]:.0f} N about '
                      f'{r["reference.offset"]:.0f} N')
-    lines += [f'over ROS: {row["bag"]}: {row["verdict"]}'
+    lines += [f'over ROS: {row["bag"]}: {row["verdict"]} ({row["why"]})'
               + (f', {row["amplitude_n"]:.3g} N at {row["frequency_hz"]:.4g} Hz'
                  if row['amplitude_n'] is not None else '') for row in document['replayed']]
     for row in document['dither']:

@@ -1,11 +1,18 @@
 """The worst finds of the attack, run again over ROS: the nodes, a bag, a verdict on it."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from asi_analysis.bag import read_bag
-from asi_analysis.experiment import Experiment, Progress, checked, run_experiment
+from asi_analysis.experiment import (
+    Experiment,
+    Progress,
+    RunFailedError,
+    checked,
+    run_experiment,
+)
 from asi_analysis.limit_cycle.verdict import judge_run
 from asi_analysis.prediction.simulation import Values
 from asi_analysis.quench.attack import EXCITED_S, Trial
@@ -20,7 +27,8 @@ def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
     """
     Return bag and verdict of each trial, under the same condition: the same parameters.
 
-    The verdict is on what is left when reference and push have ended.
+    The verdict is on what is left when reference and push have ended; `fault` where the nodes
+    ended the run for their safety.
     """
     rows = []
     for number, trial in enumerate(trials):
@@ -28,11 +36,21 @@ def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
         experiment = checked(Experiment(
             {**actuator, **s['actuator']}, {**controller, **s['reference']},
             EXCITED_S + LEFT_ALONE_S, 'lockstep', s['rate_hz']))
-        bag = run_experiment(experiment, out / f'worst_{number + 1}', report)
+        name = out / f'worst_{number + 1}'
+        try:
+            bag = run_experiment(experiment, name, report)
+        except RunFailedError as error:
+            # A free piston that is pushed for long passes the nodes' limit of the velocity.
+            rows.append({'bag': str(name / 'bag'), 'verdict': 'fault', 'confidence': 1.0,
+                         'why': str(error), 'amplitude_n': None, 'frequency_hz': None})
+            continue
         run = read_bag(bag)
         last = judge_run(run.between(EXCITED_S, run.time_s[-1] + run.period_s))[-1]
-        found = last.verdict in ('limit_cycle', 'saturating', 'growing', 'unsteady')
+        # Of what is unsteady for want of any swing there is no size.
+        found = (last.verdict in ('limit_cycle', 'saturating', 'growing', 'unsteady')
+                 and math.isfinite(last.amplitude) and math.isfinite(last.frequency_hz))
         rows.append({'bag': str(bag), 'verdict': last.verdict, 'confidence': last.confidence,
+                     'why': last.why,
                      'amplitude_n': last.amplitude if found else None,
                      'frequency_hz': last.frequency_hz if found else None})
     return rows
