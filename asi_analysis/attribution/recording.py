@@ -9,7 +9,7 @@ import numpy as np
 
 from asi_analysis.attribution.ablation import attribute
 from asi_analysis.attribution.loops import VALVE_FAULTS
-from asi_analysis.attribution.shape import Shape, shape
+from asi_analysis.attribution.shape import FEWEST_CYCLES, Shape, shape
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.verdict import Segment, judge_run, response_of
 from asi_analysis.run import Run
@@ -26,6 +26,8 @@ EMPTY: Final[dict[str, Any]] = dict.fromkeys(
         'onset_gain')] + ['unexplained', 'frequency_error', 'amplitude_error'])
 # How far a predicted cycle may be off by its method: in the logarithm of frequency, amplitude.
 SPREAD: Final = (0.03, 0.15)
+# Cycles of a record's slowest peak that may be the begin of what is slower.
+EDGE: Final = 0.25
 # Less of a record than this is no part to be judged alone.
 LEAST_PART: Final = 0.5
 # How common the causes are, against each other, in loops that swing: surveys find a third of them
@@ -72,7 +74,11 @@ def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> S
     if part.command_n is None or name == 'command':
         raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
                          'and output of the loop')
-    return shape(part.time_s, part.command_n, output)
+    found = shape(part.time_s, part.command_n, output)
+    if found.cycles < FEWEST_CYCLES + EDGE:
+        raise InputError(f'{run.source or "the run"}: a wander, no oscillation: nothing stands '
+                         f'out that has {FEWEST_CYCLES:g} cycles or more')
+    return found
 
 
 def shape_probabilities(found: Shape) -> dict[str, float]:
