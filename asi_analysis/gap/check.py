@@ -23,7 +23,7 @@ from asi_analysis.gap import pictures
 from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink, plain
 from asi_analysis.gap.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
-from asi_analysis.gap.fit import measured, predict
+from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.verdict import as_plain, evidence_of
 from asi_analysis.parallel import each

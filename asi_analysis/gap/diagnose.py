@@ -11,16 +11,11 @@ from asi_actuator.parameters import Value
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap import next_experiment, quality, where
 from asi_analysis.gap.effects import BLOCK_OF, NO_GAP, UNKNOWN
-from asi_analysis.gap.fit import (
-    TOLERANCE,
-    Fitted,
-    Group,
-    Values,
-    make_group,
-    plant_record,
-)
+from asi_analysis.gap.fit import Fitted
+from asi_analysis.gap.group import TOLERANCE, Group, Values, make_group
 from asi_analysis.gap.joint import drive_of, joint_groups
 from asi_analysis.gap.next_motion import choose_motion
+from asi_analysis.gap.predict import plant_record
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.shrink import Shrink, shrink_of
 from asi_analysis.gap.uncertainty import intervals

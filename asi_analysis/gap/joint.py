@@ -16,7 +16,8 @@ from scipy.optimize import lsq_linear
 from asi_actuator.parameters import Value
 from asi_analysis.errors import InputError
 from asi_analysis.gap.effects import EFFECTS, Effect, Free, Variant
-from asi_analysis.gap.fit import Group, make_group, plant_record, scales
+from asi_analysis.gap.group import Group, make_group, scales
+from asi_analysis.gap.predict import plant_record
 from asi_analysis.gap.prepare import Array, Recording, prepare
 from asi_analysis.run import Run
 

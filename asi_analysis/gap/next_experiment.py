@@ -9,7 +9,8 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value
 from asi_analysis.closed_loop import simulate_loop
-from asi_analysis.gap.fit import Group, Values, predict
+from asi_analysis.gap.group import Group, Values
+from asi_analysis.gap.predict import predict
 from asi_analysis.gap.prepare import Recording, prepare
 from asi_analysis.gap.verdict import Names, Weighed
 from asi_analysis.run import Run

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import chirp, sawtooth
 
-from asi_analysis.gap.fit import Group
+from asi_analysis.gap.group import Group
 from asi_analysis.gap.next_experiment import pairs_of, separation
 from asi_analysis.gap.prepare import Recording, prepare
 from asi_analysis.gap.verdict import Names, Weighed

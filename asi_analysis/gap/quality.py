@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import correlate
 
 from asi_analysis.errors import InputError
-from asi_analysis.gap.fit import Group, measured, predict
+from asi_analysis.gap.group import Group
+from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import (
     MEASURED,
     Array,

@@ -13,8 +13,8 @@ from asi_analysis import figures
 from asi_analysis.experiment import versions
 from asi_analysis.gap import pictures
 from asi_analysis.gap.diagnose import Diagnosis, sentences, told
-from asi_analysis.gap.fit import measured, predict
 from asi_analysis.gap.model_file import improved_model, write_model
+from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
 from asi_analysis.gap.verdict import Weighed
 from asi_analysis.report import environment

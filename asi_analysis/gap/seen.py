@@ -10,7 +10,9 @@ import numpy.typing as npt
 from scipy.fft import next_fast_len
 
 from asi_analysis.gap import blocks
-from asi_analysis.gap.fit import STEP, Fitted, Values, measured, predict, shows_in
+from asi_analysis.gap.fit import STEP, Fitted
+from asi_analysis.gap.group import Values, shows_in
+from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
 
 Complex = npt.NDArray[np.complexfloating]

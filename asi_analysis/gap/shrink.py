@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_analysis.gap.fit import Group, measured, predict
+from asi_analysis.gap.group import Group
+from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import Array
 
 STRETCHES = 24   # that the held-out samples are cut into: longer than their errors remember

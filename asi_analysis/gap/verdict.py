@@ -15,10 +15,7 @@ from typing import Any, NamedTuple
 from asi_analysis.gap.effects import BY_NAME, NO_GAP, UNKNOWN, Effect, Variant
 from asi_analysis.gap.fit import (
     Fitted,
-    Group,
     Promise,
-    Values,
-    channels_of,
     fit_null,
     fit_variants,
     independent_samples,
@@ -26,6 +23,7 @@ from asi_analysis.gap.fit import (
     refit,
     with_known_gain,
 )
+from asi_analysis.gap.group import Group, Values, channels_of
 from asi_analysis.gap.seen import seen
 
 Names = tuple[str, ...]

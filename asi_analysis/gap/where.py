@@ -9,7 +9,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from asi_analysis.gap.blocks import impedance, load_constants
 from asi_analysis.gap.effects import BLOCK_OF, BLOCKS
-from asi_analysis.gap.fit import Group, measured, predict
+from asi_analysis.gap.group import Group
+from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass
 from asi_analysis.gap.verdict import Weighed
 
