@@ -18,9 +18,10 @@ from asi_analysis.gap.prepare import Array, Recording
 Complex = npt.NDArray[np.complexfloating]
 
 CORNERS = 400      # places in a recording where a pulse is looked for to begin or end
-# Steps of a command: how many its largest value has. Half of one between two that are tried is
-# the most that any of its levels is then off by.
+# Steps of a command: how many its largest value has. A third of one between two that are tried
+# is the most that any of its levels is then off by; the best is looked for again, finely.
 STEPS = np.arange(2.0, 60.0, 0.35)
+NEARBY = np.linspace(-0.35, 0.35, 71)
 RESPONSE_S = 0.2   # after which a valve has answered
 
 
@@ -91,15 +92,20 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     count = next_fast_len(command.size + int(RESPONSE_S / recording.period_s), real=True)
     response = _response(recording, fitted.record, count)
     largest = float(np.abs(command).max())
+
+    def explained(step: float, phase: float) -> float:
+        change = step * (np.floor(command / step + 0.5 - phase) + phase) - command
+        moved = np.fft.irfft(response * np.fft.rfft(change, count), count)[:command.size]
+        size = float(moved @ moved) - float(np.sum((known.T @ moved) ** 2))
+        return max(float(moved @ left), 0.0) ** 2 / max(size, 1e-300)
+
     found = {}
     for name, phase in (('residual_step', 0.0), ('residual_step_edge', 0.5)):
-        explained = []
-        for step in largest / STEPS:
-            change = step * (np.floor(command / step + 0.5 - phase) + phase) - command
-            moved = np.fft.irfft(response * np.fft.rfft(change, count), count)[:command.size]
-            size = float(moved @ moved) - float(np.sum((known.T @ moved) ** 2))
-            explained.append(max(float(moved @ left), 0.0) ** 2 / max(size, 1e-300))
-        found[name] = float(largest / STEPS[int(np.argmax(explained))])
+        best = 0.0
+        for tried in (STEPS, NEARBY):
+            steps = best + tried
+            best = float(steps[np.argmax([explained(largest / n, phase) for n in steps])])
+        found[name] = largest / best
     return found
 
 
