@@ -110,7 +110,8 @@ class ActuatorNode(Node):
         self.health = self.driver.health()
         self.unseen += periods
         if reading is not None:
-            self.rest.add(reading.force_n, self.applied_n, reading.valve_position_m)
+            force, valve, _, _ = reading
+            self.rest.add(force, self.applied_n, valve)
             self.measured = self.calibration.applied(reading)
             self.safety.watch_state(self.measured, self.unseen)
             self.unseen = 0

@@ -29,7 +29,7 @@ class Calibration(NamedTuple):
     def applied(self, reading: Measurement) -> Measurement:
         """Return a reading, its force calibrated."""
         force, valve, position, velocity = reading
-        return Measurement(self.scale * (force - self.offset_n), valve, position, velocity)
+        return self.scale * (force - self.offset_n), valve, position, velocity
 
 
 def load(path: str) -> Calibration:

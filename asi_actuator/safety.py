@@ -99,9 +99,9 @@ class Safety:
         if self.state is not State.ENABLED:
             self._command_n = 0.0
         else:
-            low = max(-self._command_limit_n, self._command_n - self._command_step_n)
-            high = min(self._command_limit_n, self._command_n + self._command_step_n)
-            self._command_n = min(max(wanted_n, low), high)
+            near_n = _within(wanted_n, self._command_n - self._command_step_n,
+                             self._command_n + self._command_step_n)
+            self._command_n = _within(near_n, -self._command_limit_n, self._command_limit_n)
         return self._command_n
 
     def watch_command(self, age_s: float) -> None:
@@ -161,8 +161,8 @@ class Safety:
         differ from one valve to the next, fall out of the mean.
         """
         full = self._full_opening_m
-        expected = min(max(self._valve_gain * self._command_n, -full), full)
-        apart = min(max(valve_m, -full), full) - expected
+        expected = _within(self._valve_gain * self._command_n, -full, full)
+        apart = _within(valve_m, -full, full) - expected
         self._disagreement += self._disagreement_weight * (apart - self._disagreement)
         if abs(self._disagreement) > self._disagreement_m:
             self._exceeded('valve_position less that of the command', self._disagreement, 'm',
@@ -183,3 +183,8 @@ class Safety:
         if state is not self.state or reason != self.reason:
             self.state, self.reason = state, reason
             self._changed()
+
+
+def _within(value: float, low: float, high: float) -> float:
+    """Return what is nearest to a value in a range; faster than min and max, and nan stays nan."""
+    return low if value < low else high if value > high else value

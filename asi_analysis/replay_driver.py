@@ -50,7 +50,8 @@ class ReplayedActuator:
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement:
         """Return the state recorded `periods` later; the last one from the end on."""
         self._place = min(self._place + periods, len(self._states) - 1)
-        return Measurement(*map(float, self._states[self._place]))
+        force, valve, position, velocity = map(float, self._states[self._place])
+        return force, valve, position, velocity
 
     def health(self) -> Health:
         return Health()

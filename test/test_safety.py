@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 import yaml
@@ -10,14 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asi_actuator.driver import Health
-from asi_actuator.model.actuator import Measurement
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, completed, defaults
 from asi_actuator.safety import Safety, State
 from asi_analysis.closed_loop import simulate_loop
 
 TABLE = ACTUATOR_NODE_PARAMETERS + ACTUATOR_PARAMETERS
-STILL = Measurement(0.0, 0.0, 0.0, 0.0)
+
+
+class Measured(NamedTuple):
+    """A measurement with names."""
+
+    force_n: float = 0.0
+    valve_position_m: float = 0.0
+    position_m: float = 0.0
+    velocity_m_s: float = 0.0
+
+
+STILL = Measured()
 PERIOD_S = 1e-3
 
 
@@ -29,7 +39,7 @@ class Watched:
         self.safety = Safety(completed(values, TABLE), period_s, State.ENABLED,
                              lambda: self.went.append(str(self.safety.state)))
 
-    def period(self, command_n: float, measured: Measurement = STILL,
+    def period(self, command_n: float, measured: Measured = STILL,
                health: Health = Health(), periods: int = 1) -> float:  # noqa: B008
         """Live through a control period; return the command that went to the actuator."""
         command = self.safety.command(command_n)
@@ -136,10 +146,20 @@ def test_limits_may_be_set_to_anything_allowed_at_any_time(data: st.DataObject) 
             | st.floats(float(p.low), float(p.high))) for p in LIMITS}
         watched.safety.configure(completed(values, TABLE))
         shut = watched.safety.state is State.FAULT
-        given_n = watched.period(data.draw(st.floats(-1e9, 1e9)), Measurement(
+        given_n = watched.period(data.draw(st.floats(-1e9, 1e9)), Measured(
             *(data.draw(st.floats(-1e9, 1e9)) for _ in range(4))))
         assert math.isfinite(given_n) and abs(given_n) <= float(values['command_limit'])
         assert not (shut and given_n)
+
+
+@pytest.mark.parametrize('command_n', [-400.0, 400.0])
+def test_a_limit_that_is_lowered_holds_at_once(command_n: float) -> None:
+    slow = {'limit.command_rate': 1000.0}
+    watched = Watched(**slow)
+    for _ in range(400):
+        assert watched.period(command_n) != 0.0
+    watched.safety.configure(completed(slow | {'command_limit': 100.0}, TABLE))
+    assert watched.period(command_n) == math.copysign(100.0, command_n)
 
 
 def test_few_bad_frames_in_a_long_time_are_no_fault() -> None:
@@ -210,7 +230,7 @@ def test_no_watchdog_trips_in_a_simulated_run(controller: dict[str, Any], load: 
     watched = Watched(1.0 / rate_hz)
     limit = float(defaults(TABLE)['command_limit'])
     for k in range(run.time_s.size - 1):
-        applied = watched.period(run.command_n[k], Measurement(
+        applied = watched.period(run.command_n[k], Measured(
             run.force_n[k + 1], run.valve_position_m[k + 1], run.position_m[k + 1],
             run.velocity_m_s[k + 1]))
         assert applied == min(max(run.command_n[k], -limit), limit), watched.safety.reason

@@ -221,8 +221,8 @@ class CanActuator:
         self._saturated = bool(self._force['saturated'])
         follows = self._force['enabled'] or not self._enabled
         self._not_following = 0 if follows else self._not_following + 1
-        return Measurement(self._force['force'], self._force['valve_position'],
-                           values['position'], values['velocity'])
+        return (self._force['force'], self._force['valve_position'],
+                values['position'], values['velocity'])
 
     def _is_new(self, counter: int) -> bool:
         """Return whether a state is newer than the last; count what is missing in between."""

@@ -55,12 +55,13 @@ class SimulatedActuator:
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement:
         """Advance by control periods at a valve command (N); return what the sensors tell then."""
         self._drive_n = abs(command_n)
-        self._measured = Measurement(*_exchange(
-            self._states, self._parameters, command_n, self.period_s, periods))
-        return self._measured
+        measured: Measurement = _exchange(
+            self._states, self._parameters, command_n, self.period_s, periods)
+        self._valve_m = measured[1]
+        return measured
 
     def health(self) -> Health:
-        saturated = (abs(self._measured.valve_position_m) >= self._full_opening_m
+        saturated = (abs(self._valve_m) >= self._full_opening_m
                      or self._drive_n >= self._drive_limit_n)
         return SATURATED if saturated else HEALTHY
 
@@ -73,8 +74,7 @@ class SimulatedActuator:
     def reset(self) -> None:
         """Return to rest."""
         self._states = np.array([rest()])
-        self._measured = Measurement(0.0, 0.0, 0.0, 0.0)
-        self._drive_n = 0.0
+        self._valve_m = self._drive_n = 0.0
 
     def close(self) -> None:
         pass

@@ -58,13 +58,8 @@ STATE_DTYPE = np.dtype([
 ])
 
 
-class Measurement(NamedTuple):
-    """What the sensors tell: force N, valve position m, piston position m and velocity m/s."""
-
-    force_n: float
-    valve_position_m: float
-    position_m: float
-    velocity_m_s: float
+# What the sensors tell: force N, valve position m, piston position m and velocity m/s.
+Measurement = tuple[float, float, float, float]
 
 
 class Trajectory(NamedTuple):
