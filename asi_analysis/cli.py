@@ -281,6 +281,7 @@ def limit_cycle(
     report: Report = None,
     check: Annotated[int | None, typer.Option(
         min=1, help='No bag: so many signals of known truth in each class instead')] = None,
+    seed: Annotated[int, typer.Option(min=0, help='Of --check: which signals')] = 1,
     as_json: Json = False,
 ) -> None:
     """Say of each stretch of a recording whether it is a limit cycle, and how surely."""
@@ -288,7 +289,7 @@ def limit_cycle(
     if check is not None:
         from asi_analysis.limit_cycle import check as limit_cycle_check
         with progress() as told:
-            document = limit_cycle_check.check(check, 1, told)
+            document = limit_cycle_check.check(check, seed, told)
         answer(document, as_json, lambda d: print(limit_cycle_check.as_text(d)))
         return
     from asi_analysis.bag import read_bag

@@ -13,10 +13,11 @@ from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.answer import limit_cycle
 from asi_analysis.limit_cycle.check import FAMILIES, check_accuracy, check_verdicts
+from asi_analysis.limit_cycle.drive import flat_share
 from asi_analysis.limit_cycle.noise import BLOCK, _triangle_of_lags
 from asi_analysis.limit_cycle.record import condensed, plain
 from asi_analysis.limit_cycle.sinusoid import fit_record
-from asi_analysis.limit_cycle.verdict import flat_share, judge_run
+from asi_analysis.limit_cycle.verdict import judge_run
 from asi_analysis.run import Run
 
 
@@ -118,6 +119,48 @@ def test_flat_share_tells_a_stop_from_a_relay_and_a_sine():
     assert flat_share(np.sign(np.sin(angle))) == 0.0
     assert flat_share(np.round(20 * np.sin(angle)) / 20) == 0.0
     assert flat_share(np.clip(2 * np.sin(angle), -1, 1)) == pytest.approx(2 / 3, abs=0.01)
+
+
+def _moved(reference, motion):
+    """Return a run of 4 s whose reference moves, and its longest segment."""
+    noise = 0.01 * np.random.default_rng(7).standard_normal(reference.size)
+    run = Run(np.arange(reference.size) / 1000.0, reference, force_n=motion + noise)
+    return max(judge_run(run), key=lambda s: s.end_s - s.start_s)
+
+
+def test_what_follows_a_moving_reference_is_forced_and_a_cycle_beside_it_is_not():
+    t = np.arange(4000) / 1000.0
+    chirp = np.sin(2 * np.pi * (1.0 + 4.0 * t) * t)
+    assert _moved(chirp, np.tanh(2 * np.roll(chirp, 7))).verdict == 'forced'
+    steps = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 400), 10)
+    cycle = np.cos(2 * np.pi * 40 * t) + 0.1 * np.cos(2 * np.pi * 120 * t)
+    beside = _moved(steps, 0.1 * np.roll(steps, 7) + cycle)
+    assert beside.verdict == 'limit_cycle' and beside.confidence > 0.9
+    assert beside.frequency_hz == pytest.approx(40.0, abs=0.01)
+
+
+def test_without_a_reference_nobody_is_sure_of_a_cycle():
+    run = _cycle(lambda t: np.ones(t.size), 'free')
+    alone, = judge_run(run)
+    assert alone.verdict == 'limit_cycle' and alone.confidence <= 0.8
+    assert 'no reference' in alone.why
+    held, = judge_run(Run(run.time_s, np.zeros(run.time_s.size), force_n=run.force_n))
+    assert held.verdict == 'limit_cycle' and held.confidence > 0.9
+
+
+@pytest.mark.parametrize('levels, verdict', [(4.0, 'unsteady'), (400.0, 'limit_cycle')])
+def test_harmonics_that_rounding_may_have_made_are_no_evidence(levels, verdict):
+    run = _cycle(lambda t: np.ones(t.size), 'rounded')
+    rounded, = judge_run(Run(run.time_s, force_n=np.round(levels * run.force_n) / levels))
+    assert rounded.verdict == verdict
+
+
+def test_times_that_repeat_or_run_back_are_left_out():
+    run = _cycle(lambda t: np.ones(t.size), 'stutter')
+    twice = Run(np.repeat(run.time_s, 2), force_n=np.repeat(run.force_n, 2))
+    assert judge_run(twice)[0].frequency_hz == judge_run(run)[0].frequency_hz
+    with pytest.raises(InputError, match='at least 9'):
+        judge_run(Run(run.time_s[::-1].copy(), force_n=run.force_n))
 
 
 @pytest.mark.parametrize('run, words', [

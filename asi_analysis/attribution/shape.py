@@ -13,9 +13,10 @@ from scipy import signal, stats
 
 from asi_analysis.attribution.hammerstein import Explanation, around, explain
 from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle.drive import flat_share
 from asi_analysis.limit_cycle.noise import autoregression
+from asi_analysis.limit_cycle.record import reduce
 from asi_analysis.limit_cycle.sinusoid import known, on_grid
-from asi_analysis.limit_cycle.verdict import flat_share, reduce
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]

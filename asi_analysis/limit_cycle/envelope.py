@@ -4,12 +4,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from asi_analysis.limit_cycle.sinusoid import least_squares
 
 Array = npt.NDArray[np.float64]
 
 MOST_WINDOWS: Final = 250
+# Windows in which the fall of the swing is looked at: more would see more of the noise.
+SWINGS: Final = 10
 
 
 class Envelope(NamedTuple):
@@ -57,6 +60,31 @@ def swings(time_s: Array, values: Array, frequency_hz: float) -> Array:
         return np.array([])
     high, low = (rule.reduceat(values, edges) for rule in (np.maximum, np.minimum))
     return 0.5 * (high - low)
+
+
+def fall_of_swing(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, float]:
+    """
+    Return how much the logarithm of the swing falls over a record, and the chance of that.
+
+    Or over that half of it where it is plainer: what falls may reach the noise. The chance that a
+    random walk would, by a t test of the steps between windows; noise, whose level returns to its
+    mean, falls evenly even less. The frequency need not be steady. (0, 1) if it is too short.
+    """
+    half = len(values) // 2
+    tests = [_fall(time_s[part], values[part], frequency_hz)
+             for part in (slice(None), slice(half), slice(half, None))]
+    fall, chance = min(tests, key=lambda test: test[1])
+    return fall, min(len(tests) * chance, 1.0)
+
+
+def _fall(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, float]:
+    cycles = (time_s[-1] - time_s[0]) * frequency_hz
+    level = swings(time_s, values, frequency_hz / max(cycles / SWINGS, 1.0))
+    if len(level) < SWINGS // 2 or not level.min() > 0.0:
+        return 0.0, 1.0
+    steps = np.diff(np.log(level))
+    score = steps.mean() / max(float(steps.std(ddof=1)), 1e-12) * np.sqrt(len(steps))
+    return -float(steps.sum()), float(2.0 * stats.t.sf(abs(score), len(steps) - 1))
 
 
 def peaks_by_cycle(time_s: Array, values: Array, frequency_hz: float) -> Array:

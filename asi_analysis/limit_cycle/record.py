@@ -19,6 +19,7 @@ ComplexArray = npt.NDArray[np.complex128]
 # The slow is met to 1e-3 as long as frequency times harmonic is within 13 lines of the carrier's.
 BLOCKS: Final = 64
 NODES: Final = 4
+SAMPLES_A_CYCLE: Final = 32
 
 
 class Record(NamedTuple):
@@ -127,3 +128,13 @@ def _by_harmonic(factors: Array) -> tuple[ComplexArray, ...]:
     each = factors.reshape(*factors.shape[:2], -1, NODES)
     return (each[:, :, 0].astype(complex),
             *(each[:, :, h] + 1j * each[:, :, h + 1] for h in range(1, each.shape[2], 2)))
+
+
+def reduce(time_s: Array, values: Array, frequency_hz: float) -> tuple[Array, Array]:
+    """Return means over blocks, about SAMPLES_A_CYCLE or more of them a cycle."""
+    period = float(np.median(np.diff(time_s)))
+    size = int(1.0 / (frequency_hz * period * SAMPLES_A_CYCLE))
+    if size < 2:
+        return time_s, values
+    whole = len(values) // size * size
+    return (time_s[:whole].reshape(-1, size).mean(1), values[:whole].reshape(-1, size).mean(1))

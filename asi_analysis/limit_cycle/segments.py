@@ -12,6 +12,8 @@ Array = npt.NDArray[np.float64]
 # Windows of the envelope that a piece of its own must have, and the price of one more piece.
 SHORTEST_PIECE: Final = 3
 PRICE: Final = 6.0
+# The first window is cut off if no sine fits it by so many times the usual: a loop that settles.
+UNLIKE: Final = 5.0
 
 
 def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> list[float]:
@@ -68,11 +70,15 @@ def envelope_cuts(found: Envelope) -> list[float]:
         totals = best[starts] + cost[starts, end - 1] + price
         origin[end] = starts[np.argmin(totals)]
         best[end] = totals.min()
-    cuts, end = [], count
+    cuts, end = set(), count
     while origin[end] > 0:
         end = int(origin[end])
-        cuts.append(0.5 * (found.time_s[end - 1] + found.time_s[end]))
-    return sorted(map(float, cuts))
+        cuts.add(0.5 * float(found.time_s[end - 1] + found.time_s[end]))
+    settled = float(found.time_s[0]) + 0.5 * found.window_s
+    if (found.deviation[0] > UNLIKE * np.median(found.deviation)
+            and all(cut > settled + found.window_s for cut in cuts)):
+        cuts.add(settled)
+    return sorted(cuts)
 
 
 def _line_costs(level: Array, weight: Array) -> Array:

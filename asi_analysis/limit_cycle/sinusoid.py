@@ -80,9 +80,11 @@ class Oscillation(NamedTuple):
 
 
 def known(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return the samples that are there: neither time nor value NaN."""
+    """Return the samples that are there: time and value known, each later than all before."""
     there = np.isfinite(time_s) & np.isfinite(values)
-    return time_s[there], values[there]
+    time_s, values = time_s[there], values[there]
+    later = np.diff(np.maximum.accumulate(time_s), prepend=-np.inf) > 0.0
+    return time_s[later], values[later]
 
 
 def on_grid(time_s: Array, values: Array) -> tuple[Array, float]:
@@ -111,9 +113,11 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5)
     size = fft.next_fast_len(max(min(8 * len(even), LONG_SPECTRUM), 2 * len(even)), real=True)
     power = np.abs(fft.rfft(even, size)) ** 2
     first = int(np.ceil(lowest_cycles * size / len(even)))
-    if first >= len(power) - 1 or not power[first:].any():
+    # At half the sampling rate itself amplitude and phase cannot be told apart.
+    power = power[first:int(0.99 * len(power))]
+    if not power.any():
         return np.nan
-    return float((first + np.argmax(power[first:])) / (size * period))
+    return float((first + np.argmax(power)) / (size * period))
 
 
 def _normal(gram: Array, right: Array) -> Array:

@@ -10,13 +10,14 @@ which a linear loop left alone cannot make, or by a decay that must be smaller t
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy import integrate, signal, stats
+from scipy import integrate, stats
 
 from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle import drive
 from asi_analysis.limit_cycle import envelope as env
 from asi_analysis.limit_cycle import segments as seg
-from asi_analysis.limit_cycle.noise import Autoregression, autoregression, surrogates
-from asi_analysis.limit_cycle.record import Array, ComplexArray
+from asi_analysis.limit_cycle.noise import Autoregression, autoregression
+from asi_analysis.limit_cycle.record import Array, reduce
 from asi_analysis.limit_cycle.sinusoid import (
     Oscillation,
     dominant_frequency,
@@ -25,11 +26,15 @@ from asi_analysis.limit_cycle.sinusoid import (
     known,
     on_grid,
 )
+from asi_analysis.limit_cycle.steadiness import analytic_signal, steadiness
 from asi_analysis.run import Run
 
 RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
 FEWEST_CYCLES: Final = 3.0
-SAMPLES_A_CYCLE: Final = 32
+TOO_SHORT: Final[tuple[str, float, str]] = (
+    'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
+# Bits, times 2 ln 2, that an oscillation must spare: noise is one 20 times as readily.
+MARGIN: Final = 6.0
 # A recording cleaner than this share of its size is treated as if it had that noise (50 dB).
 CLEANEST: Final = 10.0 ** (-2.5)
 # A linear loop that oscillates visibly may be as close to its limit as this, or this far: prior
@@ -42,17 +47,20 @@ LINEAR_AFTER_ALL: Final = 0.02
 # Change of the amplitude over a nonlinear record that does not count as decay.
 STEADY_CHANGE: Final = 0.03
 CLAIM: Final = 0.9
-# Share of the time at a stop from which the stop, not the loop, sets the amplitude: a sine cut so
-# far passes with 0.96 of its fundamental.
-STOPPED: Final = 0.25
-SURROGATES: Final = 200
-# Samples of a record that are compared with surrogates; of a longer one, windows spread over it.
-COMPARED: Final = 8192
-WINDOWS: Final = 4
+# Harmonics count from this share of a step to which values are rounded. The error of rounding has
+# 0.29 steps rms, a sine of 0.41; of it not all is harmonic.
+ROUNDED: Final = 0.41
+# An orbit that was reached must have lasted as long to be called settled.
+SETTLED_CYCLES: Final = 8.0
+# Confidence in a limit cycle at most, if no reference is there to show that nothing drives it.
+UNDRIVEN: Final = 0.8
+# Harmonics so much larger than the fundamental are an oscillation at another frequency.
+MOST_THD: Final = 3.0
 # Standard deviations of the surrogates by which an envelope must stand out.
 TELLING: Final = 4.0
-# Share of the scatter of an envelope's logarithm that a straight line must explain to be a decay.
-STRAIGHT: Final = 0.85
+# Least change of a swing's logarithm that is judged by itself, and how sure it must be.
+LEAST_FALL: Final = 0.2
+SURE_FALL: Final = 0.97
 
 
 class Segment(NamedTuple):
@@ -91,6 +99,7 @@ class Segment(NamedTuple):
 class _Piece(NamedTuple):
     time_s: Array
     values: Array
+    frequency_hz: float            # about which it was looked at
     kind: str                      # 'noise' or 'line'
     steady: Oscillation | None     # fitted at constant amplitude
     moving: Oscillation | None     # fitted with a rate of its envelope
@@ -130,7 +139,18 @@ def judge_run(run: Run, name: str | None = None) -> list[Segment]:
         if part.stop - part.start > 1:
             found += _judge_stretch(run, chosen, time_s, values, part,
                                     frequency if len(edges) == 2 else None)
+    if run.reference_n is None:
+        found = [_unless_driven(segment) for segment in found]
     return _merge(found)
+
+
+def _unless_driven(segment: Segment) -> Segment:
+    """Return a segment of a run without a reference: what drives it from outside is not seen."""
+    if segment.verdict != 'limit_cycle':
+        return segment
+    return segment._replace(
+        confidence=min(segment.confidence, UNDRIVEN),
+        why=f'{segment.why}; unless something drives it, for no reference is recorded')
 
 
 def _merge(found: list[Segment]) -> list[Segment]:
@@ -154,16 +174,6 @@ def _one_kind(a: Segment, b: Segment) -> bool:
     return a.verdict != 'limit_cycle' or abs(a.amplitude - b.amplitude) < 0.05 * b.amplitude
 
 
-def reduce(time_s: Array, values: Array, frequency_hz: float) -> tuple[Array, Array]:
-    """Return means over blocks, about SAMPLES_A_CYCLE or more of them a cycle."""
-    period = float(np.median(np.diff(time_s)))
-    size = int(1.0 / (frequency_hz * period * SAMPLES_A_CYCLE))
-    if size < 2:
-        return time_s, values
-    whole = len(values) // size * size
-    return (time_s[:whole].reshape(-1, size).mean(1), values[:whole].reshape(-1, size).mean(1))
-
-
 def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, part: slice,
                    frequency: float | None) -> list[Segment]:
     time_s, values = all_times[part], all_values[part]
@@ -180,26 +190,60 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
         frequency = dominant_frequency(time_s, values)
     cycles = (time_s[-1] - time_s[0]) * frequency
     if not np.isfinite(frequency) or cycles < 0.9 * FEWEST_CYCLES:
-        return [segment(*whole, 'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')]
+        return [segment(time_s[0], time_s[-1], *TOO_SHORT)]
     t, y = reduce(time_s, values, frequency)
     pieces = _pieces(t, y, frequency)
     if all(piece.kind == 'noise' for piece in pieces):
-        verdict, confidence, why, more = _judge_noise(t, y, frequency)
+        verdict, confidence, why, more = (_forced(run, t, y, frequency)
+                                          or _judge_noise(t, y, frequency))
         return [segment(*whole, verdict, confidence, why, **more)]
     found = []
     for index, piece in enumerate(pieces):
         start = time_s[0] if index == 0 else piece.time_s[0]
         end = time_s[-1] if index == len(pieces) - 1 else pieces[index + 1].time_s[0]
         if piece.kind == 'noise':
-            found.append(segment(start, end, 'noise', 0.9,
-                                 'coloured noise describes it in fewer bits'))
+            part = slice(*np.searchsorted(time_s, [start, end]))
+            piece = _elsewhere(time_s[part], values[part], piece)
+        if piece.kind == 'noise':
+            verdict, confidence, why, more = (
+                _forced(run, piece.time_s, piece.values, piece.frequency_hz)
+                or _noise_or_short(piece))
+            found.append(segment(start, end, verdict, confidence, why, **more))
             continue
         earlier = slice(np.searchsorted(all_times, start))
         came_from = _came_from((all_times[earlier], all_values[earlier]), piece)
-        verdict, confidence, why = _judge_line(run, piece, came_from)
+        verdict, confidence, why = _judge_line(run, name, piece, came_from)
         found.append(segment(start, end, verdict, confidence, why, came_from=came_from,
                              **_figures(piece)))
     return found
+
+
+def _noise_or_short(piece: _Piece) -> tuple[str, float, str, dict[str, Any]]:
+    if (piece.time_s[-1] - piece.time_s[0]) * piece.frequency_hz < 0.9 * FEWEST_CYCLES:
+        return *TOO_SHORT, {}
+    return 'noise', 0.9, 'coloured noise describes it in fewer bits', {}
+
+
+def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
+    """Return a piece that is noise about the frequency of its stretch, or what it has instead."""
+    frequency = dominant_frequency(time_s, values)
+    cycles = frequency * (time_s[-1] - time_s[0])
+    if not cycles >= FEWEST_CYCLES or np.ptp(values) == 0.0:
+        return piece
+    t, y = reduce(time_s, values, frequency)
+    own = _describe(t, y, frequency, CLEANEST * float(np.std(y)))
+    return own if own.steady and own.steady.amplitude > own.steady.noise else piece
+
+
+def _forced(run: Run, t: Array, y: Array, frequency: float
+            ) -> tuple[str, float, str, dict[str, Any]] | None:
+    """Return the verdict on a motion if a linear answer to the reference explains it."""
+    share = drive.explained_by_reference(run, t, y, frequency)
+    if share < drive.FOLLOWS:
+        return None
+    return 'forced', float(np.clip(share, 0.5, 0.99)), (
+        f'a linear answer to the reference explains {100 * share:.0f} % of the motion about '
+        f'{frequency:.5g} Hz'), {}
 
 
 def _pieces(t: Array, y: Array, frequency: float) -> list[_Piece]:
@@ -232,12 +276,14 @@ def _describe(t: Array, y: Array, frequency: float, floor: float) -> _Piece:
     for oscillation, nonlinear in ((steady, 1), (moving, 3)):
         if oscillation is None or oscillation.cycles < 0.8 * FEWEST_CYCLES:
             continue
+        if oscillation.thd > MOST_THD:
+            continue
         # The frequency was searched for among as many as there are samples: ln n once more.
-        parameters = 2 + 2 * len(oscillation.harmonics) + nonlinear + 1
+        parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1
         noise = describe(y - oscillation.at(t), parameters)
-        if noise.description < best.description:
+        if noise.description < best.description - (MARGIN if kind == 'noise' else 0.0):
             kind, best = 'line', noise
-    return _Piece(t, y, kind, steady, moving, best.description, best)
+    return _Piece(t, y, frequency, kind, steady, moving, best.description, best)
 
 
 def _figures(piece: _Piece) -> dict[str, Any]:
@@ -284,58 +330,67 @@ def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
     return ' '.join(words + ['disturbed'] * (len(was_on_it) >= FEWEST_CYCLES))
 
 
-def _judge_line(run: Run, piece: _Piece, came_from: str) -> tuple[str, float, str]:
+def _judge_line(run: Run, name: str, piece: _Piece, came_from: str) -> tuple[str, float, str]:
     """Return verdict, confidence and reason for a piece that oscillates."""
     steady, moving = piece.steady, piece.moving
     assert steady is not None and moving is not None
-    if follows := _follows_reference(run, piece):
+    if follows := drive.follows_reference(run, steady, piece.time_s[0], piece.time_s[-1]):
         return 'forced', 0.99, follows
+    if forced := _forced(run, piece.time_s, piece.values, steady.frequency_hz):
+        return forced[:3]
     change = abs(moving.rate) * (piece.time_s[-1] - piece.time_s[0])
-    if change < 1.0 and (stop := _at_stop(run, piece)):
+    if change < 1.0 and (stop := drive.at_stop(run, piece.time_s[0], piece.time_s[-1])):
         return 'saturating', 0.95, stop
-    evidence = _harmonics(run, piece) or ('an amplitude that settles' if came_from else '')
+    settled = came_from and steady.cycles >= SETTLED_CYCLES
+    evidence = _harmonics(run, name, piece) or ('an amplitude that settles' if settled else '')
     limit_cycle, decaying, growing = _decay_probabilities(piece, bool(evidence))
     if decaying >= CLAIM:
         return 'decaying', decaying, f'the envelope falls at {-moving.rate:.3g} 1/s'
     if growing >= CLAIM:
         return 'growing', growing, f'the envelope grows at {moving.rate:.3g} 1/s'
-    if limit_cycle >= CLAIM:
+    if limit_cycle >= CLAIM and evidence:
         return 'limit_cycle', limit_cycle, (
             f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
-            + (evidence or 'a decay smaller than any linear loop would have by chance'))
-    if change > 0.5 and _straight(piece):
-        # Its frequency follows its amplitude, so that no one sine fits it; the envelope is plain.
-        verdict = 'decaying' if moving.rate < 0.0 else 'growing'
-        return verdict, CLAIM, (f'the envelope changes by a factor '
-                                f'{np.exp(np.copysign(change, moving.rate)):.3g}, evenly')
+            + evidence)
+    if evenly := _falls_evenly(piece.time_s, piece.values, steady.frequency_hz):
+        return evenly
     return 'unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing), (
         f'steady as far as {steady.cycles:.3g} cycles show, but so might a linear loop close to '
         'its stability limit be: a longer or cleaner record would tell')
 
 
-def _straight(piece: _Piece) -> bool:
-    """Return whether the envelope of a piece is a straight line in its logarithm."""
-    assert piece.steady is not None
-    level = np.log(np.maximum(env.envelope(piece.time_s, piece.values,
-                                           piece.steady.frequency_hz).amplitude, 1e-300))
-    if len(level) < 6:
-        return False
-    return float(np.corrcoef(np.arange(len(level)), level)[0, 1] ** 2) > STRAIGHT
+def _falls_evenly(t: Array, y: Array, frequency: float) -> tuple[str, float, str] | None:
+    """
+    Return the verdict on a motion whose swing falls or grows evenly.
+
+    Its frequency may follow its amplitude, so that no one sine fits it; the swing is plain.
+    """
+    fall, chance = env.fall_of_swing(t, y, frequency)
+    if abs(fall) < LEAST_FALL or chance > 1.0 - SURE_FALL:
+        return None
+    return ('decaying' if fall > 0.0 else 'growing', min(1.0 - chance, 0.99),
+            f'the swing changes by a factor {np.exp(-fall):.3g}, evenly')
 
 
-def _harmonics(run: Run, piece: _Piece) -> str:
-    """Return which signal has harmonics, and how much; empty if none has."""
+def _harmonics(run: Run, name: str, piece: _Piece) -> str:
+    """Return which signal has harmonics that are its own, and how much; empty if none has."""
     assert piece.steady is not None
-    if len(piece.steady.harmonics) > 1:
-        return f'harmonics of {100 * piece.steady.thd:.2g} %'
     inside = run.between(piece.time_s[0], piece.time_s[-1] + 0.5 * run.period_s)
+    if len(piece.steady.harmonics) > 1 and _its_own(piece.steady, inside.signal(name)):
+        return f'harmonics of {100 * piece.steady.thd:.2g} %'
     if inside.command_n is None:
         return ''
     command = fit(*reduce(*known(inside.time_s, inside.command_n), piece.steady.frequency_hz),
                   piece.steady.frequency_hz)
-    if command is None or len(command.harmonics) < 2:
+    if command is None or len(command.harmonics) < 2 or not _its_own(command, inside.command_n):
         return ''
     return f'harmonics of {100 * command.thd:.2g} % in the command'
+
+
+def _its_own(oscillation: Oscillation, values: Array) -> bool:
+    """Return whether harmonics are larger than all that rounding makes of a pure sine."""
+    step = drive.rounding(values[np.isfinite(values)])
+    return oscillation.thd * oscillation.amplitude > ROUNDED * step
 
 
 def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, float]:
@@ -373,183 +428,34 @@ def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, 
     return float(limit_cycle), float(decaying), float(growing)
 
 
-def _follows_reference(run: Run, piece: _Piece) -> str:
-    """Return why the oscillation follows the reference, empty if it does not."""
-    if run.reference_n is None or piece.steady is None:
-        return ''
-    start, end = piece.time_s[0], piece.time_s[-1]
-    part = (run.time_s >= start) & (run.time_s <= end)
-    t, r = known(run.time_s[part], run.reference_n[part])
-    if len(r) < 9 or np.ptp(r) < 1e-9 * max(np.abs(r).max(), 1e-300):
-        return ''
-    reference = fit(*reduce(t, r, piece.steady.frequency_hz))
-    if reference is None or reference.amplitude < reference.noise:
-        return ''
-    deviation = np.hypot(reference.frequency_sd_hz, piece.steady.frequency_sd_hz)
-    tolerance = max(4.0 * deviation, 0.2 / (end - start))
-    for divisor in (1, 2, 3):
-        for multiple in (1, 2, 3, 5):
-            if abs(piece.steady.frequency_hz
-                   - reference.frequency_hz * multiple / divisor) < tolerance:
-                ratio = '' if multiple == divisor == 1 else f' times {multiple}/{divisor}'
-                return f'the reference moves at {reference.frequency_hz:.5g} Hz{ratio} as well'
-    return ''
-
-
-def _at_stop(run: Run, piece: _Piece) -> str:
-    """Return which stop sets the amplitude, empty if none does."""
-    start, end = piece.time_s[0], piece.time_s[-1]
-    inside = run.between(start, end + 0.5 * run.period_s)
-    if inside.command_n is not None:
-        share = flat_share(inside.command_n[np.isfinite(inside.command_n)])
-        if share > STOPPED:
-            return f'the command is at its limit for {100 * share:.0f} % of the time'
-    actuator = run.information.get('actuator', {})
-    full = actuator.get('valve_characteristic.full_opening')
-    if full and inside.valve_position_m is not None:
-        share = float(np.mean(np.abs(inside.valve_position_m) >= 0.999 * full))
-        if share > STOPPED:
-            return f'the valve is fully open for {100 * share:.0f} % of the time'
-    return ''
-
-
-def flat_share(values: Array) -> float:
-    """
-    Return the share of samples at a stop: flat at an extreme, yet moving in between.
-
-    0 for a signal that only switches between two levels (a relay), and for one whose extremes
-    hold no more samples than a sine's or what its quantisation explains.
-    """
-    span = float(np.ptp(values)) if len(values) else 0.0
-    if span == 0.0:
-        return 0.0
-    levels = np.unique(values)
-    if len(levels) < 8:
-        return 0.0
-    width = 1e-4 * span + float(np.median(np.diff(levels))) * (len(levels) < 0.05 * len(values))
-    sine = np.arccos(1.0 - 2.0 * min(width / span, 0.5)) / np.pi
-    top = float(np.mean(values >= values.max() - width))
-    bottom = float(np.mean(values <= values.min() + width))
-    if top + bottom > 0.95:
-        return 0.0
-    return sum(share for share in (top, bottom) if share > 2.5 * sine + 0.02)
-
-
 def _judge_noise(t: Array, y: Array, frequency: float
                  ) -> tuple[str, float, str, dict[str, Any]]:
     """
     Return verdict, confidence, reason and figures of a stretch that a noise model describes best.
 
     An oscillation that noise keeps out of step, or whose frequency follows its amplitude, ends up
-    here too. Its envelope is steadier, or has more of a trend, than that of Gaussian noise of the
-    same spectrum, which the surrogates show.
+    here too. The swing of the one falls more evenly than a random walk, the envelope of the other
+    is steadier than that of Gaussian noise of the same spectrum, as surrogates show.
     """
-    steadiness, fall, trend = _surrogate_scores(t, y, frequency)
-    if max(steadiness, abs(trend)) > TELLING:
+    if evenly := _falls_evenly(t, y, frequency):
+        return *evenly, _figures(_describe(t, y, frequency, 0.0))
+    steadier = steadiness(t, y, frequency)
+    if steadier > TELLING:
         piece = _describe(t, y, frequency, 0.0)
-        if steadiness > TELLING and piece.steady is not None:
-            confidence = float(np.clip(stats.norm.cdf(steadiness - 2.0), 0.5, 0.99))
-            verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
-            figures = _figures(piece) | _cycle_figures(piece, frequency)
-            return verdict, confidence, (
-                f'out of step from cycle to cycle, but its envelope is {steadiness:.1f} standard '
-                'deviations steadier than that of noise with the same spectrum'), figures
-        if abs(trend) > TELLING and piece.moving is not None:
-            return *_trend_verdict(fall, trend), _figures(piece)
-    return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadiness)), 0.5, 0.99)), (
+        confidence = float(np.clip(stats.norm.cdf(steadier - 2.0), 0.5, 0.99))
+        verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
+        figures = _figures(piece) | _cycle_figures(piece, frequency)
+        return verdict, confidence, (
+            f'out of step from cycle to cycle, but its envelope is {steadier:.1f} standard '
+            'deviations steadier than that of noise with the same spectrum'), figures
+    return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadier)), 0.5, 0.99)), (
         'coloured noise with a resonance describes it in fewer bits than any oscillation'), {}
-
-
-def _surrogate_scores(t: Array, y: Array, frequency: float) -> tuple[float, float, float]:
-    """
-    Return what sets the envelope apart from that of noise of the same spectrum.
-
-    As (how much steadier it is, the fall of its logarithm, how much more of a trend it has,
-    negative if up); the first and last in standard deviations of the surrogates.
-    """
-    even, period = on_grid(t, y)
-    model = autoregression(even - even.mean(), 1)
-    windows, at = _windows(even)
-    skip = min(int(0.5 / (frequency * period)), windows.shape[1] // 8)
-    spread, fall, trend = _envelope_scores(windows, at, period, frequency, skip)
-    others: list[tuple[float, float]] = []
-    for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
-        # Each at its own highest peak: that of a record stands out where a burst happens to be.
-        other, _, other_trend = _envelope_scores(rows, at, period, _highest_peak(rows, period),
-                                                 skip)
-        others.append((other, abs(other_trend)))
-        # Once a surrogate stands out as much, in both, the others can no longer change a score.
-        if all(max(column) >= own for column, own in zip(
-                zip(*others, strict=True), (spread, abs(trend)), strict=True)):
-            break
-    steadiness, size = (_score(own, np.array(column)) for own, column in zip(
-        (spread, abs(trend)), zip(*others, strict=True), strict=True))
-    return steadiness, fall, float(np.copysign(size, trend))
-
-
-def _windows(even: Array) -> tuple[Array, Array]:
-    """Return windows of a record (rows), all of it if it is short, and where each sample is."""
-    at = np.linspace(-1.0, 1.0, len(even))
-    if len(even) <= COMPARED:
-        return even[None], at[None]
-    size = COMPARED // WINDOWS
-    starts = np.linspace(0, len(even) - size, WINDOWS).astype(int)
-    samples = starts[:, None] + np.arange(size)
-    return even[samples], at[samples]
-
-
-def _trend_verdict(fall: float, trend: float) -> tuple[str, float, str]:
-    return ('decaying' if trend > 0.0 else 'growing',
-            float(np.clip(stats.norm.cdf(abs(trend) - 2.0), 0.5, 0.99)),
-            f'the envelope changes by a factor {np.exp(-fall):.3g}, {abs(trend):.1f} standard '
-            'deviations more than that of noise with the same spectrum')
-
-
-def _score(own: float, others: Array) -> float:
-    """Return how far a statistic stands above all others, in their standard deviations."""
-    if own <= others.max():
-        return 0.0
-    return float((own - others.mean()) / max(others.std(), 1e-12))
-
-
-def _envelope_scores(windows: Array, at: Array, period: float, frequency: float, skip: int
-                     ) -> tuple[float, float, float]:
-    """
-    Return how steady the envelope about a frequency is, the fall of its logarithm, its trend.
-
-    windows: of the record, a row each; at: where their samples are in the record, -1 to 1; skip:
-    samples at either end that are left out; trend: of a straight line, negative if up.
-    """
-    kept = slice(skip, windows.shape[1] - skip)
-    power = (np.abs(_analytic(windows, period, frequency)) ** 2)[:, kept].ravel()
-    level = 0.5 * np.log(np.maximum(power, 1e-12 * power.max()))
-    x = at[:, kept].ravel()
-    slope = float(level @ x / (x @ x))
-    # A straight line, not a jump: the share of the level's variance that the slope explains.
-    explained = slope * np.sqrt((x * x).mean()) / max(float(level.std()), 1e-12)
-    return (-float(np.log(power.var() / power.mean() ** 2)), -2.0 * slope,
-            -slope * abs(explained))
-
-
-def _highest_peak(windows: Array, period: float) -> float:
-    """Return the frequency (Hz) of the highest peak of the spectrum above 1.5 cycles."""
-    centred = windows - windows.mean(1, keepdims=True)
-    power = (np.abs(np.fft.rfft(centred)) ** 2).sum(0)
-    return float(2 + np.argmax(power[2:])) / (windows.shape[1] * period)
-
-
-def _analytic(values: Array, period: float, frequency: float) -> ComplexArray:
-    """Return the analytic signal of what values (along the last axis) hold about a frequency."""
-    band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), 1e-3, 0.98)
-    around = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
-                                values - values.mean(-1, keepdims=True))
-    return np.asarray(signal.hilbert(around))
 
 
 def _cycle_figures(piece: _Piece, frequency: float) -> dict[str, Any]:
     """Return frequency and amplitude with intervals from the scatter of the cycles."""
     even, period = on_grid(piece.time_s, piece.values)
-    analytic = _analytic(even, period, frequency)
+    analytic = analytic_signal(even, period, frequency)
     size = max(int(round(1.0 / (frequency * period))), 1)
     phase = np.unwrap(np.angle(analytic))[size:-size:size] / (2.0 * np.pi)
     amplitude = np.abs(analytic)[size:-size:size]
