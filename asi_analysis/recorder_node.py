@@ -188,14 +188,18 @@ class Recorder(Node):
         super().destroy_node()
 
     def _await_rest(self) -> None:
-        """Take what is still on its way: for a moment, and in lock-step until no tick lacks."""
+        """Take what is on its way: until a moment brings nothing, and no tick lacks anything."""
+        ended_ns = self._even_clock.now_ns()
         now_s = time.monotonic()
         moment_s, end_s = now_s + FAREWELL_S, now_s + PATIENCE_S
-        while now_s < moment_s or (self._order and self._order.waiting() and now_s < end_s):
+        while now_s < end_s and (now_s < moment_s or (self._order and self._order.waiting())):
             time.sleep(DRAIN_PERIOD_S)
             self._drain()
-            self._write()
             now_s = time.monotonic()
+            # What others go on to publish does not count.
+            if any(arrival.published_ns <= ended_ns for arrival in self._arrived):
+                moment_s = now_s + FAREWELL_S
+            self._write()
 
     def _text(self, name: str, default: str, description: str) -> str:
         return self.declare_parameter(name, default, ParameterDescriptor(
