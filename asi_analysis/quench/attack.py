@@ -29,6 +29,8 @@ CONFIRMED_S: Final = 2.5
 # A swing that keeps this share of its size over the watched time, and is larger than this (N).
 KEEPS: Final = 0.95
 LEAST_N: Final = 1.0
+# What turns less often in the watched time creeps to rest and does not ring.
+FEWEST_TURNS: Final = 3
 VARIED: Final = (
     'valve_hysteresis.radius', 'valve_hysteresis.lag_time', 'valve_flexure.coil_frequency',
     'valve_flexure.natural_frequency', 'valve_flexure.damping_ratio', 'valve_flexure.delay',
@@ -38,7 +40,7 @@ VARIED: Final = (
 SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
 LOADS: Final = ('locked', 'spring', 'free')
 # Share of the trials that are random; the others vary the worst found so far.
-RANDOM_SHARE: Final = 0.6
+RANDOM_SHARE: Final = 0.4
 # Conditions between which nothing is learnt, and how many of them are one piece of work.
 GENERATION: Final = 32
 PIECE: Final = 8
@@ -84,12 +86,17 @@ NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitud
 
 
 class Trial(NamedTuple):
-    """What a condition did: size of the swing left (N), whether it is sustained, frequency."""
+    """
+    What a condition did: size of the swing left (N), whether it is sustained, frequency.
+
+    rings: how little the swing falls as soon as the loop is left alone, late over early.
+    """
 
     condition: Condition
     swing_n: float
     sustained: bool
     frequency_hz: float
+    rings: float
 
 
 def _choice(options: tuple, number: float) -> Any:
@@ -109,25 +116,25 @@ def attempts(conditions: Sequence[Condition], actuator: Values, controller: Valu
 
 
 def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values, rate: float
-           ) -> list[tuple[float, bool, float]]:
-    """Return what `_left` says of each setting: excited, left alone, and watched if it lasts."""
+           ) -> list[tuple[float, bool, float, float]]:
+    """Return a trial of each setting: excited, left alone, and watched if it lasts."""
     names = {parameter.name for parameter in REFERENCE_PARAMETERS}
     gains = {k: v for k, v in controller.items() if k not in names}
     loops = loops_of(
         [{**actuator, **s['actuator']} for s in settings],
         [{**gains, **s['reference']} for s in settings], rate)
-    kept = 2 * int(WATCHED_S * rate) / rate
-    found = [_left(force, rate)
-             for force in close_many(loops, EXCITED_S + LEFT_ALONE_S, kept)[:, 2]]
+    watched = 2 * int(WATCHED_S * rate)
+    found = [(*_left(force[-watched:], rate), _rings(force[:watched]))
+             for force in close_many(loops, EXCITED_S + LEFT_ALONE_S, LEFT_ALONE_S)[:, 2]]
     # The next run counts its time from 0 again: the reference must not begin once more.
     loops.references['reference_amplitude'] = 0.0
     # A slow ring could look like it for so short a time: watched for long.
-    doubtful = np.array([k for k, (swing, lasts, _) in enumerate(found)
+    doubtful = np.array([k for k, (swing, lasts, *_) in enumerate(found)
                          if lasts and math.isfinite(swing)], np.intp)
     kept = int(0.6 * CONFIRMED_S * rate) / rate
     for k, force in zip(doubtful, close_many(loops.some(doubtful), CONFIRMED_S, kept)[:, 2],
                         strict=True):
-        found[k] = _left(force, rate)
+        found[k] = (*_left(force, rate), found[k][-1])
     return found
 
 
@@ -145,8 +152,20 @@ def _left(force: npt.NDArray[np.float64], rate_hz: float) -> tuple[float, bool, 
     return swing, swing > LEAST_N and swing > KEEPS * before, crossings * rate_hz / half
 
 
+def _rings(force: npt.NDArray[np.float64]) -> float:
+    """Return the swing in the second half of a force over that in the first; 0: no swing."""
+    if not np.isfinite(force).all():
+        return 1.0
+    early, late = (signal.detrend(half) for half in np.array_split(force, 2))
+    crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
+    if crossings < FEWEST_TURNS or np.ptp(early) < 2.0 * LEAST_N:
+        return 0.0
+    return float(np.ptp(late) / np.ptp(early))
+
+
 def _threat(trial: Trial) -> float:
-    return trial.swing_n + (1e6 if trial.sustained else 0.0)
+    # What does not last is the worse the longer it rings, however small it is.
+    return 1e6 + trial.swing_n if trial.sustained else trial.rings
 
 
 def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], count: int,
