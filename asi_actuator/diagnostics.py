@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -88,12 +88,10 @@ class Diagnostics:
 
     def publish(self) -> None:
         level, text, values = self._describe()
-        message = DiagnosticArray(status=[DiagnosticStatus(
-            level=level, name=full_name(self._node) + LOOP, message=text,
-            hardware_id=full_name(self._node),
-            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
+        name = full_name(self._node)
+        self._publisher.publish(wire.status(
+            self._node.get_clock().now().nanoseconds, level, name, name + LOOP, text,
+            {key: _text(value) for key, value in values.items()}))
 
 
 class StateChanges:

@@ -1,6 +1,9 @@
 """
 Where the time of a tick goes: `python -m bench.timed_node actuator|controller --ros-args ...`.
 
+Or, for what Python takes to call a callback that does nothing, `... empty actuator|controller ...`
+(`bench/empty_nodes.py`).
+
 Runs the node as it is, but takes the time of the functions that matter, each without those within
 it, and prints at the end how long they took a tick (us), as JSON. What taking the time of a
 function adds to the one around it is known from a function that does nothing, and taken off; in
@@ -9,6 +12,7 @@ timed with nothing timed within but what belongs to rclpy, and only `--parts` ta
 """
 
 import json
+import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -24,6 +28,7 @@ from asi_actuator.diagnostics import Diagnostics, LoopStatistics
 from asi_actuator.driver.simulated import SimulatedActuator
 from asi_controller import controller_node
 from asi_controller.controller import Controller
+from bench import empty_nodes
 
 WARM_UP_TICKS: Final = 2000
 Functions = tuple[tuple[Any, str], ...]
@@ -51,7 +56,8 @@ RCLPY: Final[dict[str, Functions]] = {
 OWN: Final[Functions] = (
     (actuator_node.ActuatorNode, '_on_command'), (actuator_node.LockStep, '_watch'),
     (controller_node.ControllerNode, '_on_state'), (controller_node.LockStep, '_on_clock'),
-    (controller_node.LockStep, '_answer_if_due'), (Diagnostics, 'publish'))
+    (controller_node.LockStep, '_answer_if_due'), (Diagnostics, 'publish'),
+    (empty_nodes.Actuator, '_answered'), (empty_nodes.Controller, '_take'))
 # Of the callbacks; what is left of them is wiring.
 PARTS: Final[dict[str, Functions]] = {
     'packing': tuple((wire, name) for name in (
@@ -99,18 +105,18 @@ class Times:
 
         return timed
 
-    def count_ticks(self) -> None:
-        """Begin anew after WARM_UP_TICKS calls of LoopStatistics.tick."""
-        tick = LoopStatistics.tick
+    def count_ticks(self, holder: Any, name: str) -> None:
+        """Count the calls of a function, and begin anew after WARM_UP_TICKS of them."""
+        tick = getattr(holder, name)
 
-        def counted(statistics: LoopStatistics, saturated: bool) -> None:
+        def counted(*arguments: Any) -> None:
             self.ticks += 1
             if self.ticks == WARM_UP_TICKS:
                 self.total_ns.clear()
                 self.timed_within.clear()
-            tick(statistics, saturated)
+            tick(*arguments)
 
-        setattr(LoopStatistics, 'tick', counted)  # noqa: B010 (mypy forbids to assign a method)
+        setattr(holder, name, counted)
 
     def per_tick_us(self) -> dict[str, float]:
         """Return the time of each part a tick, us."""
@@ -131,13 +137,18 @@ def _added_ns() -> float:
 def main() -> int:
     """Run the node that is named first."""
     setattr(spin, 'rclpy_implementation', _Spin)  # noqa: B010 (it is no part of the module)
-    node = {'actuator': actuator_node, 'controller': controller_node}[sys.argv[1]]
+    node: Any = {'actuator': actuator_node, 'controller': controller_node,
+                 'empty': empty_nodes}[sys.argv.pop(1)]
     times = Times(RCLPY | {CALLBACKS: OWN} | (PARTS if '--parts' in sys.argv else {}))
-    times.count_ticks()
-    status = node.main()
-    if times.ticks > 2 * WARM_UP_TICKS:
-        print(json.dumps(times.per_tick_us()), flush=True)
-    return status
+    times.count_ticks(LoopStatistics, 'tick')
+    times.count_ticks(empty_nodes.Empty, 'send')
+    # Our own nodes end by it in their way.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    try:
+        return node.main() or 0
+    finally:
+        if times.ticks > 2 * WARM_UP_TICKS:
+            print(json.dumps(times.per_tick_us()), flush=True)
 
 
 if __name__ == '__main__':
