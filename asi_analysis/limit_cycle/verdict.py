@@ -283,6 +283,8 @@ def _describe(t: Array, y: Array, frequency: float, floor: float) -> _Piece:
         noise = describe(y - oscillation.at(t), parameters)
         if noise.description < best.description - (MARGIN if kind == 'noise' else 0.0):
             kind, best = 'line', noise
+    if steady and moving and steady.cycles < 0.8 * FEWEST_CYCLES:
+        steady = moving   # what decays fast may lead a steady fit astray
     return _Piece(t, y, frequency, kind, steady, moving, best.description, best)
 
 
@@ -315,6 +317,8 @@ def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
     frequency = piece.steady.frequency_hz
     t, y = reduce(*before, frequency)
     orbit = env.swings(piece.time_s, piece.values, frequency)
+    if not len(orbit):
+        return ''
     ratio = env.swings(t, y, frequency) / max(float(np.median(orbit)), 1e-300)
     # The last departure from the orbit, and on which side it was.
     off = np.flatnonzero((ratio < 0.8) | (ratio > 1.2))
