@@ -16,6 +16,7 @@ from asi_analysis.gap import check
 from asi_analysis.gap.check import score
 from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.uncertainty import Likelihood, end
 from asi_analysis.run import Run
 from asi_examiner import bags
 
@@ -138,6 +139,20 @@ def test_clipped_and_constant_signals_are_said_and_left_out():
         diagnosis = diagnose([spoilt], TEXTBOOK)
     assert any('position is constant' in note for note in diagnosis.notes)
     assert set(diagnosis.verdict) <= {'unknown'}   # no effect is made up
+
+
+def test_interval_of_what_is_known_sharply_and_not_at_all():
+    sure, unsure = 1e16, 1e-6
+    found = Likelihood(np.diag([sure, unsure]), np.zeros(2))
+    theta = np.array([0.3, 0.5])
+    for bound, sign in ((0.0, -1.0), (1.0, 1.0)):
+        assert end(found, theta, 0, bound) == pytest.approx(
+            0.3 + sign * 1.96 / np.sqrt(sure), abs=2e-7)
+        assert end(found, theta, 1, bound) == bound
+    # Two that do the same: each is known no better than the bounds of the other leave it.
+    alike = Likelihood(np.full((2, 2), 1e8), np.zeros(2))
+    assert end(alike, theta, 0, 0.0) == 0.0
+    assert end(alike, theta, 0, 1.0) == pytest.approx(0.8, abs=1e-3)
 
 
 def test_diagnosis_does_not_know_the_examiner():

@@ -18,7 +18,7 @@ from asi_analysis.gap.next_motion import choose_motion
 from asi_analysis.gap.predict import plant_record
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.shrink import Shrink, shrink_of
-from asi_analysis.gap.uncertainty import intervals
+from asi_analysis.gap.uncertainty import Likelihood, interval, likelihood
 from asi_analysis.gap.verdict import (
     Candidate,
     Names,
@@ -175,15 +175,15 @@ def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:
 
 def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Values]]:
     """Return the fitted parameters of effects, and the ends of their intervals, by effect."""
-    known: dict[int, dict[str, tuple[float, float]]] = {}   # an interval serves many effects
+    known: dict[int, Likelihood] = {}   # one serves all effects of a hypothesis
     sizes = {}
     for name in names:
         fitted, fields = _holding(diagnosis, name) or (None, set())
         if fitted is not None and id(fitted) not in known:
-            known[id(fitted)] = intervals(fitted)
+            known[id(fitted)] = likelihood(fitted)
         shown = [] if fitted is None else [
-            (field, value, *known[id(fitted)][field]) for field, value in fitted.values.items()
-            if field in fields]
+            (field, value, *interval(fitted, known[id(fitted)], field))
+            for field, value in fitted.values.items() if field in fields]
         sizes[name] = {'parameters': {field: value for field, value, _, _ in shown},
                        'parameters_low': {field: low for field, _, low, _ in shown},
                        'parameters_high': {field: high for field, _, _, high in shown}}

@@ -16,7 +16,8 @@ from asi_analysis.gap.prepare import Array
 from asi_analysis.gap.verdict import CONSTANTS
 
 RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the cost, at the end of a 95 % interval
-HALVINGS = 12
+HALVINGS = 24
+THIN = 1e-9       # of the way between bounds, within which a parameter counts as held
 AT_BOUND = 1e-6   # of the way between bounds
 
 
@@ -58,27 +59,24 @@ def draw(fitted: Fitted, found: Likelihood, rng: np.random.Generator) -> np.void
     return fitted.problem.record(np.clip(fitted.theta + step, 0.0, 1.0))
 
 
-def intervals(fitted: Fitted) -> dict[str, tuple[float, float]]:
-    """Return the 95 % interval of each free parameter of a fit, in its unit, by field."""
-    found = likelihood(fitted)
-    ends = {}
-    for number, free in enumerate(fitted.free):
-        values = []
-        for bound in (0.0, 1.0):
-            theta = fitted.theta.copy()
-            theta[number] = _end(found, fitted.theta, number, bound)
-            values.append(float(fitted.problem.record(theta)[free.field]))
-        ends[free.field] = values[0], values[1]
-    return ends
+def interval(fitted: Fitted, found: Likelihood, name: str) -> tuple[float, float]:
+    """Return the 95 % interval of a free parameter of a fit, in its unit."""
+    number = [free.field for free in fitted.free].index(name)
+    values = []
+    for bound in (0.0, 1.0):
+        theta = fitted.theta.copy()
+        theta[number] = end(found, fitted.theta, number, bound)
+        values.append(float(fitted.problem.record(theta)[name]))
+    return values[0], values[1]
 
 
-def _end(found: Likelihood, theta: Array, number: int, bound: float) -> float:
+def end(found: Likelihood, theta: Array, number: int, bound: float) -> float:
     """Return how far towards a bound a parameter goes until the cost, all others free, rises."""
     low, high = -theta, 1.0 - theta
 
     def cost(way: float) -> float:
         step = way * (bound - theta[number])
-        low[number] = high[number] = step
+        low[number], high[number] = step - THIN, step + THIN
         return -least_step(found.square, found.slope, low, high)[1]
 
     least, below, above = cost(0.0), 0.0, 1.0
