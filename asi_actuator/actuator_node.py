@@ -72,8 +72,6 @@ class ActuatorNode(Node):
         self.unseen = 0
 
         self._valve_m = 0.0
-        # The bytes of the newest state, and of its stamp: of /clock.
-        self.state = self.clock = b''
         self.states = self.create_publisher(JointState, 'joint_states', STREAM_QOS)
         self.forces = self.create_publisher(WrenchStamped, 'force', STREAM_QOS)
         self.valve_positions = self.create_publisher(Float64, 'valve_position', STREAM_QOS)
@@ -104,33 +102,29 @@ class ActuatorNode(Node):
 
         Return whether there is a new state. What is not safe shuts the valve with the next call.
         """
-        self.applied_n = self.safety.command(command_n)
-        reading = self.driver.exchange(
-            self.applied_n, self.safety.state is State.ENABLED, periods)
-        self.health = self.driver.health()
+        safety, driver = self.safety, self.driver
+        self.applied_n = applied_n = safety.command(command_n)
+        reading = driver.exchange(applied_n, safety.enabled, periods)
+        self.health = driver.health()
         self.unseen += periods
         if reading is not None:
-            force, valve, _, _ = reading
-            self.rest.add(force, self.applied_n, valve)
-            self.measured = self.calibration.applied(reading)
-            self.safety.watch_state(self.measured, self.unseen)
+            self.rest.add(reading, applied_n)
+            self.measured = measured = self.calibration.applied(reading)
+            safety.watch_state(measured, self.unseen)
             self.unseen = 0
-        if self.measured is not None:
-            self.safety.watch_link(self.health)
+        if driver.hardware and self.measured is not None:
+            safety.watch_link(self.health)
         return reading is not None
 
-    def sense(self, stamp_ns: int) -> None:
-        """Make the message of what was measured last, and count the tick."""
+    def sense(self, stamp_ns: int, now_ns: int) -> tuple[bytes, bytes, bytes, bytes, bytes]:
+        """Count the tick, and return the messages of what was measured last (wire.state)."""
         assert self.measured is not None
-        if not self.statistics.ticks:
-            self.tell_state(stamp_ns)
+        self.statistics.tick(now_ns, self.health.saturated)
         force, valve, position, velocity = self.measured
         valve_velocity = (valve - self._valve_m) * self.rate_hz
         self._valve_m = valve
-        self.clock = wire.clock(stamp_ns)
-        self.state = wire.state(self.clock, position, valve, velocity, valve_velocity,
-                                force, self.applied_n)
-        self.statistics.tick(self.health.saturated)
+        return wire.state(stamp_ns, position, valve, velocity, valve_velocity,
+                          force, self.applied_n)
 
     def tell_state(self, stamp_ns: int) -> None:
         """Publish the state that the safety logic is in from the control period of a stamp on."""
@@ -140,13 +134,11 @@ class ActuatorNode(Node):
         self.state_changes.publish(stamp_ns, level, safety.state, safety.reason,
                                    wait=self.parameters.values['mode'] == 'lockstep')
 
-    def publish_rest(self) -> None:
-        """Publish what is not `joint_states`."""
-        assert self.measured is not None
-        force, valve, _, velocity = self.measured
-        self.forces.publish(wire.wrench(self.clock, force))
-        self.valve_positions.publish(wire.number(valve))
-        self.velocities.publish(wire.number(velocity))
+    def publish_rest(self, force: bytes, valve: bytes, velocity: bytes) -> None:
+        """Publish what no controller waits for."""
+        self.forces.publish(force)
+        self.valve_positions.publish(valve)
+        self.velocities.publish(velocity)
 
     def destroy_node(self) -> None:
         """Close the valve, then end."""
@@ -182,7 +174,8 @@ class ActuatorNode(Node):
             self.tell_state(self.loop.next_stamp_ns())
 
     def _on_command(self, message: bytes) -> None:
-        self.loop.on_command(*wire.force(message))
+        stamp_ns, command_n = wire.force(message)
+        self.loop.on_command(stamp_ns, command_n)
 
     def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         if not request.data:
@@ -286,37 +279,41 @@ class LockStep:
         self.node = node
         self.tick = 0
         self.stamp_ns = 0
+        # The bytes of the newest state, and of its stamp.
+        self.state = self.clock = b''
+        # While the node is paused: what is to be done then.
         self.command_n: float | None = None
         # The newest state that was answered, and how.
         self.answered = (0, 0.0)
         self.resent = 0
-        self.begun = False
-        self.silent_since = self.sent_at = time.monotonic()
+        self.silent_since_ns = self.sent_ns = time.monotonic_ns()
         self.clocks = node.create_publisher(ClockMessage, '/clock', STREAM_QOS)
         node.topics.append(self.clocks)
         node.create_timer(WATCH_PERIOD_S, self._watch,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_command(self, stamp_ns: int, command_n: float) -> None:
+        node = self.node
         if stamp_ns != self.stamp_ns or self.command_n is not None:
-            self.node.ignored += 1
+            node.ignored += 1
             # A lost answer is asked for again, and is the same.
             if (stamp_ns, command_n) != self.answered and stamp_ns == self.answered[0]:
-                self.node.safety.trip(
+                node.safety.trip(
                     f'valve_command = {self.answered[1]:g} N and {command_n:g} N answer the same '
                     'state: do two controllers run?')
             return
         self.answered = stamp_ns, command_n
-        self.node.statistics.latency((time.monotonic() - self.silent_since) * 1e9)
-        self.begun = True
-        self.command_n = command_n
-        if not self.node.paused:
-            self._advance(command_n)
+        node.statistics.latency(time.monotonic_ns() - self.silent_since_ns)
+        if node.paused:
+            self.command_n = command_n
+        else:
+            self._advance(command_n, 1)
 
     def on_pause(self) -> None:
-        self.silent_since = self.sent_at = time.monotonic()
+        self.silent_since_ns = self.sent_ns = time.monotonic_ns()
         if not self.node.paused and self.command_n is not None:
-            self._advance(self.command_n)
+            command_n, self.command_n = self.command_n, None
+            self._advance(command_n, 1)
 
     def on_reset(self) -> None:
         pass
@@ -327,7 +324,7 @@ class LockStep:
     def health(self) -> tuple[bytes, str]:
         if self.tick == 0:
             return WARN, 'waiting for ' + ', '.join(self._missing())
-        silence = time.monotonic() - self.silent_since
+        silence = self._silence(time.monotonic_ns())
         if silence > float(self.node.parameters.values['resend_after']):
             return WARN, f'no answer to state {self.tick} for {silence:.1f} s'
         return OK, 'running'
@@ -335,11 +332,25 @@ class LockStep:
     def counts(self) -> dict[str, object]:
         return {'resent': self.resent}
 
-    def _advance(self, command_n: float) -> None:
-        if self.tick == self.node.last_tick:
-            self.node.finish()
-        self.node.exchange(command_n, 1)
-        self._publish_next()
+    def _silence(self, now_ns: int) -> float:
+        """Return for how long (s) no answer has come."""
+        return (now_ns - self.silent_since_ns) * 1e-9
+
+    def _advance(self, command_n: float, periods: int) -> None:
+        """Go on to the next state, which comes `periods` periods later: 1, and the first 0."""
+        node = self.node
+        if self.tick == node.last_tick:
+            node.finish()
+        node.exchange(command_n, periods)
+        self.stamp_ns = stamp_ns = self.next_stamp_ns()
+        if self.tick == 0:
+            node.tell_state(stamp_ns)
+        self.tick += 1
+        self.silent_since_ns = self.sent_ns = now_ns = time.monotonic_ns()
+        self.state, self.clock, force, valve, velocity = node.sense(stamp_ns, now_ns)
+        self._publish()
+        # After what the controller waits for: it computes meanwhile.
+        node.publish_rest(force, valve, velocity)
 
     def _missing(self) -> list[str]:
         controller = (self.node.commands.get_publisher_count()
@@ -347,19 +358,9 @@ class LockStep:
                       and self.clocks.get_subscription_count())
         return ([] if controller else ['a controller in lock-step']) + self.node.missing()
 
-    def _publish_next(self) -> None:
-        self.stamp_ns = self.next_stamp_ns()
-        self.tick += 1
-        self.command_n = None
-        self.node.sense(self.stamp_ns)
-        self.silent_since = self.sent_at = time.monotonic()
-        self._publish()
-        # After what the controller waits for: it computes meanwhile.
-        self.node.publish_rest()
-
     def _publish(self) -> None:
-        self.node.states.publish(self.node.state)
-        self.clocks.publish(self.node.clock)
+        self.node.states.publish(self.state)
+        self.clocks.publish(self.clock)
 
     def _watch(self) -> None:
         """Publish the first state when all are there; later, see to it that it is answered."""
@@ -370,17 +371,16 @@ class LockStep:
                 self.node.get_logger().info('waiting for ' + ', '.join(missing),
                                             throttle_duration_sec=5.0)
             else:
-                self.node.exchange(0.0, 0)
-                self._publish_next()
+                self._advance(0.0, 0)
             return
-        values, now = self.node.parameters.values, time.monotonic()
-        silence = now - self.silent_since
-        if self.begun and silence > float(values['give_up_after']):
+        values, now_ns = self.node.parameters.values, time.monotonic_ns()
+        silence = self._silence(now_ns)
+        if self.answered[0] and silence > float(values['give_up_after']):
             raise RunError(f'no valve_command answers state {self.tick} '
                            f'({self.stamp_ns * 1e-9:.6f} s) for {silence:.1f} s: '
                            'has the controller ended?')
-        if now - self.sent_at > float(values['resend_after']):
-            self.sent_at = now
+        if (now_ns - self.sent_ns) * 1e-9 > float(values['resend_after']):
+            self.sent_ns = now_ns
             self.resent += 1
             self._publish()
 
@@ -458,9 +458,12 @@ class RealTime:
         self.overruns += due > 1
         self.lost += max(0, due - 1)
         if node.exchange(self.command_n, min(due, MOST_CATCH_UP)):
-            node.sense(self.clock.now_ns())
-            node.states.publish(node.state)
-            node.publish_rest()
+            stamp_ns = self.clock.now_ns()
+            if not node.statistics.ticks:
+                node.tell_state(stamp_ns)
+            state, _, force, valve, velocity = node.sense(stamp_ns, time.monotonic_ns())
+            node.states.publish(state)
+            node.publish_rest(force, valve, velocity)
             if node.statistics.ticks == node.last_tick:
                 node.finish()
         elif node.measured is None:

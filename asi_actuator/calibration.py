@@ -73,23 +73,24 @@ class Rest:
 
     def __init__(self, rate_hz: float):
         """Begin without readings."""
-        self._readings: deque[tuple[float, float, float]] = deque(
+        self._readings: deque[tuple[Measurement, float]] = deque(
             maxlen=max(4, round(WINDOW_S * rate_hz)))
 
-    def add(self, reading_n: float, command_n: float, valve_m: float) -> None:
-        """Take a reading of the force sensor (N), with the command (N) and the valve position."""
-        self._readings.append((reading_n, command_n, valve_m))
+    def add(self, reading: Measurement, command_n: float) -> None:
+        """Take what was read, with the command (N)."""
+        self._readings.append((reading, command_n))
 
     def mean_n(self) -> float:
-        """Return the mean of the readings, N."""
-        return float(np.mean(self._readings, axis=0)[0])
+        """Return the mean of the readings of the force sensor, N."""
+        return float(np.mean([reading[0] for reading, _ in self._readings]))
 
     def problem(self, most_noise_n: float) -> str:
         """Return why the mean is not that of a sensor at rest; '' if it is."""
         if len(self._readings) != self._readings.maxlen:
             return (f'there are {len(self._readings)} readings so far, '
                     f'it takes {self._readings.maxlen}')
-        force, command, valve = np.transpose(self._readings)
+        force, command, valve = np.transpose(
+            [(reading[0], command, reading[1]) for reading, command in self._readings])
         if np.ptp(command) > CHANGE_N:
             return (f'the valve command moved by {np.ptp(command):.3g} N within the last '
                     f'{WINDOW_S:g} s, at most {CHANGE_N:g} N is rest')

@@ -6,7 +6,6 @@ stamped in the time of the loop and holds nothing of the wall clock: in lock-ste
 each run of an experiment, so a recorder keeps it there, and the first not.
 """
 
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -37,19 +36,18 @@ class LoopStatistics:
 
     def __init__(self) -> None:
         self.ticks = 0
-        self._ticked_ns: deque[float] = deque(maxlen=WINDOW)
-        self._saturated: deque[bool] = deque(maxlen=WINDOW)
-        self._latencies_ns: deque[float] = deque(maxlen=WINDOW)
+        self._ticked_ns: deque[int] = deque(maxlen=WINDOW)
+        self._saturated: deque[int] = deque(maxlen=WINDOW)  # the numbers of such ticks
+        self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
+        # Takes how long the answer of the last tick took, ns.
+        self.latency = self._latencies_ns.append
 
-    def tick(self, saturated: bool) -> None:
-        """Count a tick that happens now."""
+    def tick(self, now_ns: int, saturated: bool) -> None:
+        """Count a tick that happens now, by the steady clock."""
         self.ticks += 1
-        self._ticked_ns.append(time.perf_counter_ns())
-        self._saturated.append(saturated)
-
-    def latency(self, latency_ns: float) -> None:
-        """Note how long the answer of the last tick took."""
-        self._latencies_ns.append(latency_ns)
+        self._ticked_ns.append(now_ns)
+        if saturated:
+            self._saturated.append(self.ticks)
 
     def values(self) -> dict[str, object]:
         """Return what there is to say, by key; the unit is part of the key."""
@@ -57,11 +55,12 @@ class LoopStatistics:
             'ticks': self.ticks,
             **_summary('period', np.diff(_array(self._ticked_ns))),
             **_summary('latency', _array(self._latencies_ns)),
-            'saturation share': sum(self._saturated) / max(1, len(self._saturated)),
+            'saturation share': (sum(tick > self.ticks - WINDOW for tick in self._saturated)
+                                 / max(1, len(self._ticked_ns))),
         }
 
 
-def _array(times_ns: deque[float]) -> npt.NDArray[np.float64]:
+def _array(times_ns: deque[int]) -> npt.NDArray[np.float64]:
     return np.fromiter(times_ns, float, len(times_ns))
 
 

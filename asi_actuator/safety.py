@@ -38,6 +38,7 @@ class Safety:
         values: the parameters of the node by name; changed() is called after each change of state.
         """
         self.state = self._power_up = power_up
+        self.enabled = power_up is State.ENABLED
         self.reason = ''
         self._period_s = period_s
         self._changed = changed
@@ -94,26 +95,26 @@ class Safety:
 
     def command(self, wanted_n: float) -> float:
         """Return the valve command (N) that the actuator may have of the one that is wanted."""
-        if self.state is State.ENABLED and not math.isfinite(wanted_n):
+        if self.enabled and not math.isfinite(wanted_n):
             self.trip(f'valve_command = {wanted_n} N is not a finite number')
-        if self.state is not State.ENABLED:
+        if not self.enabled:
             self._command_n = 0.0
-        else:
-            near_n = _within(wanted_n, self._command_n - self._command_step_n,
-                             self._command_n + self._command_step_n)
-            self._command_n = _within(near_n, -self._command_limit_n, self._command_limit_n)
-        return self._command_n
+            return 0.0
+        last_n, step_n, limit_n = self._command_n, self._command_step_n, self._command_limit_n
+        near_n = _within(wanted_n, last_n - step_n, last_n + step_n)
+        self._command_n = allowed_n = _within(near_n, -limit_n, limit_n)
+        return allowed_n
 
     def watch_command(self, age_s: float) -> None:
         """Look at the age (s) of the newest command."""
-        if self.state is State.ENABLED and age_s > self._command_age_s:
+        if self.enabled and age_s > self._command_age_s:
             self._exceeded('age of valve_command', age_s, 's', 'command_timeout',
                            self._command_age_s,
                            ': the controller is silent, or the machine too busy for this limit')
 
     def watch_number_of_commands(self, commands: int, periods: int) -> None:
         """Look at how many commands have come in so many control periods, about a second."""
-        if self.state is State.ENABLED and commands > MOST_COMMANDS * periods:
+        if self.enabled and commands > MOST_COMMANDS * periods:
             self.trip(f'{commands} valve_commands in {periods} control periods: do two '
                       'controllers run, or one with another rate_hz?')
 
@@ -136,37 +137,44 @@ class Safety:
     def watch_state(self, measured: Measurement, periods: int) -> None:
         """Look at a state that came `periods` control periods after the one before."""
         force, valve, position, velocity = measured
-        # Written so that nan is no way out.
-        if not math.isfinite(position):
-            self.trip(f'position = {position} m is not a finite number')
-        if not abs(force) <= self._force_n:
-            self._exceeded('force', force, 'N', 'limit.force', self._force_n)
-        if not abs(valve) <= self._valve_m:
-            self._exceeded('valve_position', valve, 'm', 'limit.valve_position', self._valve_m)
-        if not abs(velocity) <= self._velocity:
-            self._exceeded('velocity', velocity, 'm/s', 'limit.velocity', self._velocity)
+        rate = 0.0
         if self._last_force_n is not None and periods > 0:
             rate = (force - self._last_force_n) / (periods * self._period_s)
-            if not abs(rate) <= self._force_rate:
-                self._exceeded('rate of the force', rate, 'N/s', 'limit.force_rate',
-                               self._force_rate)
         self._last_force_n = force
-        self._watch_valve(valve)
+        apart = self._apart(valve)
+        # Written so that nan is no way out.
+        if not (abs(force) <= self._force_n and abs(valve) <= self._valve_m
+                and abs(velocity) <= self._velocity and abs(rate) <= self._force_rate
+                and abs(apart) <= self._disagreement_m and math.isfinite(position)):
+            self._not_safe(measured, rate, apart)
 
-    def _watch_valve(self, valve_m: float) -> None:
+    def _not_safe(self, measured: Measurement, rate: float, apart: float) -> None:
+        """Say of a state which limit it exceeds first."""
+        force, valve, position, velocity = measured
+        if not math.isfinite(position):
+            self.trip(f'position = {position} m is not a finite number')
+        for signal, value, unit, name, limit in (
+                ('force', force, 'N', 'limit.force', self._force_n),
+                ('valve_position', valve, 'm', 'limit.valve_position', self._valve_m),
+                ('velocity', velocity, 'm/s', 'limit.velocity', self._velocity),
+                ('rate of the force', rate, 'N/s', 'limit.force_rate', self._force_rate),
+                ('valve_position less that of the command', apart, 'm',
+                 'limit.valve_disagreement', self._disagreement_m)):
+            if not abs(value) <= limit:
+                self._exceeded(signal, value, unit, name, limit)
+
+    def _apart(self, valve_m: float) -> float:
         """
-        Compare the valve with where the command should have brought it, in the mean over time.
+        Return how far the valve is from where the command should have brought it, in the mean.
 
         At rest the model says where (valve_characteristic.*); its dynamics and hysteresis, which
-        differ from one valve to the next, fall out of the mean.
+        differ from one valve to the next, fall out of the mean over time.
         """
         full = self._full_opening_m
         expected = _within(self._valve_gain * self._command_n, -full, full)
         apart = _within(valve_m, -full, full) - expected
         self._disagreement += self._disagreement_weight * (apart - self._disagreement)
-        if abs(self._disagreement) > self._disagreement_m:
-            self._exceeded('valve_position less that of the command', self._disagreement, 'm',
-                           'limit.valve_disagreement', self._disagreement_m)
+        return self._disagreement
 
     def _exceeded(self, signal: str, value: float, unit: str, limit_name: str, limit: float,
                   advice: str = '') -> None:
@@ -182,6 +190,7 @@ class Safety:
     def _go(self, state: State, reason: str = '') -> None:
         if state is not self.state or reason != self.reason:
             self.state, self.reason = state, reason
+            self.enabled = state is State.ENABLED
             self._changed()
 
 

@@ -52,21 +52,21 @@ def clock(stamp_ns: int) -> bytes:
     return _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
 
 
-def number(value: float) -> bytes:
-    """Return a std_msgs/Float64."""
-    return _FLOAT.pack(_HEADER, value)
+def state(stamp_ns: int, position_m: float, valve_m: float, velocity: float,
+          valve_velocity: float, force_n: float, command_n: float
+          ) -> tuple[bytes, bytes, bytes, bytes, bytes]:
+    """Return what the actuator says: joint_states, /clock, force, valve_position, velocity."""
+    stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
+    return (_STATE.pack(stamp, _BEFORE_NUMBERS, position_m, valve_m,
+                        _TWO, velocity, valve_velocity, _TWO, force_n, command_n),
+            stamp, _WRENCH.pack(stamp, _FRAME, force_n),
+            _FLOAT.pack(_HEADER, valve_m), _FLOAT.pack(_HEADER, velocity))
 
 
-def wrench(stamp: bytes, force_n: float) -> bytes:
-    """Return a geometry_msgs/WrenchStamped of the piston: a force along x. `stamp`: its clock."""
-    return _WRENCH.pack(stamp, _FRAME, force_n)
-
-
-def state(stamp: bytes, position_m: float, valve_m: float, velocity: float,
-          valve_velocity: float, force_n: float, command_n: float) -> bytes:
-    """Return a sensor_msgs/JointState: position, velocity, effort of piston and valve."""
-    return _STATE.pack(stamp, _BEFORE_NUMBERS, position_m, valve_m,
-                       _TWO, velocity, valve_velocity, _TWO, force_n, command_n)
+def answer(stamp_ns: int, command_n: float, reference_n: float) -> tuple[bytes, bytes]:
+    """Return what the controller says: valve_command and force_reference, forces along x."""
+    stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
+    return (_WRENCH.pack(stamp, _FRAME, command_n), _WRENCH.pack(stamp, _FRAME, reference_n))
 
 
 def status(stamp_ns: int, level: bytes, node: str, name: str, text: str,

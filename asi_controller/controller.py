@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.jit import jit
+from asi_actuator.model.jit import compiled_for, jit
 from asi_actuator.parameters import Parameter, Value, as_record
 from asi_controller.compensator import REST, compensate, compensator
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
@@ -17,8 +17,7 @@ def _answer(references, compensators, enabled, time, topic, measured):
     """
     Return desired force, valve command, and whether that is at its limit.
 
-    references, compensators: arrays of one record. Compiled code takes those in less time than
-    the records: of them numpy spells out every field.
+    references, compensators: arrays of one record.
     """
     signal, c = references[0], compensators[0]
     reference = topic if signal.reference_shape == TOPIC else reference_force(time, signal)
@@ -42,14 +41,13 @@ class Controller:
         are not allowed.
         """
         self.rate_hz = rate_hz
+        self._period_s = 1.0 / rate_hz
         self.lockstep = lockstep
         self.enabled = True
         self.topic_n = 0.0
-        self.saturated = False  # whether the last command was at its limit
         self.begin(values)
-        # Compiled now, not in the first tick.
-        self.answer(0, 0.0)
-        self.begin(values)
+        self._answer = compiled_for(
+            _answer, self._references, self._compensators, True, 0.0, 0.0, 0.0)
 
     @staticmethod
     def check(values: Mapping[str, Value], rate_hz: float) -> None:
@@ -90,13 +88,17 @@ class Controller:
             self._compensators['fresh'] = REST
         self.enabled = enabled
 
-    def answer(self, stamp_ns: int, force_n: float) -> tuple[float, float]:
-        """Return the desired force and the command (N) for the force (N) measured at a stamp."""
+    def answer(self, stamp_ns: int, force_n: float) -> tuple[float, float, bool]:
+        """
+        Return the answer to the force (N) that was measured at a stamp.
+
+        That is the desired force and the command (N), and whether the command is at its limit.
+        """
         if self._start_ns is None:
             self._start_ns = stamp_ns
         time_s = (stamp_ns - self._start_ns) * 1e-9
         if self.lockstep:
-            time_s = round(time_s * self.rate_hz) * (1.0 / self.rate_hz)
-        reference_n, command_n, self.saturated = _answer(
+            time_s = round(time_s * self.rate_hz) * self._period_s
+        answer: tuple[float, float, bool] = self._answer(
             self._references, self._compensators, self.enabled, time_s, self.topic_n, force_n)
-        return reference_n, command_n
+        return answer

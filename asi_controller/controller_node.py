@@ -43,6 +43,8 @@ SIMULATED_NS: Final = 10**18
 # share of what is missing or too much that a tick takes off the next period.
 AFTER_STATE_S: Final = 0.0002
 IN_STEP: Final = 0.05
+# Looked up once.
+ROS_TIME, TimePoint = ClockType.ROS_TIME, rclpy_implementation.rcl_time_point_t
 # How often a controller that waits for a recorder looks for it, s.
 WATCH_PERIOD_S: Final = 0.02
 
@@ -79,18 +81,18 @@ class ControllerNode(Node):
 
     def answer(self, stamp_ns: int, force_n: float) -> None:
         """Publish the answer to the state of a stamp."""
-        reference, command = self.controller.answer(stamp_ns, force_n)
+        reference_n, command_n, saturated = self.controller.answer(stamp_ns, force_n)
+        self.statistics.tick(time.monotonic_ns(), saturated)
+        self.command, reference = wire.answer(stamp_ns, command_n, reference_n)
         # First what the actuator waits for.
-        stamp = wire.clock(stamp_ns)
-        self.command = wire.wrench(stamp, command)
         self.commands.publish(self.command)
         if self.controller.generates:
-            self.references.publish(wire.wrench(stamp, reference))
-        self.statistics.tick(self.controller.saturated)
+            self.references.publish(reference)
 
     def ready(self) -> bool:
         """Return whether nothing is to be waited for any more."""
-        self.recorded = self.recorded or not not_recorded(self, [self.commands, self.references])
+        if not self.recorded:
+            self.recorded = not not_recorded(self, [self.commands, self.references])
         return self.recorded
 
     def _on_state(self, message: bytes) -> None:
@@ -176,6 +178,7 @@ class LockStep:
         self.repeats = 0
         self.wrong_since: float | None = None
         self.resent = 0
+        self.period_ns = 1e9 / node.rate_hz
         # ROS time as with use_sim_time, but /clock is heard raw, and given to rcl as a number:
         # rclpy's own subscription takes ten times as long (bench/loop_rate.py).
         clock, self.clock_ns = ROSClock(), 0
@@ -195,20 +198,24 @@ class LockStep:
             self.resent += 1
             self.node.commands.publish(self.node.command)
             return
-        if self.last_ns is not None and stamp_ns != self.last_ns:
-            if stamp_ns < self.last_ns:
-                if not self._begins_anew(stamp_ns):
-                    return
-            elif not self._is_next(stamp_ns, self.last_ns):
+        last_ns = self.last_ns
+        # Stamps are whole nanoseconds.
+        if (last_ns is not None and abs(stamp_ns - last_ns - self.period_ns) > 1.5
+                and stamp_ns != last_ns):
+            if stamp_ns > last_ns:
+                self._ignore(stamp_ns - last_ns)
+                return
+            if not self._begins_anew(stamp_ns):
                 return
         self.last_ns = stamp_ns
         self.straggler_ns = self.wrong_since = None
         self.pending = stamp_ns, force_n
-        self._answer_if_due()
+        if stamp_ns <= self.clock_ns:
+            self._answer_if_due()
 
     def _on_clock(self, message: bytes) -> None:
-        self.clock_ns = wire.time(message)
-        self._set_time(rclpy_implementation.rcl_time_point_t(self.clock_ns, ClockType.ROS_TIME))
+        self.clock_ns = clock_ns = wire.time(message)
+        self._set_time(TimePoint(clock_ns, ROS_TIME))
 
     def health(self) -> tuple[bytes, str]:
         if self.pending is not None:
@@ -233,30 +240,26 @@ class LockStep:
         self.last_ns = self.answered_ns = self.pending = None
         return True
 
-    def _is_next(self, stamp_ns: int, last_ns: int) -> bool:
-        """Return whether a state is a period after the last. Raises RunError if none is so."""
-        apart_s = (stamp_ns - last_ns) * 1e-9
-        # Stamps are whole nanoseconds.
-        if abs(apart_s - 1.0 / self.node.rate_hz) <= 1.5e-9:
-            return True
+    def _ignore(self, apart_ns: int) -> None:
+        """Count a state that is not a period after the last. Raises RunError if none is so."""
         now = time.monotonic()
         self.wrong_since = self.wrong_since or now
         self.node.ignored += 1
-        problem = (f'states are {apart_s:.9g} s apart, but rate_hz = {self.node.rate_hz:g} asks '
-                   f'for {1.0 / self.node.rate_hz:.9g} s: has the actuator another mode or '
-                   'rate_hz, or does a second controller answer?')
+        problem = (f'states are {apart_ns * 1e-9:.9g} s apart, but rate_hz = '
+                   f'{self.node.rate_hz:g} asks for {1.0 / self.node.rate_hz:.9g} s: has the '
+                   'actuator another mode or rate_hz, or does a second controller answer?')
         if now - self.wrong_since > WRONG_FOR_S:
             raise RunError(problem)
         self.node.get_logger().warning(f'{problem} Ignored', throttle_duration_sec=1.0)
-        return False
 
     def _answer_if_due(self) -> None:
-        if self.pending is None or self.clock_ns < self.pending[0] or not self.node.ready():
+        if self.pending is None:
             return
         stamp_ns, force_n = self.pending
-        self.pending = None
-        self.answered_ns = stamp_ns
-        self.node.answer(stamp_ns, force_n)
+        if stamp_ns <= self.clock_ns and self.node.ready():
+            self.pending = None
+            self.answered_ns = stamp_ns
+            self.node.answer(stamp_ns, force_n)
 
 
 class RealTime:

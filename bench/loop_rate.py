@@ -26,7 +26,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from asi_actuator import wire
-from bench.empty_nodes import messages
+from bench.empty_nodes import SENT, messages
 from bench.result import Result, interleaved, ratios
 from bench.timed_node import CALLBACKS, PARTS
 
@@ -224,33 +224,42 @@ def tick(seconds: float) -> list[Result]:
 
 
 def conversions(rounds: int) -> list[Result]:
-    """Return how long bytes take to pack and unpack beside rclpy's message objects."""
+    """Return how long a tick's messages take to pack and unpack beside rclpy's message objects."""
     sent = messages()
+    state, answer = wire.state(1, *[0.0] * 6), wire.answer(1, 0.0, 0.0)
+
+    def ours_of_actuator() -> None:
+        wire.state(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        wire.piston_effort(state[0])
+        wire.time(state[1])
+
+    def ours_of_controller() -> None:
+        wire.answer(1, 0.0, 0.0)
+        wire.force(answer[0])
+
     found = []
-    for topic, pack, unpack in (
-            ('joint_states', lambda: wire.state(wire.clock(1), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-             wire.piston_effort),
-            ('valve_command', lambda: wire.wrench(wire.clock(1), 0.0), wire.force),
-            ('/clock', lambda: wire.clock(1), wire.time)):
-        message, data = sent[topic], pack()
+    # What is said, and what of it is heard: the first ones.
+    for end, topics, packed, heard, ours in (
+            ('actuator', SENT['all'][0], state, 2, ours_of_actuator),
+            ('controller', SENT['all'][1][::-1], answer, 1, ours_of_controller)):
+        said = [sent[topic] for topic in topics]
+        bytes_heard = list(zip(packed, map(type, said), strict=True))[:heard]
 
-        def by_rclpy(message: Any = message, data: bytes = data) -> None:
-            for _ in range(CONVERSIONS):
+        def by_rclpy(said: list[Any] = said, bytes_heard: list[Any] = bytes_heard) -> None:
+            for message in said:
                 serialize_message(message)
-                deserialize_message(data, type(message))
+            for data, kind in bytes_heard:
+                deserialize_message(data, kind)
 
-        def ours(pack: Callable = pack, unpack: Callable = unpack, data: bytes = data) -> None:
-            for _ in range(CONVERSIONS):
-                pack()
-                unpack(data)
-
-        times = interleaved({'rclpy': by_rclpy, 'ours': ours}, rounds)
+        times = interleaved({
+            'rclpy': lambda by_rclpy=by_rclpy: [by_rclpy() for _ in range(CONVERSIONS)],
+            'ours': lambda ours=ours: [ours() for _ in range(CONVERSIONS)]}, rounds)
         ratio, spread = ratios(times['rclpy'], times['ours'])
         us = 1e6 / CONVERSIONS
         found.append(Result(
-            f'loop_rate.bytes.{topic.strip("/")}', f'a message of {topic} into bytes and back; '
-            'ratio: rival / ours', statistics.median(times['ours']) * us, 'us', spread,
-            f'rclpy, {statistics.median(times["rclpy"]) * us:.0f} us', ratio))
+            f'loop_rate.bytes.{end}', f'messages of the {end} in a tick into bytes, and what is '
+            'heard of them back; ratio: rival / ours', statistics.median(times['ours']) * us,
+            'us', spread, f'rclpy, {statistics.median(times["rclpy"]) * us:.0f} us', ratio))
     return found
 
 

@@ -61,12 +61,12 @@ OWN: Final[Functions] = (
 # Of the callbacks; what is left of them is wiring.
 PARTS: Final[dict[str, Functions]] = {
     'packing': tuple((wire, name) for name in (
-        'clock', 'number', 'wrench', 'state', 'time', 'force', 'piston_effort')),
+        'state', 'answer', 'time', 'force', 'piston_effort')),
     'model': ((SimulatedActuator, 'exchange'),),
     'compensator': ((Controller, 'answer'),),
     'safety': ((safety.Safety, 'command'), (safety.Safety, 'watch_state'),
                (safety.Safety, 'watch_link')),
-    'statistics': ((LoopStatistics, 'tick'), (LoopStatistics, 'latency')),
+    'statistics': ((LoopStatistics, 'tick'),),
 }
 
 

@@ -25,15 +25,15 @@ def a_state(frame: str, effort: dict[str, float]) -> JointState:
     return message
 
 
-def a_wrench(frame: str) -> WrenchStamped:
+def a_wrench(frame: str, force_n: float) -> WrenchStamped:
     message = WrenchStamped()
     message.header.frame_id, message.header.stamp = frame, STAMP
-    message.wrench.force.x = -7.5
+    message.wrench.force.x = force_n
     return message
 
 
-def our_state() -> bytes:
-    return wire.state(wire.clock(STAMP_NS), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+STATE = wire.state(STAMP_NS, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+ANSWER = wire.answer(STAMP_NS, -7.5, 8.5)
 
 
 def a_status(text: str) -> DiagnosticArray:
@@ -48,9 +48,9 @@ def a_status(text: str) -> DiagnosticArray:
     *((wire.status(STAMP_NS, DiagnosticStatus.ERROR, 'node', 'node: state', text,
                    {'reason': text[1:]}), a_status(text)) for text in ('', 'a', 'ab', 'abc', 'ö')),
     (wire.clock(STAMP_NS), Clock(clock=STAMP)),
-    (wire.number(-0.1), Float64(data=-0.1)),
-    (wire.wrench(wire.clock(STAMP_NS), -7.5), a_wrench('piston')),
-    (our_state(), a_state('piston', {'piston': 5.0, 'valve': 6.0}))])
+    *zip(STATE, (a_state('piston', {'piston': 5.0, 'valve': 6.0}), Clock(clock=STAMP),
+                 a_wrench('piston', 5.0), Float64(data=2.0), Float64(data=3.0)), strict=True),
+    *zip(ANSWER, (a_wrench('piston', -7.5), a_wrench('piston', 8.5)), strict=True)])
 def test_rclpy_reads_what_is_packed(data: bytes, message: Any) -> None:
     assert deserialize_message(data, type(message)) == message
     assert len(serialize_message(message)) == len(data)
@@ -58,7 +58,7 @@ def test_rclpy_reads_what_is_packed(data: bytes, message: Any) -> None:
 
 @pytest.mark.parametrize('frame', ['piston', 'valves', '', 'another frame'])
 def test_what_rclpy_packs_is_unpacked_whatever_its_layout(frame: str) -> None:
-    wrench = a_wrench(frame)
+    wrench = a_wrench(frame, -7.5)
     wrench.wrench.torque.z = 9.0
     assert wire.force(serialize_message(wrench)) == (STAMP_NS, -7.5)
     for effort in ({'piston': 5.0, 'valve': 6.0}, {'valves': 6.0, 'pisto': 1.0, 'piston': 5.0},
@@ -71,7 +71,7 @@ def test_what_has_no_such_number_is_nan() -> None:
     for names in (['piston'], ['valve', 'piston'], ['valve', 'p']):
         state = JointState(name=names, effort=[1.0] * (len(names) - 1))
         assert math.isnan(wire.piston_effort(serialize_message(state))[1])
-    packed = our_state()
+    packed = STATE[0]
     for broken in (b'', packed[:50], b'\0\1\0\0' + b'\xff' * (len(packed) - 4)):
         assert math.isnan(wire.piston_effort(broken)[1])
         assert math.isnan(wire.force(broken[:76])[1])
@@ -80,8 +80,8 @@ def test_what_has_no_such_number_is_nan() -> None:
 
 def test_bytes_that_are_ours_are_not_left_to_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also as another publisher of the same message fills the gaps: with anything."""
-    state = bytearray(our_state())
-    wrench = bytearray(wire.wrench(wire.clock(STAMP_NS), -7.5))
+    state = bytearray(STATE[0])
+    wrench = bytearray(ANSWER[0])
     for place in (23, 39, 50, 51, 56, 59, 80, 104):
         state[place] = 0xA5
     wrench[23:28] = b'\xa5' * 5
