@@ -6,11 +6,11 @@ What stands where is told by mappings such as `force=CHANNEL1*9806.65[N]`; see d
 
 import csv
 import gzip
-import io
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bag import write_bag
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.run import SIGNALS, Array, Run
 
 # unit → SI unit, factor
@@ -42,7 +42,10 @@ TAKES: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIG
                 'command': ('N', 'Nm', 'V', 'A', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s')}
 MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
+MISSING: Final = frozenset(('', 'na', 'n/a', '#n/a', 'null', 'none', '-'))
+COMMENT: Final = ('#', '%')
 _NUMBER: Final = r'[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
+_DECIMAL_COMMA: Final = re.compile(r'(?<=\d),(?=\d)')
 _TERM: Final = re.compile(
     rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_NUMBER})?$')
 
@@ -66,7 +69,7 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     """
     Return someone else's recording as a run; written as the bag `out` too, if that is given.
 
-    path: .csv, .tsv, .txt, .dat (also .gz), .mat or .parquet; mapping: texts
+    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz or .parquet; mapping: texts
     SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]], none for the columns that `asi export` writes; rate_hz:
     samples a second, where no column is mapped to time; skip_lines: lines before the header;
     columns: names for a file without a header; zero_s: take off each signal its mean over so many
@@ -87,8 +90,13 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     if length < 2:
         raise InputError(f'{path} has a single sample: at least 2 are needed')
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
+    new = np.diff(time_s, prepend=-1.0) > 0.0
+    if not new.all():
+        warnings.warn(f'{path}: {np.sum(~new)} of {length} samples have the time of the one '
+                      'before, and are left out', InputWarning, stacklevel=2)
+    time_s = time_s[new]
     units = {name: unit for name, (_, unit) in signals.items()}
-    values = {name: column - _start(column, time_s, zero_s, name, path)
+    values = {name: column[new] - _start(column[new], time_s, zero_s, name, path)
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
         'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
@@ -133,7 +141,9 @@ def own_mapping(table: Table) -> list[str]:
 
 def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:
     """Return the values of a mapping in SI units, and the unit. Raises InputError."""
-    term, scale, offset = mapping.term, 1.0, 0.0
+    whole = mapping.text.partition('=')[2].strip()
+    # The unit may stand in the header: `torque [Nm]`.
+    term, scale, offset = whole if whole in table else mapping.term, 1.0, 0.0
     if term not in table:
         found = _TERM.fullmatch(term)
         if found is None or found['column'].strip() not in table:
@@ -143,6 +153,8 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
         scale = _scale(found['scale'], table, mapping, path)
         offset = float(found['offset'] or 0.0)
     unit, factor = UNITS[mapping.unit]
+    if mapping.signal == 'time' and (seconds := _since_first(table[term])) is not None:
+        return seconds, 's'
     values = _numbers(term, table[term], path)
     if scale != 1.0 or offset != 0.0:
         values = values * scale + offset
@@ -164,6 +176,18 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
                          'one of ' + ', '.join(table)) from None
 
 
+def _since_first(column: npt.NDArray) -> Array | None:
+    """Return the seconds since the first of a column of dates with time; None if it is none."""
+    try:
+        if not np.issubdtype(column.dtype, np.datetime64):
+            if _is_number(str(column[0])):
+                return None
+            column = np.array([str(cell).removesuffix('Z') for cell in column], 'datetime64[ns]')
+        return (column - column[0]) / np.timedelta64(1, 's')
+    except (ValueError, IndexError):
+        return None
+
+
 def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
     """Return a column as numbers, NaN where a cell is empty."""
     if np.issubdtype(column.dtype, np.number):
@@ -171,7 +195,7 @@ def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
     else:
         values = np.full(len(column), np.nan)
         for row, cell in enumerate(column):
-            if str(cell).strip():
+            if str(cell).strip().lower() not in MISSING:
                 try:
                     values[row] = float(cell)
                 except ValueError:
@@ -192,8 +216,8 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
             raise InputError(f'rate = {rate_hz} Hz is not allowed: it must be above 0')
         return np.arange(count) / rate_hz
     time_s = mapped[0] - mapped[0][0]
-    bad = ~(np.diff(time_s) > 0.0)
-    if bad.any():
+    bad = ~(np.diff(time_s) >= 0.0)
+    if bad.any() or time_s[-1] == 0.0:
         raise InputError(f'{path}: time does not rise at row {int(np.argmax(bad)) + 2}')
     return time_s
 
@@ -215,6 +239,9 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
     try:
         if kind == '.mat':
             return _read_mat(path)
+        if kind == '.npz':
+            with np.load(path) as arrays:
+                return _columns(arrays)
         if kind == '.parquet':
             return _read_parquet(path)
         if kind in ('.csv', '.tsv', '.txt', '.dat'):
@@ -225,8 +252,8 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
         if isinstance(error, InputError):
             raise
         raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
-    raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat (also .gz), .mat or .parquet '
-                     'file')
+    raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat (also .gz), .mat, .npz or '
+                     '.parquet file')
 
 
 def _read_mat(path: Path) -> Table:
@@ -236,15 +263,29 @@ def _read_mat(path: Path) -> Table:
         variables = loadmat(path)
     except MatReadError as error:
         raise ValueError(error) from None
+    return _columns({variable: values for variable, values in variables.items()
+                     if not variable.startswith('__')})
+
+
+def _columns(variables: Mapping[str, npt.NDArray]) -> Table:
     return {name: column for variable, values in variables.items()
-            if not variable.startswith('__') for name, column in _columns_of(variable, values)}
+            for name, column in _columns_of(variable, values)}
 
 
 def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArray]]:
-    """Yield what a variable of a MAT file holds: a vector, columns name#1 ..., fields name.x."""
-    if values.dtype.names and values.size == 1:
-        for field in values.dtype.names:
-            yield from _columns_of(f'{name}.{field}', np.asarray(values[field].item()))
+    """
+    Yield what a variable holds: a vector, columns name#1 ..., fields name.x.
+
+    Of a cell array, or an array of structures, each element: name#1, name#1.x ...
+    """
+    if values.dtype.names or values.dtype == object:
+        for number, element in enumerate(np.ravel(values)[:MOST_COLUMNS], 1):
+            one = name if values.size == 1 else f'{name}#{number}'
+            if values.dtype.names:
+                for field in values.dtype.names:
+                    yield from _columns_of(f'{one}.{field}', np.asarray(element[field]))
+            else:
+                yield from _columns_of(one, np.asarray(element))
     elif not np.issubdtype(values.dtype, np.number):
         return
     elif values.size == max(values.shape, default=0):
@@ -268,11 +309,12 @@ def _read_text(path: Path, skip_lines: int, delimiter: str | None,
         lines = [line for line in itertools.islice(stream, skip_lines, None) if line.strip()]
     if not lines:
         raise InputError(f'{path} is empty' + (f' after {skip_lines} lines' if skip_lines else ''))
-    delimiter = delimiter or next((mark for mark in '\t;,' if mark in lines[0]), ' ')
+    delimiter = delimiter or _delimiter(lines[len(lines) // 2])
     rows = list(_cells(lines, delimiter))
+    start = _first_of_data(rows)
     if columns is None:
-        header = not all(map(_is_number, rows[0]))
-        columns = rows.pop(0) if header else [f'#{i + 1}' for i in range(len(rows[0]))]
+        columns = _header(lines[:start], delimiter, len(rows[len(rows) // 2]))
+    rows = [row for row in rows[start:] if not row[0].startswith(COMMENT)]
     if not rows:
         raise InputError(f'{path} has no rows')
     short = next((i for i, row in enumerate(rows) if len(row) < len(columns) - 1), None)
@@ -285,10 +327,41 @@ def _read_text(path: Path, skip_lines: int, delimiter: str | None,
     return {name: np.array(cells, object) for name, cells in zip(columns, padded, strict=True)}
 
 
-def _cells(lines: list[str], delimiter: str) -> Iterable[list[str]]:
+def _delimiter(line: str) -> str:
+    """Return what separates the cells of a row of data: that which makes most numbers of it."""
+    return max('\t;, ', key=lambda mark: sum(map(_is_number, next(_cells([line], mark)))))
+
+
+def _first_of_data(rows: list[list[str]]) -> int:
+    """Return the first row that is like one in the middle; before it stand remarks and header."""
+    usual = rows[len(rows) // 2]
+    enough = 0.5 * sum(map(_is_number, usual))
+    return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1
+                 and sum(map(_is_number, row)) > enough), len(rows))
+
+
+def _header(before: list[str], delimiter: str, width: int) -> list[str]:
+    """
+    Return the names of `width` columns: the last line before the data that may hold them.
+
+    It is not one of units; and where blanks part the cells, none of the names may hold one.
+    """
+    for line in reversed(before):
+        names = next(_cells([line.lstrip('#% ')], delimiter))
+        units = all(name in UNITS or name[:1] in ('', '[', '(') for name in names)
+        if not units and abs(len(names) - width) <= (delimiter != ' '):
+            return names
+    return [f'#{number}' for number in range(1, width + 1)]
+
+
+def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    if delimiter in ' ,':   # a row of Matlab's
+        lines = (line.rstrip(' ;\r\n') for line in lines)
+    if delimiter != ',':
+        lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line else line for line in lines)
     if delimiter == ' ':
         return (line.split() for line in lines)
-    reader = csv.reader(io.StringIO(''.join(lines)), delimiter=delimiter, skipinitialspace=True)
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
     return ([cell.strip() for cell in row] for row in reader)
 
 

@@ -10,7 +10,7 @@ from scipy import signal
 from scipy.io import loadmat, savemat
 
 from asi_analysis.bag import read_bag
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.exporting import export
 from asi_analysis.frequency_response import loop_bandwidth
 from asi_analysis.importing import import_recording
@@ -83,10 +83,39 @@ def test_joint_that_turns_keeps_its_units(tmp_path: Path) -> None:
 
 def test_matrices_and_structures_of_a_mat_file(tmp_path: Path) -> None:
     savemat(tmp_path / 'a.mat', {'y': np.arange(12.0).reshape(2, 6),
-                                 'log': {'u': np.arange(6.0), 'note': 'x'}})
-    run = import_recording(tmp_path / 'a.mat', ['position=y#2', 'command=log.u[V]'], 10.0)
+                                 'log': {'u': np.arange(6.0), 'note': 'x'},
+                                 'out': np.array([{'v': np.zeros(6)}, {'v': np.ones(6)}])})
+    run = import_recording(tmp_path / 'a.mat', ['position=y#2', 'command=log.u[V]',
+                                                'velocity=out#2.v'], 10.0)
+    assert run.signal('velocity').tolist() == [1.0] * 6
     assert run.signal('position').tolist() == [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]
     assert run.signal('command').tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize('text', [
+    '# motor 3, 24 V\n# t f x\n0.5 1 2\n1.5 2 3\n2.5 3 4\n',                  # numpy.savetxt
+    '%Date:,29/04/2021\n\n%t,f,x\n%[s],[N],[mm]\n0.5,1,2;\n1.5,2,3;\n2.5,3,4;\n',
+    'Pruefstand;7\nt;f;x\ns;N;mm\n0,5;1,0;2\n1,5;2,0;3\n2,5;3,0;4\n',
+    't\tf\tx\n0,5\t1\t2\n1,5\t2\t3\n2,5\t3\t4\n',
+    't,f,x\n2020-03-16 17:04:51.5,1,2\n2020-03-16T17:04:52.5Z,2,3\n2020-03-16 17:04:53.5,3,4\n',
+])
+def test_remarks_units_dates_and_decimal_commas(tmp_path: Path, text: str) -> None:
+    file = tmp_path / 'a.txt'
+    file.write_text(text)
+    run = import_recording(file, ['time=t', 'force=f', 'position=x[mm]'])
+    assert run.time_s.tolist() == [0.0, 1.0, 2.0]
+    assert run.signal('force').tolist() == [1.0, 2.0, 3.0]
+    assert run.signal('position').tolist() == [0.002, 0.003, 0.004]
+
+
+def test_repeated_times_and_missing_values_and_units_in_the_header(tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('time [ms],torque [Nm]\n0,1\n0,2\n1,N/A\n2,4\n')
+    with pytest.warns(InputWarning, match='1 of 4 samples have the time of the one before'):
+        run = import_recording(file, ['time=time [ms]', 'force=torque [Nm]'])
+    assert run.time_s.tolist() == [0.0, 0.001, 0.002]
+    np.testing.assert_array_equal(run.signal('force'), [1.0, np.nan, 4.0])
+    assert run.unit('force') == 'Nm'
 
 
 def test_zero_takes_off_the_start(tmp_path: Path) -> None:
@@ -107,7 +136,7 @@ def test_zero_takes_off_the_start(tmp_path: Path) -> None:
 def test_says_what_is_wrong_with_a_mapping(tmp_path: Path, mapping: list[str], message: str
                                            ) -> None:
     file = tmp_path / 'a.csv'
-    file.write_text('a,b\n1,2\n2,x\n2,3\n')
+    file.write_text('a,b\n1,2\n2,x\n1,3\n')
     rate_hz = None if 'time=a' in mapping else 10.0
     with pytest.raises(InputError, match=message) as refusal:
         import_recording(file, mapping, rate_hz)
