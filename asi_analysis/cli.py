@@ -172,7 +172,8 @@ def analyze(
 
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
 def import_(
-    file: Annotated[Path, typer.Argument(help='.csv, .tsv, .txt, .dat (or .gz), .mat, .parquet')],
+    file: Annotated[Path, typer.Argument(
+        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet')],
     out: Annotated[Path, typer.Option(help='The bag to write')],
     map_: Annotated[list[str] | None, typer.Option(
         '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',

@@ -90,10 +90,11 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     if length < 2:
         raise InputError(f'{path} has a single sample: at least 2 are needed')
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
-    new = np.diff(time_s, prepend=-1.0) > 0.0
+    new = np.isfinite(time_s)
+    new[new] = np.diff(time_s[new], prepend=-1.0) > 0.0
     if not new.all():
-        warnings.warn(f'{path}: {np.sum(~new)} of {length} samples have the time of the one '
-                      'before, and are left out', InputWarning, stacklevel=2)
+        warnings.warn(f'{path}: {np.sum(~new)} of {length} samples have no time, or that of the '
+                      'one before, and are left out', InputWarning, stacklevel=2)
     time_s = time_s[new]
     units = {name: unit for name, (_, unit) in signals.items()}
     values = {name: column[new] - _start(column[new], time_s, zero_s, name, path)
@@ -215,11 +216,12 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
         if rate_hz is None or not 0.0 < rate_hz < np.inf:
             raise InputError(f'rate = {rate_hz} Hz is not allowed: it must be above 0')
         return np.arange(count) / rate_hz
-    time_s = mapped[0] - mapped[0][0]
-    bad = ~(np.diff(time_s) >= 0.0)
-    if bad.any() or time_s[-1] == 0.0:
-        raise InputError(f'{path}: time does not rise at row {int(np.argmax(bad)) + 2}')
-    return time_s
+    known = np.flatnonzero(np.isfinite(mapped[0]))
+    steps = np.diff(mapped[0][known])
+    if not (steps > 0.0).any() or (steps < 0.0).any():
+        row = known[int(np.argmax(steps < 0.0)) + 1] + 1 if len(steps) else 1
+        raise InputError(f'{path}: time does not rise at row {row}')
+    return mapped[0] - mapped[0][known[0]]
 
 
 def _start(values: Array, time_s: Array, zero_s: float, name: str, path: Path) -> float:

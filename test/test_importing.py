@@ -110,8 +110,8 @@ def test_remarks_units_dates_and_decimal_commas(tmp_path: Path, text: str) -> No
 
 def test_repeated_times_and_missing_values_and_units_in_the_header(tmp_path: Path) -> None:
     file = tmp_path / 'a.csv'
-    file.write_text('time [ms],torque [Nm]\n0,1\n0,2\n1,N/A\n2,4\n')
-    with pytest.warns(InputWarning, match='1 of 4 samples have the time of the one before'):
+    file.write_text('time [ms],torque [Nm]\n0,1\n0,2\n1,N/A\nnan,3\n2,4\n')
+    with pytest.warns(InputWarning, match='2 of 5 samples have no time, or that of'):
         run = import_recording(file, ['time=time [ms]', 'force=torque [Nm]'])
     assert run.time_s.tolist() == [0.0, 0.001, 0.002]
     np.testing.assert_array_equal(run.signal('force'), [1.0, np.nan, 4.0])
