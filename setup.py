@@ -12,7 +12,7 @@ setup(
     packages=find_packages(include=['asi_actuator*', 'asi_controller*', 'asi_analysis*',
                                     'asi_examiner*']),
     package_data={'asi_analysis': ['templates/*', '*/*.json', 'py.typed'],
-                  'asi_actuator': ['py.typed', 'fastdds.xml'],
+                  'asi_actuator': ['py.typed', 'fastdds.xml', 'fastdds_localhost.xml'],
                   'asi_controller': ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
@@ -30,7 +30,7 @@ WAKE_PERIOD_S: Final = 0.02
 # How long a node that ends waits at most for others to receive what it has published last; it
 # takes 50 ms, unless a subscriber has died.
 FAREWELL_S: Final = 2.0
-PROFILES: Final = Path(__file__).with_name('fastdds.xml')
+PROFILES: Final = Path(__file__).parent
 
 
 class RunError(Exception):
@@ -154,8 +154,7 @@ def run_node(make_node: Callable[[], Node]) -> int:
     0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
     parameter or ROS argument. What went wrong is said in one line on stderr.
     """
-    # The user's own settings of Fast DDS, if there are any, stay.
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(PROFILES))
+    choose_transport(os.environ)
     try:
         # rclpy's own handlers would shut the context down in the middle of a callback.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -190,6 +189,24 @@ def run_node(make_node: Callable[[], Node]) -> int:
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def choose_transport(environment: MutableMapping[str, str]) -> None:
+    """
+    Have Fast DDS use UDP alone, unless the user has settings of their own.
+
+    Its shared memory is guarded by locks that a killed process keeps, and a loop that comes
+    across one stands still for 2 s (doc/reliability.md). Asked to stay on this machine,
+    rmw_fastrtps adds shared memory whatever a profile says; so a profile does what it would do.
+    """
+    if 'FASTRTPS_DEFAULT_PROFILES_FILE' in environment:
+        return
+    profile = 'fastdds.xml'
+    if (environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
+            and not environment.get('ROS_STATIC_PEERS')):
+        environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
+        profile = 'fastdds_localhost.xml'
+    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(PROFILES / profile)
 
 
 def _say_farewell(node: Node) -> None:

@@ -8,6 +8,7 @@ and how long an answer takes.
 
 import argparse
 import json
+import os
 import time
 from typing import Any, Final
 
@@ -22,7 +23,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from asi_actuator.spin import LoopExecutor
+from asi_actuator.spin import LoopExecutor, choose_transport
 from asi_actuator.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS
 
 # What each end sends: nothing, one message each way, what the loop waits for, everything.
@@ -162,6 +163,8 @@ def main() -> None:
     parser.add_argument('--rate', type=float, default=0.0, help='Hz; 0: as fast as it goes')
     parser.add_argument('--seconds', type=float, default=3.0)
     arguments = parser.parse_args()
+    if arguments.our_executor:
+        choose_transport(os.environ)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = {'actuator': Actuator, 'controller': Controller}[arguments.end](arguments)
     executor = (LoopExecutor if arguments.our_executor else SingleThreadedExecutor)()

@@ -54,8 +54,7 @@ OURS, RECORDED = 'our nodes', 'our nodes, recorded'
 def process(*arguments: str) -> Iterator[subprocess.Popen]:
     """Run `python -m` with arguments while the context lasts."""
     environment = os.environ | {
-        'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
-        'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'asi_actuator' / 'fastdds.xml')}
+        'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')])}
     with subprocess.Popen([sys.executable, '-m', *arguments], stderr=subprocess.DEVNULL,
                           stdout=subprocess.PIPE, text=True, env=environment) as child:
         try:

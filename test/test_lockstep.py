@@ -117,7 +117,7 @@ def test_lost_repeated_and_late_messages_change_nothing(
 
 def test_silent_controller_ends_the_run_with_an_error(
         start_node: Callable, recording: Recording) -> None:
-    actuator = start_node(ACTUATOR, give_up_after=0.5)
+    actuator = start_node(ACTUATOR, give_up_after=0.5, await_recorder=True)
     controller = start_node(CONTROLLER, **STEP)
     wait_until(lambda: recording.messages['valve_command'], 'a command')
     controller.kill()

@@ -3,6 +3,7 @@
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -75,6 +76,17 @@ def test_step_settles_near_the_reference(start_node: Callable, states: Listener)
     assert abs(np.mean(last) - 300.0) < 30.0
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in states.messages]
     assert stamps == sorted(set(stamps))
+
+
+@pytest.mark.parametrize('discovery_range', ['LOCALHOST', 'SUBNET'])
+def test_no_shared_memory_whose_locks_a_killed_process_would_keep(
+        discovery_range: str, ros_environment: dict[str, str], start_node: Callable,
+        states: Listener) -> None:
+    ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = discovery_range
+    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+    # A node without our profiles, which offers shared memory, hears it all the same.
+    states.wait(3)
+    assert '/dev/shm/fastrtps' not in Path(f'/proc/{actuator.pid}/maps').read_text()
 
 
 def test_watchdog_takes_the_command_away_until_the_reset(
