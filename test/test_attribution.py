@@ -169,3 +169,12 @@ def test_output_without_command_is_refused():
     t = np.arange(1000) / 100.0
     with pytest.raises(InputError, match='command and output'):
         attribute_run(Run(t, force_n=np.sin(t)))
+
+
+def test_motion_that_answers_its_reference_has_no_cause_to_find():
+    t = np.arange(3000) / 100.0
+    reference = np.sin(2 * np.pi * (0.5 + 0.05 * t) * t)
+    noise = 0.01 * np.random.default_rng(7).standard_normal((2, t.size))
+    with pytest.raises(InputError, match='no oscillation of its own'):
+        attribute_run(Run(t, reference_n=reference, command_n=2.0 * reference + noise[0],
+                          force_n=np.roll(reference, 3) + noise[1]))

@@ -98,10 +98,14 @@ def attribute_run(run: Run, signal: str | None = None, report: Report = lambda *
     Return all that `asi attribute BAG --json` prints.
 
     A bag of this package's actuator is also compared with the cycles that its model makes with
-    each nonlinearity alone. Raises InputError without command and output.
+    each nonlinearity alone. Raises InputError without command and output, or if the motion is the
+    answer to the reference.
     """
     report('judging', 0.0)
     segment = _cut(run, signal)
+    if segment.verdict == 'forced':
+        raise InputError(f'{run.source or "the run"}: no oscillation of its own to attribute: '
+                         f'{segment.why}')
     document: dict[str, Any] = {
         'source': run.source, 'start_s': segment.start_s, 'end_s': segment.end_s,
         'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None}
