@@ -197,6 +197,11 @@ def _assemble(series: Mapping[str, _Series], changes: list[tuple[int, StateChang
                            lasting=name in ('reference', 'command'))
         if values is not None and not np.isnan(values).all():
             signals[field] = values
+    if 'command_n' not in signals and state is not None and 'valve effort' in state.values:
+        # The command that was applied up to a state: the answer to the one before.
+        applied = _onto(base, state, state.values['valve effort'], lasting=False)
+        if not np.isnan(applied).all():
+            signals['command_n'] = np.append(applied[1:], np.nan)
     time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
     states = tuple(change._replace(time_s=(stamp_ns - int(base.stamp_ns[0])) / 1e9)
                    for stamp_ns, change in changes)
@@ -215,8 +220,8 @@ def _onto(base: _Series, series: _Series, values: Array, lasting: bool) -> Array
     Return values on the time base, NaN where there is none.
 
     A message goes to the tick with its stamp; without a stamp, to the tick published next to it.
-    It lasts until the next message where most ticks have none, or most messages no tick; and so
-    does, if it is `lasting`, one without a stamp, and one of real time: there a state that has no
+    It lasts from the tick next to it until the next message where most ticks have none, or most
+    messages no tick; and so does, if it is `lasting`, one without a stamp, and one of real time: there a state that has no
     answer leaves the valve as it was. In lock-step every state has one, so a gap is a loss.
     """
     ticks, times = base.stamp_ns, series.stamp_ns
@@ -234,7 +239,9 @@ def _onto(base: _Series, series: _Series, values: Array, lasting: bool) -> Array
         place = np.where(own, place, -1)
     if hold:
         order = np.argsort(times, kind='stable')
-        last = np.searchsorted(times[order], ticks, side='right') - 1
+        # What is stamped when it was sent, a little after the tick that it answers, is that tick's.
+        late = ticks + int(np.median(np.diff(ticks))) // 2 if len(ticks) > 1 else ticks
+        last = np.searchsorted(times[order], late, side='right') - 1
         return np.where(last >= 0, values[order][last], np.nan)
     out = np.full(len(ticks), np.nan)
     out[place[place >= 0]] = values[place >= 0]

@@ -134,6 +134,25 @@ def test_holds_a_reference_that_comes_seldom(tmp_path: Path) -> None:
     assert (reference[20:] == 200.0).all()
 
 
+def test_a_command_stamped_as_it_is_sent_belongs_to_the_state_before(tmp_path: Path) -> None:
+    ticks = [1_000_000 * k for k in range(1, 31)]
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/force': [(t, wrench(t, 1.0)) for t in ticks],
+        '/valve_command': [(t + 200_000, wrench(t + 200_000, float(k)))
+                           for k, t in enumerate(ticks)]})
+    np.testing.assert_array_equal(read_bag(bag).signal('command'), np.arange(30.0))
+
+
+def test_command_out_of_joint_states_is_the_answer_to_the_state_before(tmp_path: Path) -> None:
+    joints, gap = 'sensor_msgs/msg/JointState', np.full(2, np.nan)
+    ticks = [1_000_000 * k for k in range(1, 11)]
+    bag = foreign_bag(tmp_path / 'bag', {'/joint_states': [
+        (t, bytes(STORE.serialize_cdr(STORE.types[joints](
+            HEADER(TIME(0, t), ''), ['piston', 'valve'], gap, gap, np.array([1.0, k])), joints)))
+        for k, t in enumerate(ticks)]}, types={'/joint_states': joints})
+    np.testing.assert_array_equal(read_bag(bag).signal('command'), [*range(1, 10), np.nan])
+
+
 def test_reads_a_bag_of_several_files(tmp_path: Path) -> None:
     run = a_run(300)
     bag = tmp_path / 'bag'
