@@ -221,8 +221,9 @@ def _onto(base: _Series, series: _Series, values: Array, lasting: bool) -> Array
 
     A message goes to the tick with its stamp; without a stamp, to the tick published next to it.
     It lasts from the tick next to it until the next message where most ticks have none, or most
-    messages no tick; and so does, if it is `lasting`, one without a stamp, and one of real time: there a state that has no
-    answer leaves the valve as it was. In lock-step every state has one, so a gap is a loss.
+    messages no tick; and so does, if it is `lasting`, one without a stamp, and one of real time:
+    there a state that has no answer leaves the valve as it was. In lock-step every state has one,
+    so a gap is a loss.
     """
     ticks, times = base.stamp_ns, series.stamp_ns
     if not times.any():
@@ -239,7 +240,7 @@ def _onto(base: _Series, series: _Series, values: Array, lasting: bool) -> Array
         place = np.where(own, place, -1)
     if hold:
         order = np.argsort(times, kind='stable')
-        # What is stamped when it was sent, a little after the tick that it answers, is that tick's.
+        # What is stamped as it is sent, a little after the tick that it answers, is that tick's.
         late = ticks + int(np.median(np.diff(ticks))) // 2 if len(ticks) > 1 else ticks
         last = np.searchsorted(times[order], late, side='right') - 1
         return np.where(last >= 0, values[order][last], np.nan)
