@@ -14,6 +14,7 @@ from asi_analysis import json_keys
 from asi_analysis.errors import InputError
 from asi_analysis.gap import check
 from asi_analysis.gap.check import score
+from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.uncertainty import Likelihood, end
@@ -103,10 +104,19 @@ def _late(run: Run, samples: int) -> Run:
      'time does not rise at sample 3001'),
     (lambda r: dataclasses.replace(r, time_s=np.where(np.arange(len(r)) == 3000, 1.0, r.time_s)),
      'time does not rise at sample 3001'),
+    (lambda r: dataclasses.replace(r, information={'signals': {'position': 'rad'}}),
+     'position is in rad.*--plant joint'),
 ])
 def test_recording_that_would_mislead_is_refused(spoil, words):
     with pytest.raises(InputError, match=words):
         diagnose([spoil(recorded())], TEXTBOOK)
+
+
+def test_what_is_no_parameter_of_the_model_is_said(tmp_path):
+    (tmp_path / 'model.yaml').write_text(
+        'asi_actuator: {ros__parameters: {load: {typ: free, mass: 2.0}, mode: realtime}}')
+    with pytest.warns(UserWarning, match='load.typ is no parameter.*did you mean load.type'):
+        assert nominal_model(tmp_path / 'model.yaml') == {'load.mass': 2.0}
 
 
 def test_velocity_in_another_unit_is_said():

@@ -1,6 +1,8 @@
 """What `asi gap` does: bags and a model file in, the document out."""
 
+import warnings
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,8 @@ from asi_actuator.parameters import (
     completed,
 )
 from asi_analysis.bag import read_bag
-from asi_analysis.errors import InputError
-from asi_analysis.experiment import read_parameters
+from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.experiment import TABLES, read_parameters
 from asi_analysis.gap.diagnose import diagnose, document, plain
 
 PLANTS = ('actuator', 'joint')
@@ -20,12 +22,20 @@ DRIVES = (None, 'force', 'position')
 
 
 def nominal_model(path: Path | None) -> dict[str, Value]:
-    """Return the actuator's parameters of a model file; {} without one. Raises InputError."""
+    """
+    Return the actuator's parameters of a model file; {} without one.
+
+    Warns of what is none; under /** there may be the controller's. Raises InputError.
+    """
     if path is None:
         return {}
     known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
-    values = {name: value for name, value in read_parameters(path, 'actuator').items()
-              if name in known}
+    found = read_parameters(path, 'actuator')
+    for name in found.keys() - known - {parameter.name for parameter in TABLES['controller']}:
+        near = get_close_matches(name, known, 1)
+        warnings.warn(f'{path}: {name} is no parameter of the actuator, and left out'
+                      + (f': did you mean {near[0]}?' if near else ''), InputWarning, stacklevel=2)
+    values = {name: value for name, value in found.items() if name in known}
     try:
         completed(values, ACTUATOR_PARAMETERS)
     except ParameterError as error:

@@ -64,6 +64,8 @@ def _part(weighed: Weighed, names: Names) -> Names:
 def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance: float,
                     held_out: Sequence[bool]) -> tuple[list[Group], list[str]]:
     """Return the groups of channels that these recordings of the actuator have, and notes."""
+    for run in runs:
+        quality.check_units(run)
     recordings = prepare(runs, 'valve', held_out)
     p = plant_record(nominal)
     notes, groups = [], []

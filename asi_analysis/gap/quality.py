@@ -19,7 +19,7 @@ from asi_analysis.gap.prepare import (
     clipped,
     velocity_over_derivative,
 )
-from asi_analysis.run import Run
+from asi_analysis.run import SIGNALS, Run
 
 LEAST_SWING = 5.0      # times the noise that a signal must move
 FACTOR = 4.0           # no actuator differs so much from its own model
@@ -46,6 +46,15 @@ def check_signals(run: Run) -> list[str]:
             notes.append(f'{run.source}: {name} is cut off at its extremes, in '
                          f'{100 * cut.mean():.1f} % of the samples; these are left out')
     return notes
+
+
+def check_units(run: Run) -> None:
+    """Refuse a recording whose signals are not in the actuator's units."""
+    for signal in SIGNALS:
+        unit = run.unit(signal.name)
+        if signal.name in run.signals() and signal.name != 'reference' and unit != signal.unit:
+            raise InputError(f"{run.source}: {signal.name} is in {unit}, the actuator's in "
+                             f'{signal.unit}; of a joint or drive: --plant joint')
 
 
 def check_joint(group: Group) -> None:
