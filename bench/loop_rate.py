@@ -27,8 +27,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from asi_actuator import wire
 from bench.empty_nodes import SENT, messages
-from bench.result import Result, interleaved, ratios
-from bench.timed_node import CALLBACKS, PARTS
+from bench.result import Result, deviation, interleaved, ratios
+from bench.timed_node import CALLBACKS, EXECUTOR, PARTS, SENDING
 
 ROOT: Final = Path(__file__).parents[1]
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
@@ -142,9 +142,9 @@ def our_realtime(rate_hz: float, seconds: float) -> dict[str, float]:
             'latency_median_ms': float(said['latency median (ms)'])}
 
 
-def in_turns(rivals: dict[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
+def in_turns(rivals: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[Any]]:
     """Return what each says, one a round; each round in the opposite order of the last."""
-    said: dict[str, list[float]] = {name: [] for name in rivals}
+    said: dict[str, list[Any]] = {name: [] for name in rivals}
     names = list(rivals)
     for _ in range(rounds):
         for name in names:
@@ -173,16 +173,15 @@ def lockstep(rounds: int, seconds: float) -> list[Result]:
     return results
 
 
-def timed(seconds: float, *options: str) -> tuple[float, dict[str, float]]:
-    """Return the period and what both nodes together spend in it, by part, us."""
+def timed(seconds: float, *options: str) -> Counter[str]:
+    """Return what both nodes together spend in a tick, by part, us."""
     with process(*node('bench.timed_node', 'controller', *options, **SINE)) as controller:
         with process(*node('bench.timed_node', 'actuator', *options)) as actuator, \
                 listener() as heard:
             heard.run(seconds)
-            period_us = 1e6 / heard.rate_hz()
             spent = told(actuator)
         spent.update(told(controller))
-    return period_us, spent
+    return spent
 
 
 def told(child: subprocess.Popen) -> Counter[str]:
@@ -192,34 +191,44 @@ def told(child: subprocess.Popen) -> Counter[str]:
     return Counter(json.loads(text.splitlines()[-1]))
 
 
-def empty_callbacks(seconds: float) -> Result:
-    """Return what the callbacks of empty nodes take, which do nothing but send the messages."""
+def timed_empty(seconds: float) -> Counter[str]:
+    """Return the same of empty nodes, which do nothing but send the messages."""
     command = 'bench.timed_node', 'empty'
     arguments = EMPTY[FLOOR]
     with process(*command, 'controller', *arguments) as controller, \
             process(*command, 'actuator', *arguments, '--seconds', str(seconds)) as actuator:
         actuator.wait(timeout=PATIENCE_S + seconds)
-        us = told(actuator)[CALLBACKS] + told(controller)[CALLBACKS]
-    return Result('loop_rate.empty', f'callbacks of the empty nodes, both: {FLOOR}', us, 'us')
+        return told(actuator) + told(controller)
 
 
-def tick(seconds: float) -> list[Result]:
+def tick(rounds: int, seconds: float) -> list[Result]:
     """Return where the time of a tick goes, of both nodes together."""
-    period_us, whole = timed(seconds)
-    _, apart = timed(seconds, '--parts')
-    own_us = whole[CALLBACKS]
-    inside = {part: apart[part] for part in PARTS} | {'wiring': apart[CALLBACKS]}
-    share = own_us / sum(inside.values())
-    spent = ({part: whole[part] for part in ('sending', 'executor')}
-             | {part: us * share for part, us in inside.items()})
+    told_us: dict[str, list[Counter[str]]] = in_turns({
+        # Of nodes whose time is not taken, which makes the tick longer.
+        'period': lambda: Counter({'': 1e6 / our_rate(seconds, recorded=False)}),
+        'whole': lambda: timed(seconds), 'apart': lambda: timed(seconds, '--parts'),
+        'empty': lambda: timed_empty(seconds)}, rounds)
+
+    def us(of: str, part: str) -> float:
+        return statistics.median(told[part] for told in told_us[of])
+
+    period_us, own_us = us('period', ''), us('whole', CALLBACKS)
+    shares = [100.0 * whole[CALLBACKS] / period['']
+              for whole, period in zip(told_us['whole'], told_us['period'], strict=True)]
+    inside = {part: us('apart', part) for part in PARTS} | {'wiring': us('apart', CALLBACKS)}
+    scale = own_us / sum(inside.values())
+    spent = ({part: us('whole', part) for part in (SENDING, EXECUTOR)}
+             | {part: us * scale for part, us in inside.items()})
     # While one works the other mostly waits; what is left is DDS, and waking up.
     spent['DDS, the kernel, waking up'] = period_us - sum(spent.values())
-    own = Result('loop_rate.own', 'lock-step: our own code, of a tick',
-                 100.0 * own_us / period_us, '%', target='<= 15')
-    parts = [Result(f'loop_rate.tick.{part.partition(",")[0]}',
-                    f'of a tick of {period_us:.0f} us, both nodes: {part}', us, 'us')
-             for part, us in spent.items()]
-    return [own, *parts, empty_callbacks(seconds)]
+    return [
+        Result('loop_rate.own', 'lock-step: our own code, of a tick', statistics.median(shares),
+               '%', deviation(shares), target='<= 15'),
+        *[Result(f'loop_rate.tick.{part.partition(",")[0]}',
+                 f'of a tick of {period_us:.0f} us, both nodes: {part}', us, 'us')
+          for part, us in spent.items()],
+        Result('loop_rate.empty', f'callbacks of the empty nodes, both: {FLOOR}',
+               us('empty', CALLBACKS), 'us')]
 
 
 def conversions(rounds: int) -> list[Result]:
@@ -294,7 +303,7 @@ def measure(quick: bool = False) -> list[Result]:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         return (lockstep(1 if quick else 5, 1.0 if quick else 4.0)
-                + tick(2.0 if quick else 6.0)
+                + tick(1 if quick else 5, 1.0 if quick else 4.0)
                 + conversions(1 if quick else 9)
                 + realtime(1 if quick else 3, 1.0 if quick else 5.0))
     finally:

@@ -4,34 +4,43 @@ Where the time of a tick goes: `python -m bench.timed_node actuator|controller -
 Or, for what Python takes to call a callback that does nothing, `... empty actuator|controller ...`
 (`bench/empty_nodes.py`).
 
-Runs the node as it is, but takes the time of the functions that matter, each without those within
-it, and prints at the end how long they took a tick (us), as JSON. What taking the time of a
-function adds to the one around it is known from a function that does nothing, and taken off; in
-the loop, where little is in the processor's caches, it is more. So the callbacks as a whole are
-timed with nothing timed within but what belongs to rclpy, and only `--parts` takes them apart.
+Runs the node as it is, but takes the time of the functions that matter, and prints at the end how
+long they took a tick (us), as JSON. To take the time of a function adds to the one around it, and
+in the loop, where little is in the processor's caches, more than in a test of that alone. So each
+is timed twice, from just outside and from just outside that; what the second adds to the first,
+the second itself adds to the one around, and is taken off there.
 """
 
 import json
 import signal
 import sys
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable
 from time import perf_counter_ns
 from typing import Any, Final
 
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from asi_actuator import actuator_node, safety, spin, wire
-from asi_actuator.diagnostics import Diagnostics, LoopStatistics
+from asi_actuator.diagnostics import LoopStatistics
 from asi_actuator.driver.simulated import SimulatedActuator
 from asi_controller import controller_node
 from asi_controller.controller import Controller
 from bench import empty_nodes
 
 WARM_UP_TICKS: Final = 2000
-Functions = tuple[tuple[Any, str], ...]
+CALLBACKS, SENDING, WAITING, EXECUTOR = 'callbacks', 'sending', 'waiting', 'executor'
+# Of the callbacks; what is left of them is wiring.
+PARTS: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
+    'packing': tuple((wire, name) for name in (
+        'state', 'answer', 'time', 'force', 'piston_effort')),
+    'model': ((SimulatedActuator, 'exchange'),),
+    'compensator': ((Controller, 'answer'),),
+    'safety': ((safety.Safety, 'command'), (safety.Safety, 'watch_state')),
+    'statistics': ((LoopStatistics, 'tick'),),
+}
 
 
 class WaitSet(rclpy_implementation.WaitSet):  # type: ignore[misc, name-defined]
@@ -47,63 +56,28 @@ class _Spin:
     WaitSet = WaitSet
 
 
-CALLBACKS: Final = 'callbacks'
-RCLPY: Final[dict[str, Functions]] = {
-    'waiting': ((WaitSet, 'wait'),),
-    'sending': ((Publisher, 'publish'),),
-    'executor': ((spin.LoopExecutor, '_spin_loop'), (SingleThreadedExecutor, 'spin_once')),
-}
-OWN: Final[Functions] = (
-    (actuator_node.ActuatorNode, '_on_command'), (actuator_node.LockStep, '_watch'),
-    (controller_node.ControllerNode, '_on_state'), (controller_node.LockStep, '_on_clock'),
-    (controller_node.LockStep, '_answer_if_due'), (Diagnostics, 'publish'),
-    (empty_nodes.Actuator, '_answered'), (empty_nodes.Controller, '_take'))
-# Of the callbacks; what is left of them is wiring.
-PARTS: Final[dict[str, Functions]] = {
-    'packing': tuple((wire, name) for name in (
-        'state', 'answer', 'time', 'force', 'piston_effort')),
-    'model': ((SimulatedActuator, 'exchange'),),
-    'compensator': ((Controller, 'answer'),),
-    'safety': ((safety.Safety, 'command'), (safety.Safety, 'watch_state'),
-               (safety.Safety, 'watch_link')),
-    'statistics': ((LoopStatistics, 'tick'),),
-}
-
-
 class Times:
-    """The times of the parts, ns."""
+    """How long functions took, ns: from just outside, and from outside that."""
 
-    def __init__(self, parts: dict[str, Functions]):
-        """Take the time of functions, less that of functions within them, from now on."""
-        self.total_ns: Counter[str] = Counter()
-        self.timed_within: Counter[str] = Counter()     # calls within a part that were timed too
-        self.ticks = 0
-        # Of the functions that are running: the time of those within, ns, and their number.
-        self._running = [[0, 0]]
-        for part, functions in parts.items():
-            for holder, name in functions:
-                setattr(holder, name, self.timed(getattr(holder, name), part))
+    def __init__(self) -> None:
+        self.inner_ns: defaultdict[str, int] = defaultdict(int)
+        self.outer_ns: defaultdict[str, int] = defaultdict(int)
+        self.ticks = self.begin_ns = 0
 
-    def timed(self, function: Callable, part: str) -> Callable:
-        """Return a function whose time is taken."""
-        running, total_ns, timed_within = self._running, self.total_ns, self.timed_within
+    def take(self, part: str, holder: Any, name: str) -> None:
+        """Take the time of a function from now on, as a part."""
+        inner = _timed(getattr(holder, name), self.inner_ns, part)
+        setattr(holder, name, _timed(inner, self.outer_ns, part))
 
-        def timed(*arguments: Any, **named: Any) -> Any:
-            within = [0, 0]
-            running.append(within)
-            begin = perf_counter_ns()
-            try:
-                return function(*arguments, **named)
-            finally:
-                took = perf_counter_ns() - begin
-                running.pop()
-                total_ns[part] += took - within[0]
-                timed_within[part] += within[1]
-                around = running[-1]
-                around[0] += took
-                around[1] += 1
+    def take_callbacks(self, name: str, place: int) -> None:
+        """Take the time of each callback that a method of a node is given at a place."""
+        create = getattr(Node, name)
 
-        return timed
+        def creating(*given: Any, **named: Any) -> Any:
+            callback = _timed(given[place], self.inner_ns, CALLBACKS)
+            return create(*given[:place], callback, *given[place + 1:], **named)
+
+        setattr(Node, name, creating)
 
     def count_ticks(self, holder: Any, name: str) -> None:
         """Count the calls of a function, and begin anew after WARM_UP_TICKS of them."""
@@ -112,26 +86,33 @@ class Times:
         def counted(*arguments: Any) -> None:
             self.ticks += 1
             if self.ticks == WARM_UP_TICKS:
-                self.total_ns.clear()
-                self.timed_within.clear()
+                self.inner_ns.clear()
+                self.outer_ns.clear()
+                self.begin_ns = perf_counter_ns()
             tick(*arguments)
 
         setattr(holder, name, counted)
 
     def per_tick_us(self) -> dict[str, float]:
-        """Return the time of each part a tick, us."""
-        added_ns = _added_ns()
+        """Return the time of each part a tick, us; that of a callback without what is in it."""
+        spent_ns: dict[str, float] = dict(self.inner_ns)
+        spent_ns[EXECUTOR] = perf_counter_ns() - self.begin_ns - spent_ns[CALLBACKS]
+        for part, outer_ns in self.outer_ns.items():
+            around = EXECUTOR if part == WAITING else CALLBACKS
+            spent_ns[around] -= outer_ns + (outer_ns - self.inner_ns[part])
         ticks = self.ticks - WARM_UP_TICKS
-        return {part: (total_ns - added_ns * self.timed_within[part]) * 1e-3 / ticks
-                for part, total_ns in self.total_ns.items()}
+        return {part: ns * 1e-3 / ticks for part, ns in spent_ns.items()}
 
 
-def _added_ns() -> float:
-    """Return what taking the time of a function adds to the one around it, ns."""
-    times, calls = Times({}), 10_000
-    inner = times.timed(lambda: None, 'inner')
-    times.timed(lambda: [inner() for _ in range(calls)], 'around')()
-    return times.total_ns['around'] / calls
+def _timed(function: Callable, spent_ns: defaultdict[str, int], part: str) -> Callable:
+    """Return a function whose time is added to that of a part."""
+    def timed(*arguments: Any) -> Any:
+        begin = perf_counter_ns()
+        result = function(*arguments)
+        spent_ns[part] += perf_counter_ns() - begin
+        return result
+
+    return timed
 
 
 def main() -> int:
@@ -139,7 +120,14 @@ def main() -> int:
     setattr(spin, 'rclpy_implementation', _Spin)  # noqa: B010 (it is no part of the module)
     node: Any = {'actuator': actuator_node, 'controller': controller_node,
                  'empty': empty_nodes}[sys.argv.pop(1)]
-    times = Times(RCLPY | {CALLBACKS: OWN} | (PARTS if '--parts' in sys.argv else {}))
+    times = Times()
+    for part, functions in (PARTS if '--parts' in sys.argv else {}).items():
+        for holder, name in functions:
+            times.take(part, holder, name)
+    times.take(SENDING, Publisher, 'publish')
+    times.take(WAITING, WaitSet, 'wait')
+    times.take_callbacks('create_subscription', 3)
+    times.take_callbacks('create_timer', 2)
     times.count_ticks(LoopStatistics, 'tick')
     times.count_ticks(empty_nodes.Empty, 'send')
     # Our own nodes end by it in their way.
