@@ -105,10 +105,10 @@ class ActuatorNode(Node):
         safety, driver = self.safety, self.driver
         self.applied_n = applied_n = safety.command(command_n)
         reading = driver.exchange(applied_n, safety.enabled, periods)
-        self.health = driver.health()
+        self.health = driver.health
         self.unseen += periods
         if reading is not None:
-            self.rest.add(reading, applied_n)
+            self.rest.add((reading, applied_n))
             self.measured = measured = self.calibration.applied(reading)
             safety.watch_state(measured, self.unseen)
             self.unseen = 0

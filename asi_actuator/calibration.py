@@ -75,10 +75,8 @@ class Rest:
         """Begin without readings."""
         self._readings: deque[tuple[Measurement, float]] = deque(
             maxlen=max(4, round(WINDOW_S * rate_hz)))
-
-    def add(self, reading: Measurement, command_n: float) -> None:
-        """Take what was read, with the command (N)."""
-        self._readings.append((reading, command_n))
+        # Takes what was read, with the command (N).
+        self.add = self._readings.append
 
     def mean_n(self) -> float:
         """Return the mean of the readings of the force sensor, N."""

@@ -100,7 +100,7 @@ class Firmware:
                     ('STATE_FORCE', {
                         'force': force, 'valve_position': valve, 'enabled': self.driving,
                         'command_lost': not self._ready,
-                        'saturated': self._actuator.health().saturated, 'counter': self._echo}),
+                        'saturated': self._actuator.health.saturated, 'counter': self._echo}),
                     ('STATE_MOTION', {
                         'position': position, 'velocity': velocity, 'counter': self._echo}))]
 

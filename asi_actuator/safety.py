@@ -95,15 +95,19 @@ class Safety:
 
     def command(self, wanted_n: float) -> float:
         """Return the valve command (N) that the actuator may have of the one that is wanted."""
-        if self.enabled and not math.isfinite(wanted_n):
-            self.trip(f'valve_command = {wanted_n} N is not a finite number')
-        if not self.enabled:
-            self._command_n = 0.0
-            return 0.0
         last_n, step_n, limit_n = self._command_n, self._command_step_n, self._command_limit_n
-        near_n = _within(wanted_n, last_n - step_n, last_n + step_n)
-        self._command_n = allowed_n = _within(near_n, -limit_n, limit_n)
-        return allowed_n
+        if not self.enabled:
+            wanted_n = 0.0
+        elif not (last_n - step_n <= wanted_n <= last_n + step_n
+                  and -limit_n <= wanted_n <= limit_n):
+            if math.isfinite(wanted_n):
+                near_n = _within(wanted_n, last_n - step_n, last_n + step_n)
+                wanted_n = _within(near_n, -limit_n, limit_n)
+            else:
+                self.trip(f'valve_command = {wanted_n} N is not a finite number')
+                wanted_n = 0.0
+        self._command_n = wanted_n
+        return wanted_n
 
     def watch_command(self, age_s: float) -> None:
         """Look at the age (s) of the newest command."""
@@ -170,11 +174,14 @@ class Safety:
         At rest the model says where (valve_characteristic.*); its dynamics and hysteresis, which
         differ from one valve to the next, fall out of the mean over time.
         """
-        full = self._full_opening_m
-        expected = _within(self._valve_gain * self._command_n, -full, full)
-        apart = _within(valve_m, -full, full) - expected
-        self._disagreement += self._disagreement_weight * (apart - self._disagreement)
-        return self._disagreement
+        full, expected = self._full_opening_m, self._valve_gain * self._command_n
+        if not -full <= expected <= full:
+            expected = _within(expected, -full, full)
+        if not -full <= valve_m <= full:
+            valve_m = _within(valve_m, -full, full)
+        mean = self._disagreement
+        self._disagreement = mean = mean + self._disagreement_weight * (valve_m - expected - mean)
+        return mean
 
     def _exceeded(self, signal: str, value: float, unit: str, limit_name: str, limit: float,
                   advice: str = '') -> None:

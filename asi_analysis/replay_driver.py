@@ -21,6 +21,7 @@ class ReplayedActuator:
     """States 1 to n of a bag, whatever the controller commands; see `asi_actuator.driver`."""
 
     hardware = False
+    health = Health()
 
     def __init__(self, values: Mapping[str, Value], period_s: float):
         """Read the bag. Raises ParameterError if it cannot be played at this rate."""
@@ -52,9 +53,6 @@ class ReplayedActuator:
         self._place = min(self._place + periods, len(self._states) - 1)
         force, valve, position, velocity = map(float, self._states[self._place])
         return force, valve, position, velocity
-
-    def health(self) -> Health:
-        return Health()
 
     def configure(self, values: Mapping[str, Value]) -> None:
         pass

@@ -244,9 +244,9 @@ def test_driver_counts_lost_states_and_takes_each_only_once(bus: Bus) -> None:
     later = bus.answers()
     assert bus.take(later) is not None
     # Commands that were sent by take() were answered by nobody: they are lost states too.
-    assert bus.driver.health().lost_states == 5
+    assert bus.driver.health.lost_states == 5
     assert bus.take(first) is None                      # from the past
-    assert bus.driver.health().bad_frames == 1
+    assert bus.driver.health.bad_frames == 1
 
 
 def test_driver_takes_no_half_or_damaged_state(bus: Bus) -> None:
@@ -259,7 +259,7 @@ def test_driver_takes_no_half_or_damaged_state(bus: Bus) -> None:
     remote = can.Message(arbitration_id=force.arbitration_id, is_extended_id=False,
                          is_remote_frame=True)
     assert bus.take([force, damaged, short, remote]) is None
-    assert bus.driver.health().bad_frames == 2
+    assert bus.driver.health.bad_frames == 2
     assert bus.take(bus.answers()) is not None
 
 
@@ -268,7 +268,7 @@ def test_driver_sees_its_states_among_those_of_others(bus: Bus) -> None:
     extended = can.Message(arbitration_id=0x101, data=b'12345678', is_extended_id=True)
     force, motion = bus.answers()
     assert bus.take([foreign, force, extended, foreign, motion, foreign]) is not None
-    assert bus.driver.health().bad_frames == 0
+    assert bus.driver.health.bad_frames == 0
 
 
 def test_answers_of_an_adapter_hide_no_frame() -> None:
@@ -290,14 +290,14 @@ def test_answers_of_an_adapter_hide_no_frame() -> None:
 def test_actuator_that_stays_closed_although_enabled_is_a_problem(bus: Bus) -> None:
     for _ in range(21):
         # The firmware was never told enable = 0 before: it does not drive.
-        assert bus.driver.health().problem == ''
+        assert bus.driver.health.problem == ''
         for frame in bus.answers(100.0, enable=True):
             bus.bus.send(frame)
     bus.driver.exchange(100.0, True, 1)
-    assert 'keeps its valve closed' in bus.driver.health().problem
-    assert 'missed commands' in bus.driver.health().problem
+    assert 'keeps its valve closed' in bus.driver.health.problem
+    assert 'missed commands' in bus.driver.health.problem
     bus.driver.reset()
-    assert bus.driver.health().problem == ''
+    assert bus.driver.health.problem == ''
 
 
 @pytest.fixture
@@ -480,7 +480,7 @@ def test_interface_that_is_not_there_is_a_problem_in_one_line(interface: str) ->
                         'can.channel': '239.74.163.2'}, ACTUATOR_NODE_PARAMETERS)
     driver = CanActuator(values, 1.0)
     driver.open()
-    problem = driver.health().problem
+    problem = driver.health.problem
     driver.close()
     assert '\n' not in problem
     if interface not in ('virtual', 'udp_multicast'):  # these need nothing

@@ -43,6 +43,10 @@ class Driver(Protocol):
     last_tick: int | None
     """After so many periods there is nothing more to come; None: no end."""
 
+    @property
+    def health(self) -> Health:
+        """How the link is now."""
+
     def open(self) -> None:
         """Connect. A link that is not there yet is no error: health() tells, and it is retried."""
 
@@ -52,9 +56,6 @@ class Driver(Protocol):
 
         enabled: whether the valve may be driven; periods: control periods since the last call.
         """
-
-    def health(self) -> Health:
-        """Return how the link is now."""
 
     def configure(self, values: Mapping[str, Value]) -> None:
         """Take new parameters; what is read-only has not changed."""

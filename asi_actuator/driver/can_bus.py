@@ -147,6 +147,7 @@ class CanActuator:
             self._drop(error)
         return measurement
 
+    @property
     def health(self) -> Health:
         problem = self._problem
         if self._not_following > ENABLE_STATES:

@@ -53,16 +53,12 @@ class SimulatedActuator:
 
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement:
         """Advance by control periods at a valve command (N); return what the sensors tell then."""
-        self._drive_n = abs(command_n)
         measured: Measurement = self._exchange(
             self._states, self._parameters, command_n, self.period_s, periods)
-        self._valve_m = measured[1]
+        saturated = (abs(measured[1]) >= self._full_opening_m
+                     or abs(command_n) >= self._drive_limit_n)
+        self.health = SATURATED if saturated else HEALTHY
         return measured
-
-    def health(self) -> Health:
-        saturated = (abs(self._valve_m) >= self._full_opening_m
-                     or self._drive_n >= self._drive_limit_n)
-        return SATURATED if saturated else HEALTHY
 
     def configure(self, values: Mapping[str, Value]) -> None:
         """Take new physical parameters from the next tick on; the state stays."""
@@ -73,7 +69,7 @@ class SimulatedActuator:
     def reset(self) -> None:
         """Return to rest."""
         self._states = np.array([rest()])
-        self._valve_m = self._drive_n = 0.0
+        self.health = HEALTHY
 
     def close(self) -> None:
         pass
