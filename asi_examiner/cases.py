@@ -58,7 +58,7 @@ FULL_MODEL = {
     'friction.presliding_stiffness': 2e5, 'force_sensor.damping_ratio': 0.7,
     'valve_hysteresis.rate_exponent': 0.0, 'valve_hysteresis.rate_filter': 1500.0,
     'valve_hysteresis.saturation': 1e6, 'friction.presliding_damping': 0.0,
-    'force_sensor.mass_share': 0.0,
+    'force_sensor.mass_share': 0.0, 'force_sensor.card_frequency': 1e5,
 }
 TEXTBOOK_MODEL = {
     'force_sensor.mass_share': 0.0,

@@ -2,7 +2,7 @@
 The blocks, each driven by its measured input, with every effect of the vocabulary built in.
 
 valve:   command -> valve position          (command path and valve)
-force:   valve position, velocity -> force  (hydraulics, then the sensor)
+force:   valve position, velocity -> force  (hydraulics and seals, then the sensor)
 load:    motion -> force                    (mechanics, then the sensor)
 
 The load is run backwards, from the measured motion to the force that it takes: an error does not
@@ -335,38 +335,113 @@ def viscous_force(v, e):
 
 
 @jit
-def force(position, velocity, p, e, period, count, out):
+def seals(velocity, p, e, h, out):
+    """Put the friction (N) before the force sensor into `out`; velocity: m/s, each `h` s."""
+    seal, before = 0.0, velocity[0]
+    extra, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    slips, sizes = np.zeros(PLAYS), spread(0.6)
+    for i in range(out.shape[0]):
+        v = velocity[i]
+        seal, out[i] = inner_friction(seal, slips, sizes, extra, reach, v, 0.5 * (before + v), p,
+                                      e, h)
+        before = v
+
+
+@jit
+def asked(position, velocity, p, e, h, out):
+    """
+    Put the force (N) that valve and motion ask of the fluid into `out`.
+
+    position: of the valve, m; velocity: of the piston, m/s; each `h` s.
+    """
+    keep = math.exp(-h / e.supply_time)
+    opened = 0.0
+    for i in range(out.shape[0]):
+        out[i], opened = supplied(position[i], velocity[i], opened, p, e, keep if i > 0 else 0.0)
+
+
+@jit
+def fluid_time(p):
+    """Return how late (s) the nominal fluid is."""
+    if p.fluid_dynamics_model == FULL:
+        return 1.0 / (2.0 * math.pi * p.fluid_dynamics_frequency)
+    return 0.0
+
+
+@jit
+def pressed(hydraulic, before, after, oil, p, e, h):
+    """
+    Return the force (N) of the fluid after `h` s in which what is asked of it (N) moved straight.
+
+    oil: how it goes on without leakage and air, as `lag_weights` says.
+    """
+    if e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0:
+        return oil[0] * hydraulic + oil[1] * before + oil[2] * after
+    size = abs(hydraulic) / e.force_scale
+    leak = 1.0 + e.leakage_linear + e.leakage_quadratic * size
+    time = fluid_time(p) + e.air_time / (1.0 + e.air_stiffening * size)
+    keep, old, new = lag_weights(time / leak, h)
+    return keep * hydraulic + (old * before + new * after) / leak
+
+
+@jit
+def travel(position, p, e, damping, stiffness, period, count, out):
+    """
+    Put the velocity (m/s) at each sample into `out` that piston and load take by themselves.
+
+    Where no motion was measured. position: n valve positions, m; damping N s/m, stiffness N/m of
+    the load; `count` sub-steps a sample of `period` s, of half a time constant at most.
+    """
+    h = period / count
+    oil = lag_weights(fluid_time(p), h)
+    keep = math.exp(-h / e.supply_time)
+    extra, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    slips, sizes = np.zeros(PLAYS), spread(0.6)
+    x, v, v_before, seal = 0.0, 0.0, 0.0, 0.0
+    wanted, opened = supplied(position[0], 0.0, 0.0, p, e, 0.0)
+    hydraulic = 0.0
+    for k in range(out.shape[0]):
+        out[k] = v
+        if k == out.shape[0] - 1:
+            break
+        for j in range(count):
+            z = position[k] + (j + 1.0) / count * (position[k + 1] - position[k])
+            before, hydraulic_before = wanted, hydraulic
+            # In the middle of the step, and at its end, the velocity goes on as it did.
+            wanted, opened = supplied(z, 2.0 * v - v_before, opened, p, e, keep)
+            hydraulic = pressed(hydraulic, before, wanted, oil, p, e, h)
+            middle = 1.5 * v - 0.5 * v_before
+            seal, rub = inner_friction(seal, slips, sizes, extra, reach, middle, middle, p, e, h)
+            v_before = v
+            v += h / p.load_mass * (0.5 * (hydraulic_before + hydraulic) - rub - damping * middle
+                                    - stiffness * (x + 0.5 * h * middle))
+            x += 0.5 * h * (v_before + v)
+
+
+@jit
+def force(wanted, rub, velocity, p, e, period, count, out):
     """
     Put the measured force (N) at each sample into `out`.
 
-    position: n valve positions, m; velocity: n velocities of the piston, m/s; both taken to move
-    straight from sample to sample; `count` sub-steps a sample of `period` s.
+    wanted, rub: what `asked` and `seals` give at (n - 1) count + 1 sub-steps; velocity: of the
+    piston at n samples, m/s; `count` sub-steps a sample of `period` s.
     """
     h = period / count
     ring = np.zeros(RING)
-    wait = delay_steps(p.force_sensor_delay, h)
+    # At such steps the second-order filter of the sensor's card does no more than a delay.
+    card = CARD_DAMPING / (math.pi * p.force_sensor_card_frequency)
+    wait = delay_steps(p.force_sensor_delay + card, h)
     flexure = second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
-    fluid_time = 0.0
-    if p.fluid_dynamics_model == FULL:
-        fluid_time = 1.0 / (2.0 * math.pi * p.fluid_dynamics_frequency)
-    fluid_gain = p.fluid_dynamics_linear_gain if p.fluid_dynamics_model == LINEAR else 1.0
     sensor_gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
 
-    keep, old, new = lag_weights(fluid_time, h)
+    oil = lag_weights(fluid_time(p), h)
     slow = lag_weights(e.sensor_lag * (1.0 - e.sensor_lag_split), h)
     slower = lag_weights(e.sensor_lag * e.sensor_lag_split, h)
-    steady = (e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0)
-    opening_keep = math.exp(-h / e.supply_time)
 
-    seal, seal_v = 0.0, velocity[0]
-    extra, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
-    slips, sizes = np.zeros(PLAYS), spread(0.6)
-    target, opened = supplied(position[0], velocity[0], 0.0, fluid_gain, p, e, 0.0)
-    hydraulic = target
-    seal, rub = inner_friction(seal, slips, sizes, extra, reach, velocity[0], velocity[0], p, e, h)
     # What the sensor feels: not the inertia of the mass before it.
     mass = p.force_sensor_mass_share * p.load_mass
-    felt = hydraulic - rub
+    hydraulic = wanted[0]
+    felt = hydraulic - rub[0]
     sensor, sensor_rate, sensed = felt, 0.0, felt
     first, lagged = felt, felt
     ring[:] = felt
@@ -376,24 +451,10 @@ def force(position, velocity, p, e, period, count, out):
         if k == out.shape[0] - 1:
             break
         inertia = mass * (velocity[k + 1] - velocity[k]) / period
-        for j in range(count):
-            part = (j + 1.0) / count
-            z = position[k] + part * (position[k + 1] - position[k])
-            v = velocity[k] + part * (velocity[k + 1] - velocity[k])
-            before = target
-            target, opened = supplied(z, v, opened, fluid_gain, p, e, opening_keep)
-            if not steady:
-                size = abs(hydraulic) / e.force_scale
-                leak = 1.0 + e.leakage_linear + e.leakage_quadratic * size
-                time = fluid_time + e.air_time / (1.0 + e.air_stiffening * size)
-                keep, old, new = lag_weights(time / leak, h)
-                old, new = old / leak, new / leak
-            hydraulic = keep * hydraulic + old * before + new * target
-            seal, rub = inner_friction(seal, slips, sizes, extra, reach, v,
-                                       0.5 * (seal_v + v), p, e, h)
-            seal_v = v
+        for i in range(k * count + 1, (k + 1) * count + 1):
+            hydraulic = pressed(hydraulic, wanted[i - 1], wanted[i], oil, p, e, h)
             felt_before = felt
-            felt = hydraulic - rub - inertia
+            felt = hydraulic - rub[i] - inertia
             sensed_before = sensed
             if p.force_sensor_model == FULL:
                 sensor, sensor_rate = second_order_step(
@@ -408,7 +469,7 @@ def force(position, velocity, p, e, period, count, out):
 
 
 @jit
-def supplied(z, v, opened, fluid_gain, p, e, keep):
+def supplied(z, v, opened, p, e, keep):
     """
     Return the force (N) that valve and motion ask of the fluid, and how long the valve was open.
 
@@ -432,6 +493,7 @@ def supplied(z, v, opened, fluid_gain, p, e, keep):
         against += hydraulic_damping(v, opening, p)
     elif p.hydraulic_damping_model == LINEAR:
         against += p.hydraulic_damping_linear_gain * v
+    fluid_gain = p.fluid_dynamics_linear_gain if p.fluid_dynamics_model == LINEAR else 1.0
     return fluid_gain * (static - against), opened
 
 

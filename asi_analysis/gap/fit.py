@@ -303,8 +303,10 @@ def fit_variants(group: Group, promise: 'Promise', variants: Sequence[Variant],
     followed: how many of the best starts are followed.
     """
     problem, starts = _added(group, promise.base, variants)
-    return fit(group, problem.free, starts, problem.fixed, known=promise.derivatives,
-               followed=followed)
+    # A nominal parameter that gets wider bounds has other derivatives: by shares of those.
+    own = {free.field for variant in variants for free in variant.free}
+    known = {name: column for name, column in promise.derivatives.items() if name not in own}
+    return fit(group, problem.free, starts, problem.fixed, known=known, followed=followed)
 
 
 def polish(group: Group, fitted: Fitted) -> Fitted:
@@ -318,7 +320,8 @@ class Promise:
 
     At each of its starts: the least squares of what is left over the change that the effect
     makes, at any size up to LARGEST times, and over the parameters that are fitted already, all
-    of it linear and within the bounds.
+    of it linear and within the bounds: those of the effect where it is a nominal parameter that
+    is off by more than its tolerance.
     """
 
     def __init__(self, base: Fitted) -> None:
@@ -333,12 +336,18 @@ class Promise:
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
         """Return the cost that a fit of these variants may be expected to reach."""
         problem, starts = _added(group, self.base, variants)
-        return min(self._linear(problem.residual(start) - self._left) for start in starts)
+        wide = {free.field: _bounds(free, group) for free in problem.free}
+        low, high = -self.base.theta, 1.0 - self.base.theta
+        for i, free in enumerate(self.base.free):
+            least, most = _bounds(free, group)
+            low[i] += (wide[free.field][0] - least) / (most - least)
+            high[i] += (wide[free.field][1] - most) / (most - least)
+        return min(self._linear(problem.residual(start) - self._left, low, high)
+                   for start in starts)
 
-    def _linear(self, change: Array) -> float:
+    def _linear(self, change: Array, low: Array, high: Array) -> float:
         cross = self._jacobian.T @ change
         square = np.block([[self._square, cross[:, None]], [cross[None], change @ change]])
         _, gain = least_step(square, np.append(self._right, change @ self._left),
-                             np.append(-self.base.theta, 0.0),
-                             np.append(1.0 - self.base.theta, LARGEST))
+                             np.append(low, 0.0), np.append(high, LARGEST))
         return 0.5 * float(self._left @ self._left) - gain

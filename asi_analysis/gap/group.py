@@ -45,8 +45,8 @@ SHAPES = {
     'valve': (Free('valve_hysteresis_spread', 0.0, 1.5, (0.3,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.3,))),
     'force': (Free('friction_slipping', 0.0, 1.0, (0.3,)),
-              Free('friction_presliding_stiffness', 0.3, 3.0, (1.0,), 'nominal'),
-              Free('friction_stribeck_velocity', 0.3, 3.0, (1.0,), 'nominal')),
+              Free('friction_presliding_stiffness', 0.5, 2.0, (1.0,), 'nominal'),
+              Free('friction_stribeck_velocity', 0.5, 2.0, (1.0,), 'nominal')),
     'load': (),
 }
 
@@ -81,6 +81,11 @@ class Group:
         return all(recording.valve_position is not None for recording in self.recordings)
 
 
+def moves(recording: Recording) -> bool:
+    """Return whether a recording holds the motion of the piston."""
+    return recording.velocity is not None or recording.motion is not None
+
+
 def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                tolerance: float = TOLERANCE, nuisance: tuple[Free, ...] | None = None,
                effects: tuple[Effect, ...] = EFFECTS,
@@ -103,6 +108,8 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     if nuisance is None:
         hidden = 'force' in channels and any(r.valve_position is None for r in recordings)
         names = ('valve', *channels) if hidden else channels
+        if not all(map(moves, recordings)):
+            names = (*names, 'load')
         nuisance = _nuisance(p, names, tolerance)
     return Group(p, recordings, channels, nuisance, scale, noise, floor, effects)
 
@@ -233,4 +240,6 @@ def shows_in(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
     through = channel == 'force' and not group.measures_valve and 'valve' in SHOWN[field]
     inert = field == 'load_mass' and group.nominal['force_sensor_mass_share'] != 0.0
-    return channel in SHOWN[field] or through or inert
+    carried = (channel == 'force' and field in UNCERTAIN['load']
+               and not all(map(moves, group.recordings)))
+    return channel in SHOWN[field] or through or inert or carried

@@ -1,13 +1,14 @@
 """What a channel of a recording should have measured, by a record of the plant."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from asi_actuator.model.jit import FULL
+from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.gap import blocks
-from asi_analysis.gap.prepare import Array, Recording, low_pass
+from asi_analysis.gap.prepare import Array, Recording
 
 # Valve position and velocity come sampled, and lags are exact for what moves straight, so finer
 # steps than the first tell nothing new of the force; delays and a solid friction of the nominal
@@ -15,7 +16,17 @@ from asi_analysis.gap.prepare import Array, Recording, low_pass
 # command and so jumps within a sample, the third.
 FORCE_STEP_S = 5e-4
 STEP_S = 2.5e-4
+FINER = 2
 HYSTERESIS_STEP_S = 2e-4
+# Of the load that is moved, against the damping of the oil that is late by 0.16 ms.
+TRAVEL_STEP_S = 1e-4
+# What the parts of the force depend on, and how many of them are kept.
+SEALS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
+              if name.startswith(('friction_', 'viscous')))
+ASKED = tuple(name for name in blocks.PLANT_DTYPE.names or ()
+              if name.startswith(('valve_characteristic_', 'hydraulic_damping_', 'supply_', 'damping_',
+                                  'fluid_dynamics_', 'orifice_', 'force_limit', 'corner')))
+KEPT = 5
 
 
 def plant_record(nominal: Mapping[str, Value]) -> np.void:
@@ -36,14 +47,46 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
         return _load(recording, p)
     if channel == 'valve':
         return _valve(recording, p)
-    out = np.empty(recording.fit.size)
     position = recording.valve_position
     if position is None:
         position = _valve(recording, p)
+    velocity = _velocity(recording, p, position)
     stiff = FULL in (p['force_sensor_model'], p['friction_model'])
-    blocks.force(position, _velocity(recording, p), *blocks.parts(p), recording.period_s,
-                 recording.sub_steps(STEP_S if stiff else FORCE_STEP_S), out)
+    count = recording.sub_steps(FORCE_STEP_S)
+    wanted = _kept(recording, blocks.asked, ASKED, p, (position, velocity), count)
+    if stiff:   # friction changes faster than valve and motion
+        wanted, count = _finely(wanted, FINER), FINER * count
+    rub = _kept(recording, blocks.seals, SEALS, p, (velocity,), count)
+    out = np.empty(recording.fit.size)
+    blocks.force(wanted, rub, velocity, *blocks.parts(p), recording.period_s, count, out)
     return out
+
+
+def _kept(recording: Recording, part: Callable[..., None], fields: tuple[str, ...], p: np.void,
+          signals: tuple[Array, ...], count: int) -> Array:
+    """
+    Return a part of the force at each sub-step, as it was if nothing that it depends on changed.
+
+    For a derivative only one parameter is moved, and that is in one part.
+    """
+    key = (part, count, *(float(p[name]) for name in fields),
+           *(hash(signal.tobytes()) for signal in signals))
+    known = recording.kept
+    if key not in known:
+        out = np.empty((recording.fit.size - 1) * count + 1)
+        part(*(_finely(signal, count) for signal in signals), *blocks.parts(p),
+             recording.period_s / count, out)
+        while len(known) >= KEPT:
+            del known[next(iter(known))]
+        known[key] = out
+    known[key] = known.pop(key)   # the latest last
+    return known[key]
+
+
+def _finely(signal: Array, count: int) -> Array:
+    """Return a signal at `count` sub-steps a sample, straight from sample to sample."""
+    rise = np.diff(signal)[:, None] * (np.arange(count) / count)
+    return np.append((signal[:-1, None] + rise).ravel(), signal[-1])
 
 
 def _valve(recording: Recording, p: np.void) -> Array:
@@ -55,21 +98,19 @@ def _valve(recording: Recording, p: np.void) -> Array:
     return out
 
 
-def _velocity(recording: Recording, p: np.void) -> Array:
-    """Return the velocity (m/s) of the piston; not measured, what the nominal load would do."""
+def _velocity(recording: Recording, p: np.void, position: Array) -> Array:
+    """Return the velocity (m/s) of the piston; not measured, what the nominal load does."""
     if recording.velocity is not None:
         return recording.velocity
     motion = recording.motion
     if motion is not None:
         return motion.velocity[motion.pad:motion.pad + recording.fit.size]
-    mass, damping, stiffness = blocks.load_constants(p)
-    count = recording.fit.size
-    if mass == 0.0 or stiffness == 0.0 or recording.force is None:
-        return np.zeros(count)
-    frequency = np.fft.rfftfreq(count, recording.period_s)
-    s = 2j * np.pi * frequency
-    velocity = s / (mass * s * s + damping * s + stiffness) * np.fft.rfft(recording.force)
-    return np.fft.irfft(velocity * low_pass(frequency, 0.1 / recording.period_s), count)
+    _, damping, stiffness = blocks.load_constants(p)
+    out = np.zeros(recording.fit.size)
+    if p['load_mass'] > 0.0 and int(p['load_type']) != PRESCRIBED:
+        blocks.travel(position, *blocks.parts(p), damping, stiffness, recording.period_s,
+                      recording.sub_steps(TRAVEL_STEP_S), out)
+    return out
 
 
 def _load(recording: Recording, p: np.void) -> Array:

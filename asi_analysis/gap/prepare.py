@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,7 @@ class Recording:
     noise: dict[str, float]      # standard deviation of each signal's noise, by signal
     fit: Mask                    # samples to fit on
     held_out: Mask               # samples to judge on
+    kept: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:
         """Return into how many steps, none longer than `longest_s` s, a period is cut."""

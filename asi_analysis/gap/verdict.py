@@ -59,8 +59,9 @@ USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
 SINGLES, FOLLOWED, SECONDS, FORMS = 8, 3, 4, 2
-LEAST_PROMISE = 0.02   # of the cost: what promises less is not fitted
-RIVAL = 4.0        # times the least cost: what is fitted to the end
+LEAST_PROMISE = 0.04   # of the cost: what promises less is not fitted
+# How many are fitted to the end, of those that cost less than this multiple of the least.
+FINISHED, RIVAL = 4, 4.0
 RETRIED = 3        # hypotheses from whose parameters the null fit is tried again
 WORTH = 0.8        # times the floor: what must be left for another effect to be tried
 
@@ -90,20 +91,16 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                   ) -> dict[Names, Candidate]:
     """Fit every effect on top of the nominal model's fit, and pairs of the best with others."""
     found: dict[Names, Candidate] = {(): Candidate((), (), null)}
-    if excess(group, null.held_out) < WORTH:
-        return found
     group.scale.update(seen(null))
     choices: dict[Names, list[tuple[Variant, ...]]] = {
         (effect.name,): [(variant,) for variant in effect.variants
-                         if _may_explain(variant, group, null) and not variant.joined]
+                         if channels_of(variant, group) and not variant.joined]
         for effect in group.effects}
     found |= _most_promising(group, null, choices, SINGLES, tick)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: c.fitted.cost)
     null = refit(group, null, [single.fitted for single in singles[:RETRIED]])
     found[()] = Candidate((), (), null)
-    if excess(group, null.held_out) < WORTH:
-        return {(): found[()]}
     if not singles or excess(group, singles[0].fitted.held_out) < WORTH:
         return found
     for first in singles[:FOLLOWED]:
@@ -179,9 +176,10 @@ def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[
             best = found[names].fitted.cost if names in found else reached.get(names, math.inf)
             if fitted.cost < best:
                 found[names] = Candidate(names, variants, fitted)
-    least = min((candidate.fitted.cost for candidate in found.values()), default=0.0)
+    costs = sorted(candidate.fitted.cost for candidate in found.values())
+    limit = min(RIVAL * costs[0], costs[:FINISHED][-1]) if costs else 0.0
     return {names: candidate._replace(fitted=polish(group, candidate.fitted))
-            if candidate.fitted.cost < RIVAL * least else candidate
+            if candidate.fitted.cost <= limit else candidate
             for names, candidate in found.items()}
 
 
