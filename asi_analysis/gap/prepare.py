@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import coherence, resample_poly, welch
 
 from asi_analysis.errors import InputError
@@ -224,10 +225,13 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     frequency = np.fft.rfftfreq(count, period)
     omega = 2.0 * np.pi * frequency
     if position is None:
-        v = np.fft.rfft(_extended(source, pad))
+        # Integrated before it is extended: so its ends go on as those of the force do. What the
+        # trapezoidal rule makes of each frequency is undone.
+        x = np.fft.rfft(_extended(cumulative_trapezoid(source, dx=period, initial=0.0), pad))
+        half = np.minimum(0.5 * omega * period, 0.45 * np.pi)
+        x[1:] *= np.tan(half[1:]) / half[1:]
+        v = 1j * omega * x
         noise = np.full_like(omega, noise_of(source) ** 2)
-        x = np.zeros_like(v)
-        x[1:] = v[1:] / (1j * omega[1:])
     else:
         x = np.fft.rfft(_extended(position, pad))
         v = 1j * omega * x
@@ -239,8 +243,9 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
             v += trust * (both - v)
             noise = trust * noise_of(velocity) ** 2
             x[1:] = v[1:] / (1j * omega[1:])
-    fused = np.fft.irfft(v, count)[pad:pad + source.size] if velocity is not None else None
-    corner = max(SMOOTHING * band, _clear(np.fft.irfft(v, count)[pad:-pad], omega, noise, period))
+    found = source if position is None else np.fft.irfft(v, count)[pad:-pad]
+    fused = found if velocity is not None else None
+    corner = max(SMOOTHING * band, _clear(found, omega, noise, period))
     smooth = low_pass(frequency, min(corner, 0.45 / period))
     x, v = x * smooth, v * smooth
     judge = low_pass(frequency, band)
