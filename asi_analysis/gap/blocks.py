@@ -419,12 +419,12 @@ def travel(position, p, e, damping, stiffness, period, count, out):
 
 
 @jit
-def force(wanted, rub, velocity, p, e, period, count, out):
+def force(wanted, rub, acceleration, p, e, period, count, out):
     """
     Put the measured force (N) at each sample into `out`.
 
-    wanted, rub: what `asked` and `seals` give at (n - 1) count + 1 sub-steps; velocity: of the
-    piston at n samples, m/s; `count` sub-steps a sample of `period` s.
+    wanted, rub: what `asked` and `seals` give at (n - 1) count + 1 sub-steps; acceleration: of the
+    piston at n samples, m/s2; `count` sub-steps a sample of `period` s.
     """
     h = period / count
     ring = np.zeros(RING)
@@ -441,7 +441,7 @@ def force(wanted, rub, velocity, p, e, period, count, out):
     # What the sensor feels: not the inertia of the mass before it.
     mass = p.force_sensor_mass_share * p.load_mass
     hydraulic = wanted[0]
-    felt = hydraulic - rub[0]
+    felt = hydraulic - rub[0] - mass * acceleration[0]
     sensor, sensor_rate, sensed = felt, 0.0, felt
     first, lagged = felt, felt
     ring[:] = felt
@@ -450,8 +450,10 @@ def force(wanted, rub, velocity, p, e, period, count, out):
         out[k] = reading(lagged, k * period, p, e)
         if k == out.shape[0] - 1:
             break
-        inertia = mass * (velocity[k + 1] - velocity[k]) / period
-        for i in range(k * count + 1, (k + 1) * count + 1):
+        for j in range(count):
+            i = k * count + j + 1
+            inertia = mass * (acceleration[k] + (j + 1.0) / count * (acceleration[k + 1]
+                                                                     - acceleration[k]))
             hydraulic = pressed(hydraulic, wanted[i - 1], wanted[i], oil, p, e, h)
             felt_before = felt
             felt = hydraulic - rub[i] - inertia
@@ -505,14 +507,14 @@ def reading(sensed, time, p, e):
 
 
 @jit
-def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out):
+def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
     """
     Put into `out` the force (N) of the load that is not linear in its motion.
 
-    Friction beyond the sensor, what backlash takes away from spring and damper, disturbance.
-    position m, velocity m/s: of the piston; stiffness N/m, damping N s/m of the load; start: time
-    of the first sample, s. Friction and backlash remember nothing of before time 0, where the
-    motion is made up.
+    Friction beyond the sensor and disturbance; into `slack` how far (m) the load is behind the
+    piston for backlash. position m, velocity m/s: of the piston; damping N s/m of the load; start:
+    time of the first sample, s. Friction and backlash remember nothing of before time 0, where
+    the motion is made up.
     """
     elements, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
     left, before = position[0], position[0]
@@ -530,7 +532,7 @@ def load_nonlinear(position, velocity, stiffness, damping, e, period, start, out
         if e.backlash > 0.0:
             left = min(max(left, x - e.backlash), x + e.backlash)
             seat = e.backlash_memory * left + (1.0 - e.backlash_memory) * dead_zone(x, e.backlash)
-            total -= stiffness * (x - seat)
+            slack[k] = x - seat
         if e.disturbance_frequency > 0.0:
             time = start + k * period
             total -= e.disturbance_wave * math.sin(omega * time
@@ -590,17 +592,18 @@ def impedance(omega: Array, p: np.void) -> Complex:
     return mass * 1j * omega + damping
 
 
-def compliant(omega: Array, velocity: Complex, position: Complex, p: np.void) -> Complex:
+def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void
+           ) -> Complex:
     """
-    Return the spectrum of the force that a load behind a compliance takes.
+    Return the spectrum of the force that a load behind a backlash and a compliance takes.
 
-    velocity, position: spectra of the piston's motion.
+    velocity, position: spectra of the piston's motion; slack: of how far the load is behind it.
     """
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega
     before = mass * p['piston_share']
-    behind = mass - before
+    rest = mass - before
     soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
-    left = 1.0 / (1.0 + soft * (behind * s * s + damping * s + stiffness))
-    return (before * s * velocity
-            + left * ((behind * s + damping) * velocity + stiffness * position))
+    left = 1.0 / (1.0 + soft * (rest * s * s + damping * s + stiffness))
+    return before * s * velocity + left * (
+        (rest * s + damping) * (velocity - s * slack) + stiffness * (position - slack))

@@ -140,7 +140,8 @@ EFFECTS: tuple[Effect, ...] = (
                 FORCE_SIDE, needs=('hydraulic_damping_model',)),
     )),
     Effect('supply_pressure', HYDRAULICS, 'less supply pressure, or it sags with the valve open',
-           (Variant((Free('supply_drop', -0.6, 0.9, (0.1,)), Free('supply_sag', 0.0, 0.9, (0.05,)),
+           (Variant((Free('supply_drop', -0.6, 0.9, (0.1,)),
+                     Free('supply_sag', 0.0, 3.0, (0.05, 0.5)),   # of a valve that is wide open
                      Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
             )),
     Effect('internal_leakage', HYDRAULICS, 'oil leaks past the piston, more at a higher force', (
@@ -168,7 +169,10 @@ EFFECTS: tuple[Effect, ...] = (
                 (('friction_inside', 1.0),)),
     )),
     Effect('backlash', MECHANICS, 'the piston moves a little before the load does', tuple(
-        Variant((Free('backlash', 0.0, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
+        Variant((Free('backlash', 0.0, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),
+                 # What touches gives way a little.
+                 Free('compliance', 0.0, 0.5, (0.02,), 'compliance', 'm/N'),
+                 Free('piston_share', 0.0, 1.0, (0.5,))), LOAD_SIDE,
                 (('backlash_memory', memory),)) for memory in (0.0, 1.0))),
     Effect('load_compliance', MECHANICS, 'the load gives way between piston and mass', (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),

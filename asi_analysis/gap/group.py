@@ -2,18 +2,19 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asi_actuator.model.jit import FULL, LINEAR
 from asi_analysis.gap import blocks
 from asi_analysis.gap.effects import EFFECTS, Effect, Free, Variant
-from asi_analysis.gap.predict import measured, predict
+from asi_analysis.gap.predict import measured, passed_on, predict
 from asi_analysis.gap.prepare import Array, Recording
 
 Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
+NOISIER = 0.6        # of the noise that was found: a model that leaves less shows that it is less
 MODEL_ERROR = 0.005  # share of a signal that no model of ours is trusted to explain
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
 # they have no effect, and are left out.
@@ -57,7 +58,8 @@ class Group:
     Channels that share parameters, and so are fitted together.
 
     scale: what the bounds of the effects are multiples of; floor: mean square of what may be left
-    in each channel by noise and by the small errors of any model; effects: those that may be at
+    in each channel by noise, by the small errors of any model and by `formulation`, that of the
+    nominal nonlinearities; effects: those that may be at
     work.
     """
 
@@ -68,6 +70,7 @@ class Group:
     scale: Values = field(default_factory=dict)
     noise: Values = field(default_factory=dict)
     floor: Values = field(default_factory=dict)
+    formulation: Values = field(default_factory=dict)
     effects: tuple[Effect, ...] = EFFECTS
 
     @property
@@ -96,46 +99,52 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     model_error: share of a signal that the model is not trusted to explain.
     """
     scale = scales(recordings)
-    noise, floor = {}, {}
+    noise, floor, formulation = {}, {}, {}
     p = nominal.copy()
     p['force_scale'] = scale['force']
     for channel in channels:
         noise[channel] = max(_noise(recording, channel, nominal) for recording in recordings)
         size = math.sqrt(float(np.mean([np.mean(measured(recording, channel) ** 2)
                                         for recording in recordings])))
-        floor[channel] = (noise[channel] ** 2 + (model_error * size) ** 2
-                          + _formulation_error(recordings, channel, p))
+        formulation[channel] = _formulation_error(recordings, channel, p)
+        floor[channel] = noise[channel] ** 2 + (model_error * size) ** 2 + formulation[channel]
     if nuisance is None:
         hidden = 'force' in channels and any(r.valve_position is None for r in recordings)
         names = ('valve', *channels) if hidden else channels
         if not all(map(moves, recordings)):
             names = (*names, 'load')
         nuisance = _nuisance(p, names, tolerance)
-    return Group(p, recordings, channels, nuisance, scale, noise, floor, effects)
+    return Group(p, recordings, channels, nuisance, scale, noise, floor, formulation, effects)
+
+
+def less_noisy(group: Group, left: Values) -> Group:
+    """
+    Return a group whose noise is no more than what a model leaves of it (mean squares).
+
+    Where a signal is sampled slowly, its own course looks like noise.
+    """
+    noise = {channel: min(level, math.sqrt(left[channel]))
+             for channel, level in group.noise.items()}
+    if all(noise[channel] > NOISIER * level for channel, level in group.noise.items()):
+        return group
+    return replace(group, noise=noise, floor={
+        channel: floor - group.noise[channel] ** 2 + noise[channel] ** 2
+        for channel, floor in group.floor.items()})
 
 
 def _noise(recording: Recording, channel: str, p: np.void) -> float:
     """Return the standard deviation of what noise leaves in a channel, that of its input too."""
-    noise = recording.noise
+    noise, motion = recording.noise, recording.motion
     if channel == 'valve':
         return noise['valve_position']
     if channel == 'force':
-        slope = p['valve_characteristic_maximum_force'] / p['valve_characteristic_full_opening']
-        damping = p['hydraulic_damping_viscous'] if p['hydraulic_damping_model'] == FULL else (
-            p['hydraulic_damping_linear_gain'] if p['hydraulic_damping_model'] else 0.0)
-        return math.hypot(noise['force'], slope * noise.get('valve_position', 0.0),
-                          damping * noise.get('velocity', 0.0))
-    motion = recording.motion
+        return math.hypot(noise['force'], math.sqrt(passed_on(recording, channel, p)))
     assert motion is not None
     _, _, stiffness = blocks.load_constants(p)
-    moved = blocks.impedance(motion.omega, p) * motion.judge
-    if 'velocity' not in noise:
-        moved = moved * 1j * motion.omega * noise['position']
-    else:
-        moved = moved * noise['velocity']
-    stretched = stiffness * noise.get('position', 0.0) * motion.judge
-    return math.sqrt(float(np.mean((noise['force'] * motion.judge) ** 2 + np.abs(moved) ** 2
-                                   + stretched ** 2)))
+    moved = blocks.impedance(motion.omega, p) + stiffness / (
+        1j * np.maximum(motion.omega, motion.omega[1]))
+    return math.sqrt(float(np.mean(motion.judge ** 2 * (
+        noise['force'] ** 2 + np.abs(moved) ** 2 * motion.noise))))
 
 
 def _range(signals: Sequence[Array | None]) -> float:

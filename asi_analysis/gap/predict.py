@@ -1,6 +1,8 @@
 """What a channel of a recording should have measured, by a record of the plant."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +22,15 @@ FINER = 2
 HYSTERESIS_STEP_S = 2e-4
 # Of the load that is moved, against the damping of the oil that is late by 0.16 ms.
 TRAVEL_STEP_S = 1e-4
-# What the parts of the force depend on, and how many of them are kept.
+# What valve and parts of the force depend on, and how many of them are kept.
 SEALS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('friction_', 'viscous')))
-ASKED = tuple(name for name in blocks.PLANT_DTYPE.names or ()
-              if name.startswith(('valve_characteristic_', 'hydraulic_damping_', 'supply_', 'damping_',
-                                  'fluid_dynamics_', 'orifice_', 'force_limit', 'corner')))
-KEPT = 5
+ASKED = tuple(name for name in blocks.PLANT_DTYPE.names or () if name.startswith((
+    'valve_characteristic_', 'hydraulic_damping_', 'fluid_dynamics_', 'supply_', 'damping_',
+    'orifice_', 'force_limit', 'corner')))
+VALVE = tuple(name for name in blocks.PLANT_DTYPE.names or ()
+              if name.startswith(('valve_', 'command_', 'loop_', 'corner')))
+KEPT = 6
 
 
 def plant_record(nominal: Mapping[str, Value]) -> np.void:
@@ -49,38 +53,80 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
         return _valve(recording, p)
     position = recording.valve_position
     if position is None:
-        position = _valve(recording, p)
+        position = _kept(recording, VALVE, p, (), lambda: _valve(recording, p))
     velocity = _velocity(recording, p, position)
     stiff = FULL in (p['force_sensor_model'], p['friction_model'])
     count = recording.sub_steps(FORCE_STEP_S)
-    wanted = _kept(recording, blocks.asked, ASKED, p, (position, velocity), count)
+    wanted = _kept(recording, ASKED, p, (position, velocity), lambda: _finely_run(
+        blocks.asked, recording, p, (position, velocity), count))
     if stiff:   # friction changes faster than valve and motion
         wanted, count = _finely(wanted, FINER), FINER * count
-    rub = _kept(recording, blocks.seals, SEALS, p, (velocity,), count)
+    rub = _kept(recording, SEALS, p, (velocity,), lambda: _finely_run(
+        blocks.seals, recording, p, (velocity,), count))
     out = np.empty(recording.fit.size)
-    blocks.force(wanted, rub, velocity, *blocks.parts(p), recording.period_s, count, out)
+    # The smoothed motion, where there is one: noise grows with each derivative.
+    motion = recording.motion
+    acceleration = (np.gradient(velocity, recording.period_s) if motion is None else
+                    motion.acceleration[motion.pad:motion.pad + out.size])
+    blocks.force(wanted, rub, acceleration, *blocks.parts(p), recording.period_s, count, out)
     return out
 
 
-def _kept(recording: Recording, part: Callable[..., None], fields: tuple[str, ...], p: np.void,
-          signals: tuple[Array, ...], count: int) -> Array:
+def passed_on(recording: Recording, channel: str, p: np.void) -> float:
     """
-    Return a part of the force at each sub-step, as it was if nothing that it depends on changed.
+    Return the mean square that the noise of its measured inputs leaves in what a channel predicts.
+
+    Of valve position and motion. What acts behind a lag passes on less.
+    """
+    if channel != 'force':
+        return 0.0
+    rng = np.random.default_rng(0)
+    noisy: dict[str, Any] = {}
+    if recording.valve_position is not None:
+        noisy['valve_position'] = recording.valve_position + recording.noise[
+            'valve_position'] * rng.standard_normal(recording.fit.size)
+    motion = recording.motion
+    if motion is not None:
+        shaken = np.fft.rfft(rng.standard_normal(motion.velocity.size)) * np.sqrt(motion.noise)
+        inner = slice(motion.pad, motion.pad + recording.fit.size)
+        smoothed = shaken * motion.smooth
+        if recording.velocity is not None:
+            noisy['velocity'] = recording.velocity + np.fft.irfft(
+                shaken, motion.velocity.size)[inner]
+        noisy['motion'] = replace(
+            motion, velocity=motion.velocity + np.fft.irfft(smoothed, motion.velocity.size),
+            acceleration=motion.acceleration + np.fft.irfft(1j * motion.omega * smoothed,
+                                                            motion.velocity.size))
+    made = predict(replace(recording, kept={}, **noisy), channel, p) - predict(
+        recording, channel, p)
+    return float(np.mean(made[recording.held_out] ** 2))
+
+
+def _kept(recording: Recording, fields: tuple[str, ...], p: np.void,
+          signals: tuple[Array, ...], make: Callable[[], Array]) -> Array:
+    """
+    Return a part of a prediction, as it was if nothing that it depends on has changed.
 
     For a derivative only one parameter is moved, and that is in one part.
     """
-    key = (part, count, *(float(p[name]) for name in fields),
+    key = (fields[0], *(float(p[name]) for name in fields),
            *(hash(signal.tobytes()) for signal in signals))
     known = recording.kept
     if key not in known:
-        out = np.empty((recording.fit.size - 1) * count + 1)
-        part(*(_finely(signal, count) for signal in signals), *blocks.parts(p),
-             recording.period_s / count, out)
         while len(known) >= KEPT:
             del known[next(iter(known))]
-        known[key] = out
+        known[key] = make()
     known[key] = known.pop(key)   # the latest last
     return known[key]
+
+
+def _finely_run(part: Callable[..., None], recording: Recording, p: np.void,
+                signals: tuple[Array, ...], count: int) -> Array:
+    """Return what a part of the force makes of signals at `count` sub-steps a sample."""
+    out = np.empty((recording.fit.size - 1) * count + 1)
+    part(*(_finely(signal, count) for signal in signals), *blocks.parts(p),
+         recording.period_s / count, out)
+    return out
 
 
 def _finely(signal: Array, count: int) -> Array:
@@ -120,13 +166,12 @@ def _load(recording: Recording, p: np.void) -> Array:
     _, damping, stiffness = blocks.load_constants(p)
     linear = (blocks.impedance(motion.omega, p) * motion.velocity_spectrum
               + stiffness * motion.position_spectrum)
-    extra = np.zeros(motion.velocity.size)
-    blocks.load_nonlinear(motion.position, motion.velocity, stiffness, damping,
-                          blocks.parts(p)[1], recording.period_s,
-                          -motion.pad * recording.period_s, extra)
-    if p['compliance'] > 0.0:
-        linear = blocks.compliant(motion.omega, motion.velocity_spectrum,
-                                  motion.position_spectrum, p)
+    extra, slack = np.zeros((2, motion.velocity.size))
+    blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
+                          recording.period_s, -motion.pad * recording.period_s, extra, slack)
+    if p['compliance'] > 0.0 or p['backlash'] > 0.0:
+        linear = blocks.behind(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
+                               np.fft.rfft(slack), p)
     total = ((linear + np.fft.rfft(extra)) * blocks.sensor_response(motion.omega, p)
              * blocks.drive_inverse(motion.omega, p) * motion.judge)
     count = recording.fit.size

@@ -43,15 +43,20 @@ class Motion:
     """
     The measured motion of the piston, for the load: extended by PAD_S at both ends.
 
-    spectra are of the whole extended length; `judge` is the gain of the band that is judged.
+    spectra are of the whole extended length; `smooth` is the gain by which they were smoothed,
+    `judge` that of the band that is judged; `noise` is what white noise as strong everywhere as
+    the velocity's is at each frequency would vary by.
     """
 
     omega: Array                 # rad/s
     position: Array              # m, smoothed
     velocity: Array              # m/s, smoothed
+    acceleration: Array          # m/s2, of it
     position_spectrum: npt.NDArray[np.complexfloating[Any, Any]]
     velocity_spectrum: npt.NDArray[np.complexfloating[Any, Any]]
+    smooth: Array
     judge: Array
+    noise: Array                 # m2/s2
     band_hz: float
     pad: int                     # samples before the recording
     measured: bool               # false if the position was found by integration
@@ -236,7 +241,7 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
         x = np.fft.rfft(_extended(position, pad))
         v = 1j * omega * x
         noise = (omega * noise_of(position)) ** 2
-        if velocity is not None and agree(position, velocity, period):
+        if velocity is not None:
             both = np.fft.rfft(np.pad(velocity, pad, 'reflect'))
             # Each by its noise: slow motion from the position, fast motion from the velocity.
             trust = noise / (noise + noise_of(velocity) ** 2 + 1e-300)
@@ -251,8 +256,9 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     judge = low_pass(frequency, band)
     if position is None:   # what an integral adds up at low frequency says nothing
         judge = judge * (1.0 - low_pass(frequency, 0.5))
-    return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count), x, v, judge, band, pad,
-                  position is not None), fused
+    return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count),
+                  np.fft.irfft(1j * omega * v, count), x, v, smooth, judge, noise, band,
+                  pad, position is not None), fused
 
 
 def judged(values: Array, motion: Motion) -> Array:
@@ -297,6 +303,9 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
         named = {'command': named['command'], 'valve_position': named['force']}
     moving = {name: values for name, values in named.items()
               if values is not None and np.ptp(values) > 0.0}
+    if {'position', 'velocity'} <= set(moving) and not agree(
+            moving['position'], moving['velocity'], period):
+        del moving['velocity']   # it is of something else
     if not {'command', 'valve_position'} <= set(moving) and (
             'force' not in moving or len(moving) < 2):
         raise InputError(f'{run.source}: nothing to compare: it takes a command and what follows '

@@ -22,6 +22,7 @@ CORNERS = 400      # places in a recording where a pulse is looked for to begin 
 # is the most that any of its levels is then off by; the best is looked for again, finely.
 STEPS = np.arange(2.0, 60.0, 0.35)
 NEARBY = np.linspace(-0.35, 0.35, 71)
+FREE = 1e3         # times what is left: the range of an offset, which may be anything
 RESPONSE_S = 0.2   # after which a valve has answered
 
 
@@ -46,20 +47,28 @@ def seen(fitted: Fitted) -> Values:
 
 
 def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
-    """Return what a fit leaves of a channel, and orthonormal what its parameters can change."""
+    """
+    Return what a fit leaves of a channel (n samples) less what its parameters could take of it.
+
+    And n x m numbers whose products with any n samples tell, squared, how much they could take of
+    those. Of a parameter whose whole range changes less than is left, that is little: it may not
+    go further, however alike the two look.
+    """
     group = fitted.problem.group
     recording = group.recordings[0]
     base = predict(recording, channel, fitted.record)
-    columns = [np.ones_like(base)]
+    left = measured(recording, channel) - base
+    columns = [np.full_like(base, FREE * np.linalg.norm(left))]
     for number, free in enumerate(fitted.free):
         if shows_in(free.field, channel, group):
+            step = STEP if fitted.theta[number] < 0.5 else -STEP
             moved = fitted.theta.copy()
-            moved[number] += STEP if moved[number] < 0.5 else -STEP
-            columns.append(predict(recording, channel, fitted.problem.record(moved)) - base)
-    size = [np.linalg.norm(column) for column in columns]
-    known, _ = np.linalg.qr(np.array([column / norm for column, norm in
-                                      zip(columns, size, strict=True) if norm > 0.0]).T)
-    left = measured(recording, channel) - base
+            moved[number] += step
+            columns.append(
+                (predict(recording, channel, fitted.problem.record(moved)) - base) / step)
+    ranges = np.array(columns).T
+    triangle = np.linalg.cholesky(ranges.T @ ranges + left @ left * np.eye(len(columns)))
+    known = np.linalg.solve(triangle, ranges.T).T
     return left - known @ (known.T @ left), known
 
 

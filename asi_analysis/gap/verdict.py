@@ -12,6 +12,8 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from asi_analysis.gap.effects import BY_NAME, NO_GAP, UNKNOWN, Effect, Variant
 from asi_analysis.gap.fit import (
     Fitted,
@@ -23,7 +25,8 @@ from asi_analysis.gap.fit import (
     refit,
     with_known_gain,
 )
-from asi_analysis.gap.group import Group, Values, channels_of
+from asi_analysis.gap.group import Group, Values, channels_of, less_noisy
+from asi_analysis.gap.predict import passed_on
 from asi_analysis.gap.seen import seen
 
 Names = tuple[str, ...]
@@ -35,26 +38,34 @@ class Constants(NamedTuple):
 
     How many effects: samples, independent samples that a channel is counted as if USUAL_S are
     held out; price: log prior of an effect against none; second: of one more; formulation: how
-    much of what an effect explains, in rms, its formulation may leave.
+    much of what an effect explains, in rms, its formulation may leave; seen: how far the floor is
+    what the best hypothesis leaves (1), or what was thought of before (0).
     Which: trust, share of the evidence of independent samples that is believed; parameter: log
-    prior of a parameter more than one. unknown, beyond, left: log odds of the doubt in an
-    explanation, and how they grow with the log of what it leaves, in multiples of the floor and as
-    a share of the gap.
+    prior of a parameter more than one; alike: share of the error of the nominal nonlinearities
+    below which no two hypotheses are told apart; few: how many independent samples that error
+    is. unknown, beyond, left: log odds of the doubt in an explanation, and how they grow with the
+    log of what it leaves, in multiples of the floor and as a share of the gap. hidden: probability
+    that something hides in nonlinearities whose shape is free, where they make all of the floor.
     """
 
-    samples: float = 21.0
-    price: float = 1.7
-    second: float = 5.5
-    formulation: float = 0.055
-    trust: float = 0.13
-    parameter: float = 0.45
-    unknown: float = -1.8
-    beyond: float = 1.1
-    left: float = 1.0
+    samples: float = 17.0
+    price: float = 2.3
+    second: float = 5.1
+    formulation: float = 0.074
+    seen: float = 0.5
+    trust: float = 0.17
+    parameter: float = 0.41
+    alike: float = 0.3
+    few: float = 100.0
+    unknown: float = -2.0
+    beyond: float = 1.25
+    left: float = 1.05
+    hidden: float = 0.23
 
 
 CONSTANTS = Constants()
 NEAR_NOISE = 0.1   # of the noise's mean square: by less no two hypotheses are told apart
+LEAST = 0.01       # of the floor: less is never seen
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
@@ -176,8 +187,8 @@ def _most_promising(group: Group, base: Fitted, choices: dict[Names, list[tuple[
             best = found[names].fitted.cost if names in found else reached.get(names, math.inf)
             if fitted.cost < best:
                 found[names] = Candidate(names, variants, fitted)
-    costs = sorted(candidate.fitted.cost for candidate in found.values())
-    limit = min(RIVAL * costs[0], costs[:FINISHED][-1]) if costs else 0.0
+    least = sorted(candidate.fitted.cost for candidate in found.values())[:FINISHED]
+    limit = min(RIVAL * least[0], least[-1]) if least else 0.0
     return {names: candidate._replace(fitted=polish(group, candidate.fitted))
             if candidate.fitted.cost <= limit else candidate
             for names, candidate in found.items()}
@@ -207,12 +218,14 @@ class Evidence(NamedTuple):
     """
     All that the hypotheses of a group are weighed by.
 
-    noise, floor: mean squares; independent: how many independent samples; left: mean square on the
-    held-out parts; all by channel; parameters: how many an effect has.
+    noise, floor, formulation: mean squares, as a group has them; independent: how many independent
+    samples; left: mean square on the held-out parts; all by channel; parameters: how many an
+    effect has.
     """
 
     noise: Values
     floor: Values
+    formulation: Values
     independent: Values
     held_out_s: float
     left: dict[Names, Values]
@@ -220,14 +233,29 @@ class Evidence(NamedTuple):
 
 
 def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
-    """Return what the hypotheses of a group are weighed by."""
+    """
+    Return what the hypotheses of a group are weighed by.
+
+    What they leave is made comparable: one that passes more of its inputs' noise on than the
+    nominal model does must leave more.
+    """
     best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+    passed = {names: _passed_on(group, candidate.fitted) for names, candidate in found.items()}
+    left = {names: {channel: max(mean - passed[names][channel] + passed[()][channel], LEAST * mean)
+                    for channel, mean in candidate.fitted.held_out.items()}
+            for names, candidate in found.items()}
     return Evidence(
         {channel: noise ** 2 for channel, noise in group.noise.items()}, group.floor,
-        independent_samples(group, best.fitted.record), group.held_out_s,
-        {names: candidate.fitted.held_out for names, candidate in found.items()},
+        group.formulation, independent_samples(group, best.fitted.record), group.held_out_s, left,
         {names: len({free.field for variant in candidate.variants for free in variant.free})
          for names, candidate in found.items()})
+
+
+def _passed_on(group: Group, fitted: Fitted) -> Values:
+    """Return the mean square that the noise of the inputs leaves in each channel."""
+    return {channel: float(np.mean([passed_on(recording, channel, fitted.record)
+                                    for recording in group.recordings]))
+            for channel in group.channels}
 
 
 def as_plain(e: Evidence) -> dict[str, Any]:
@@ -240,8 +268,8 @@ def as_plain(e: Evidence) -> dict[str, Any]:
 def as_evidence(plain: Mapping[str, Any]) -> Evidence:
     """Return the evidence that plain data hold."""
     names = [tuple(n) for n in plain['names']]
-    return Evidence(plain['noise'], plain['floor'], plain['independent'], plain['held_out_s'],
-                    dict(zip(names, plain['left'], strict=True)),
+    return Evidence(plain['noise'], plain['floor'], plain['formulation'], plain['independent'],
+                    plain['held_out_s'], dict(zip(names, plain['left'], strict=True)),
                     dict(zip(names, plain['parameters'], strict=True)))
 
 
@@ -251,10 +279,18 @@ def _which(e: Evidence, c: Constants) -> dict[Names, float]:
 
     Of independent samples above the noise: models that leave little more than the noise are told
     apart sharply; where the best leaves more, that goes on for long and counts as few samples.
+    Where the nominal model has nonlinearities, what their formulation may leave counts as well.
     """
-    return {names: -c.parameter * max(e.parameters[names] - len(names), 0) - c.trust * sum(
-        0.5 * e.independent[channel] * math.log(mean + NEAR_NOISE * e.noise[channel])
-        for channel, mean in left.items()) for names, left in e.left.items()}
+    evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
+                for names in e.left}
+    for channel, noise in e.noise.items():
+        formulation = e.formulation[channel]
+        share = formulation / (formulation + noise + 1e-300)
+        samples = 1.0 / (1.0 / e.independent[channel] + share / c.few)
+        level = NEAR_NOISE * noise + c.alike * formulation
+        for names, left in e.left.items():
+            evidence[names] -= c.trust * 0.5 * samples * math.log(left[channel] + level)
+    return evidence
 
 
 def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
@@ -269,7 +305,9 @@ def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
     for channel, floor in e.floor.items():
         first, second = e.left[before][channel], e.left[after][channel]
         explained = max(e.left[()][channel] - first, 0.0)
-        level = floor + c.formulation ** 2 * explained
+        least = min(left[channel] for left in e.left.values())
+        least = min(max(least, LEAST * floor), floor)
+        level = floor ** (1.0 - c.seen) * least ** c.seen + c.formulation ** 2 * explained
         gain += 0.5 * samples * math.log((first + level) / (second + level))
     return gain
 
@@ -281,14 +319,16 @@ def doubt(e: Evidence, best: Names, c: Constants) -> float:
     From what the best explanation leaves; the worst channel counts. An explanation that leaves
     little more than the floor is good.
     """
-    worst = -math.inf
+    worst, hidden = -math.inf, 0.0
     for channel, floor in e.floor.items():
+        hidden = max(hidden, c.hidden * e.formulation[channel] / floor)
         left, gap = e.left[best][channel], e.left[()][channel]
         over = left - floor
         if over > 0.0:
             worst = max(worst, c.unknown + c.beyond * math.log(left / floor)
                         + c.left * math.log(over / max(gap - floor, over)))
-    return 1.0 / (1.0 + math.exp(-worst)) if worst > -50.0 else 0.0
+    outside = 1.0 / (1.0 + math.exp(-worst)) if worst > -50.0 else 0.0
+    return max(outside, 0.0 if best else hidden)
 
 
 def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
@@ -329,7 +369,10 @@ def weigh_groups(groups: Sequence[Group], tolerance: float,
         if known and weighed[0].group.channels == ('valve',):
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
             group = with_known_gain(group, weighed[0].candidates[best].fitted, tolerance)
-        weighed.append(weigh(group, candidates_of(group, fit_null(group), tick)))
+        null = fit_null(group)
+        if (quieter := less_noisy(group, null.held_out)) is not group:
+            group, null = quieter, fit_null(quieter)
+        weighed.append(weigh(group, candidates_of(group, null, tick)))
     return weighed
 
 
