@@ -4,9 +4,9 @@ Someone else's recording (CSV, TSV, MAT, Parquet) → `Run` and bag.
 What stands where is told by mappings such as `force=CHANNEL1*9806.65[N]`; see doc/importing.md.
 """
 
+import codecs
 import csv
 import gzip
-import itertools
 import math
 import re
 import warnings
@@ -183,7 +183,10 @@ def _since_first(column: npt.NDArray) -> Array | None:
         if not np.issubdtype(column.dtype, np.datetime64):
             if _is_number(str(column[0])):
                 return None
-            column = np.array([str(cell).removesuffix('Z') for cell in column], 'datetime64[ns]')
+            # Of a time of day any date will do.
+            day = '' if '-' in str(column[0]) else '1970-01-01T'
+            column = np.array([day + str(cell).removesuffix('Z') for cell in column],
+                              'datetime64[ns]')
         return (column - column[0]) / np.timedelta64(1, 's')
     except (ValueError, IndexError):
         return None
@@ -301,14 +304,21 @@ def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArr
 def _read_parquet(path: Path) -> Table:
     from pyarrow.parquet import read_table as read_parquet
     table = read_parquet(path)
-    return {name: table[name].to_numpy() for name in table.column_names}
+    found: Table = {}
+    for name in table.column_names:
+        column = table[name].to_numpy()
+        if len(column) and isinstance(column[0], np.ndarray):   # a list in each row
+            found |= _columns({name: np.stack(column)})
+        else:
+            found[name] = column
+    return found
 
 
 def _read_text(path: Path, skip_lines: int, delimiter: str | None,
                columns: Sequence[str] | None) -> Table:
-    opened: Any = gzip.open if path.suffix == '.gz' else open
-    with opened(path, 'rt', encoding='utf-8-sig', newline='') as stream:
-        lines = [line for line in itertools.islice(stream, skip_lines, None) if line.strip()]
+    raw = gzip.decompress(path.read_bytes()) if path.suffix == '.gz' else path.read_bytes()
+    lines = [line for line in _decoded(raw).splitlines(keepends=True)[skip_lines:]
+             if line.strip()]
     if not lines:
         raise InputError(f'{path} is empty' + (f' after {skip_lines} lines' if skip_lines else ''))
     delimiter = delimiter or _delimiter(lines[len(lines) // 2])
@@ -326,7 +336,19 @@ def _read_text(path: Path, skip_lines: int, delimiter: str | None,
     # A last column of remarks may be left out, or hold the delimiter.
     padded: Iterable[tuple[str, ...]] = zip(*[[*row, ''][:len(columns)] for row in rows],
                                             strict=True)
-    return {name: np.array(cells, object) for name, cells in zip(columns, padded, strict=True)}
+    names = [name if name not in columns[:number] else f'{name}#{columns[:number].count(name) + 1}'
+             for number, name in enumerate(columns)]
+    return {name: np.array(cells, object) for name, cells in zip(names, padded, strict=True)}
+
+
+def _decoded(raw: bytes) -> str:
+    """Return a text in UTF-8, UTF-16 or, as older programs write it, Windows-1252."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return raw.decode('utf-16')
+    try:
+        return raw.decode('utf-8-sig')
+    except UnicodeDecodeError:
+        return raw.decode('cp1252')
 
 
 def _delimiter(line: str) -> str:

@@ -5,7 +5,9 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow.parquet import write_table
 from scipy import signal
 from scipy.io import loadmat, savemat
 
@@ -106,6 +108,19 @@ def test_remarks_units_dates_and_decimal_commas(tmp_path: Path, text: str) -> No
     assert run.time_s.tolist() == [0.0, 1.0, 2.0]
     assert run.signal('force').tolist() == [1.0, 2.0, 3.0]
     assert run.signal('position').tolist() == [0.002, 0.003, 0.004]
+
+
+def test_columns_of_one_name_older_text_and_lists(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_bytes('Zeit;Weg [µm];Weg [µm]\n12:00:00.5;1;2\n12:00:01.5;3;4\n'
+                                     .encode('latin-1'))
+    run = import_recording(tmp_path / 'a.csv', ['time=Zeit', 'position=Weg [µm]*1[um]',
+                                                'force=Weg [µm]#2[N]'])
+    assert run.time_s.tolist() == [0.0, 1.0]
+    assert run.signal('position').tolist() == [1e-6, 3e-6]
+    assert run.signal('force').tolist() == [2.0, 4.0]
+    write_table(pa.table({'q': [[0.0, 1.0], [2.0, 3.0]]}), tmp_path / 'a.parquet')
+    listed = import_recording(tmp_path / 'a.parquet', ['position=q#2[rad]'], 10.0)
+    assert listed.signal('position').tolist() == [1.0, 3.0]
 
 
 def test_repeated_times_and_missing_values_and_units_in_the_header(tmp_path: Path) -> None:
