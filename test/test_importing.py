@@ -118,9 +118,9 @@ def test_columns_of_one_name_older_text_and_lists(tmp_path: Path) -> None:
     assert run.time_s.tolist() == [0.0, 1.0]
     assert run.signal('position').tolist() == [1e-6, 3e-6]
     assert run.signal('force').tolist() == [2.0, 4.0]
-    write_table(pa.table({'q': [[0.0, 1.0], [2.0, 3.0]]}), tmp_path / 'a.parquet')
+    write_table(pa.table({'q': [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]}), tmp_path / 'a.parquet')
     listed = import_recording(tmp_path / 'a.parquet', ['position=q#2[rad]'], 10.0)
-    assert listed.signal('position').tolist() == [1.0, 3.0]
+    assert listed.signal('position').tolist() == [1.0, 3.0, 5.0]
 
 
 def test_repeated_times_and_missing_values_and_units_in_the_header(tmp_path: Path) -> None:
