@@ -12,10 +12,10 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis import json_keys
 from asi_analysis.errors import InputError
-from asi_analysis.gap import check
+from asi_analysis.gap import check, quality
 from asi_analysis.gap.check import score
 from asi_analysis.gap.command import nominal_model
-from asi_analysis.gap.diagnose import diagnose, document, plain
+from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.uncertainty import Likelihood, end
 from asi_analysis.run import Run
@@ -112,6 +112,12 @@ def test_recording_that_would_mislead_is_refused(spoil, words):
         diagnose([spoil(recorded())], TEXTBOOK)
 
 
+def test_force_a_little_before_its_cause_is_said():
+    groups, _ = actuator_groups([_late(recorded(), -10)], TEXTBOOK, 0.2, [False])
+    notes = [note for group in groups for note in quality.check_against_model(group)]
+    assert notes and all('early by' in note and 'clocks of force' in note for note in notes)
+
+
 def test_what_is_no_parameter_of_the_model_is_said(tmp_path):
     (tmp_path / 'model.yaml').write_text(
         'asi_actuator: {ros__parameters: {load: {typ: free, mass: 2.0}, mode: realtime}}')
@@ -124,6 +130,16 @@ def test_velocity_in_another_unit_is_said():
     with pytest.warns(UserWarning, match='velocity is not the derivative of position'):
         diagnosis = diagnose([dataclasses.replace(run, velocity_m_s=-run.velocity_m_s)], TEXTBOOK)
     assert any('velocity' in note for note in diagnosis.notes)
+
+
+def test_long_gap_is_left_out_and_a_short_one_bridged():
+    run = recorded()
+    force = run.force_n.copy()
+    force[[1500, 2000]] = force[3000:3100] = np.nan
+    (whole,), (part,) = prepare([run]), prepare([dataclasses.replace(run, force_n=force)])
+    left_out = (whole.fit | whole.held_out) & ~(part.fit | part.held_out)
+    assert left_out[3010:3090].sum() == (whole.fit | whole.held_out)[3010:3090].sum() > 0
+    assert not left_out[:2890].any() and not left_out[3210:].any()
 
 
 def test_repeated_runs_show_the_noise():

@@ -83,7 +83,9 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     channels = tuple(name for name, there in (
         ('force', has['force'] and (has['valve_position'] or has['command'])), ('load', moves))
         if there)
-    if has['force'] and not moves:
+    if not has['force']:
+        notes.append('without the force nothing is said of hydraulics, mechanics and sensor')
+    elif not moves:
         notes.append('without the motion of the piston, backlash, compliance, a disturbance and '
                      'the gain of the force sensor cannot be told apart from other causes; it is '
                      'made up from the nominal load, whose errors pass for effects')
@@ -119,11 +121,13 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         done += 1
         report('fitting effects', min(done / steps, 1.0))
 
-    for note in notes:
+    for note in notes:   # now, for they may say why a recording is refused
         warnings.warn(note, InputWarning, stacklevel=2)
     for group in groups:
         if plant == 'actuator':
-            quality.check_against_model(group)
+            for note in quality.check_against_model(group):
+                warnings.warn(note, InputWarning, stacklevel=2)
+                notes.append(note)
         else:
             quality.check_joint(group)
     weighed = weigh_groups(groups, tolerance, tick)

@@ -20,6 +20,7 @@ SHORTEST_S = 1.0
 BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
 BURN_OUT_S = 0.1        # and at the end, after which the motion goes on unknown
 MOST_MISSING = 0.05     # share of missing samples that is still bridged
+LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
 PARTS = 12              # of a recording: every other one is held out
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
@@ -157,6 +158,24 @@ def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
         else:
             signals[name] = np.interp(even, time, whole)
     return period, signals
+
+
+def _recorded(run: Run, drive: str, period: float, count: int) -> Mask:
+    """
+    Return at which of `count` samples, `period` s apart, no signal was missing for long.
+
+    A straight line over a long gap tells nothing, nor do the filters that follow from it.
+    """
+    even = run.time_s[0] + period * np.arange(count)
+    far = np.zeros(count, bool)
+    for name, values in run.signals().items():
+        known = run.time_s[np.isfinite(values)]
+        if known.size > 1 and (name != 'reference' or drive == 'position'):
+            after = np.clip(np.searchsorted(known, even), 1, known.size - 1)
+            distance = np.minimum(np.abs(even - known[after - 1]), np.abs(known[after] - even))
+            far |= distance > LONGEST_BRIDGE * max(period, run.period_s)
+    about = np.ones(2 * int(BURN_OUT_S / period) + 1)
+    return np.convolve(far, about)[about.size // 2:][:count] < 0.5
 
 
 def _extended(values: Array, pad: int) -> Array:
@@ -337,6 +356,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             motion, velocity = _motion(moving.get('position'), velocity, band, period)
         force = moving.get('force')
         fit, held = split(next(iter(moving.values())).size, period)
+        recorded = _recorded(run, drive, period, fit.size)
+        fit, held = fit & recorded, held & recorded
         for name in MEASURED & moving.keys():   # what is cut off was not measured
             sound = ~clipped(moving[name])
             fit, held = fit & sound, held & sound
