@@ -32,7 +32,7 @@ from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, control_rate
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.ros_parameters import RosParameters
 from asi_actuator.safety import Safety, State
-from asi_actuator.spin import RunError, RunFinished, run_node
+from asi_actuator.spin import RunError, RunFinished, Unhurried, run_node
 from asi_actuator.topics import CONTROL_QOS, STREAM_QOS, SteadyClock
 
 # How often the lock-step looks whether it must send again, s.
@@ -289,8 +289,8 @@ class LockStep:
         self.silent_since_ns = self.sent_ns = time.monotonic_ns()
         self.clocks = node.create_publisher(ClockMessage, '/clock', STREAM_QOS)
         node.topics.append(self.clocks)
-        node.create_timer(WATCH_PERIOD_S, self._watch,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(WATCH_PERIOD_S, self._watch, Unhurried(),
+                          Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_command(self, stamp_ns: int, command_n: float) -> None:
         node = self.node

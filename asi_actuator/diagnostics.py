@@ -19,6 +19,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from asi_actuator import wire
+from asi_actuator.spin import Unhurried
 
 PERIOD_S: Final = 0.5
 LOOP, STATE = ': loop', ': state'
@@ -82,7 +83,8 @@ class Diagnostics:
         self._node = node
         self._describe = describe
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        node.create_timer(PERIOD_S, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(PERIOD_S, self.publish, Unhurried(),
+                          Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
         level, text, values = self._describe()

@@ -1,5 +1,6 @@
 """How every node is run: its executor, its signals, its exit status."""
 
+import gc
 import os
 import signal
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
@@ -22,9 +24,10 @@ from rclpy.timer import Timer
 
 from asi_actuator.parameters import ParameterError
 
-# How long services, parameters and new entities may wait, and events of the middleware.
-SERVICE_PERIOD_S: Final = 0.01
-EVENT_PERIOD_S: Final = 0.5
+# How long services, parameters, unhurried timers and new entities may wait, and events of the
+# middleware; twice as long, if no timer of the loop ticks.
+SERVICE_PERIOD_NS: Final = 10_000_000
+EVENT_PERIOD_NS: Final = 500_000_000
 # How long a node that waits may notice nothing, if the system clock is set back.
 WAKE_PERIOD_S: Final = 0.02
 # How long a node that ends waits at most for others to receive what it has published last; it
@@ -41,6 +44,10 @@ class RunFinished(Exception):  # noqa: N818
     """The run has reached its end."""
 
 
+class Unhurried(MutuallyExclusiveCallbackGroup):
+    """Of timers that are served like services: when a tick is over, so that none is late."""
+
+
 class LoopExecutor(SingleThreadedExecutor):
     """
     An executor for a loop of thousands of messages a second.
@@ -49,8 +56,9 @@ class LoopExecutor(SingleThreadedExecutor):
     the wait set of subscriptions and timers and calls their callbacks (plain functions of the
     message, or of nothing) directly, which takes half the time (bench/loop_rate.py). All else
     goes through rclpy's own spin_once, which takes longer than a tick may be late: so only when
-    a look every SERVICE_PERIOD_S finds a service, a client or a task that asks for it, and every
-    EVENT_PERIOD_S for the events of the middleware.
+    a look every SERVICE_PERIOD_NS finds a service, a client or a task that asks for it, and every
+    EVENT_PERIOD_NS for the events of the middleware; both when a timer of the loop has just
+    ticked, as then the next tick is far.
     """
 
     def __init__(self) -> None:
@@ -61,9 +69,11 @@ class LoopExecutor(SingleThreadedExecutor):
     def spin(self) -> None:
         """Serve the nodes until `stopped` is true or the context is shut down."""
         threading.Thread(target=self._wake, daemon=True).start()
+        # The collector need not look again and again at what is there by now.
+        gc.freeze()
         while not self.stopped and self.context.ok():
             self.spin_once(timeout_sec=0.0)
-            self._spin_loop(time.monotonic_ns() + int(EVENT_PERIOD_S * 1e9))
+            self._spin_loop(time.monotonic_ns() + EVENT_PERIOD_NS)
 
     def _wake(self) -> None:
         """
@@ -86,12 +96,14 @@ class LoopExecutor(SingleThreadedExecutor):
         # A recorder's callback group keeps its subscriptions out: it polls them.
         subscriptions: list[Any] = [s for node in nodes for s in node.subscriptions
                                     if s.callback_group.can_execute(s)]
-        timers: list[Any] = [t for node in nodes for t in node.timers]
+        every_timer: list[Any] = [t for node in nodes for t in node.timers]
+        unhurried = [t for t in every_timer if isinstance(t.callback_group, Unhurried)]
+        timers = [t for t in every_timer if t not in unhurried]
         services: list[Any] = [s for node in nodes for s in node.services]
         clients: list[Any] = [c for node in nodes for c in node.clients]
         context: Any = self.context.handle
         with ExitStack() as in_use:
-            for entity in (*subscriptions, *timers, *services, *clients, self._guard,
+            for entity in (*subscriptions, *every_timer, *services, *clients, self._guard,
                            self._awake):
                 in_use.enter_context(entity.handle)
             in_use.enter_context(context)
@@ -100,39 +112,44 @@ class LoopExecutor(SingleThreadedExecutor):
             slow = rclpy_implementation.WaitSet(
                 0, 1, 0, len(clients), len(services), 0, context)
             while not self.stopped and (now_ns := time.monotonic_ns()) < end_ns:
-                self._serve(fast, subscriptions, timers, now_ns + int(SERVICE_PERIOD_S * 1e9))
+                self._serve(fast, subscriptions, timers, now_ns + SERVICE_PERIOD_NS)
+                for timer in unhurried:
+                    if timer.handle.is_timer_ready():
+                        timer.handle.call_timer()
+                        timer.callback()
                 if self._asked(slow, services, clients):
                     return
 
     def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],
                end_ns: int) -> None:
-        """Call the callbacks of subscriptions and timers until `end_ns`."""
-        if not subscriptions and not timers:
-            time.sleep(SERVICE_PERIOD_S)
+        """Call the callbacks of subscriptions and timers until `end_ns` and the tick after."""
         # Looked up once: each takes its time, and here they would be asked for in every tick.
         heard = [(s.handle, s.handle.pointer, s.msg_type, s.raw, s.callback)
                  for s in subscriptions]
         timed = [(t.handle, t.callback) for t in timers]
-        awake: Any = self._awake.handle
-        while not self.stopped and (left_ns := end_ns - time.monotonic_ns()) > 0:
+        entities = ([(wait_set.add_subscription, handle) for handle, *_ in heard]
+                    + [(wait_set.add_timer, handle) for handle, _ in timed]
+                    + [(wait_set.add_guard_condition, self._awake.handle)])
+        ticked = False
+        while (not self.stopped and (left_ns := end_ns - time.monotonic_ns())
+               > (0 if ticked else -SERVICE_PERIOD_NS)):
             wait_set.clear_entities()
-            for handle, *_ in heard:
-                wait_set.add_subscription(handle)
-            for handle, _ in timed:
-                wait_set.add_timer(handle)
-            wait_set.add_guard_condition(awake)
-            wait_set.wait(left_ns)
+            for add, entity in entities:
+                add(entity)
+            wait_set.wait(left_ns + SERVICE_PERIOD_NS)
             ready = wait_set.get_ready_entities('subscription')
             for handle, pointer, kind, raw, callback in heard:
                 if pointer in ready:
                     taken = handle.take_message(kind, raw)
                     if taken is not None:
                         callback(taken[0])
+            ticked = not timed
             # Asked one by one: what came may have taken long enough for one to become ready.
             for handle, callback in timed:
                 if handle.is_timer_ready():
                     handle.call_timer()
                     callback()
+                    ticked = True
 
     def _asked(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
         """Tell whether a service, a client, or a task or change of a node waits for spin_once."""

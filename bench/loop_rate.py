@@ -132,14 +132,13 @@ def our_rate(seconds: float, recorded: bool) -> float:
 
 
 def our_realtime(rate_hz: float, seconds: float) -> dict[str, float]:
-    """Return what the actuator says of its period and of the answers."""
+    """Return how even the period is, steady and at the start, and how long answers take."""
     common = {'mode': 'realtime', 'rate_hz': rate_hz}
-    with process(*node(ACTUATOR, **common)), process(*node(CONTROLLER, **common, **SINE)), \
-            listener() as heard:
+    with process(*node('bench.ticking_node', str(seconds), **common)) as actuator, \
+            process(*node(CONTROLLER, **common, **SINE)), listener() as heard:
         heard.run(seconds)
-        said = heard.said['asi_actuator: loop']
-    return {'jitter_p99_ms': float(said['period jitter p99 (ms)']),
-            'latency_median_ms': float(said['latency median (ms)'])}
+        latency_ms = float(heard.said['asi_actuator: loop']['latency median (ms)'])
+        return {'latency_median_ms': latency_ms, **told(actuator)}
 
 
 def in_turns(rivals: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[Any]]:
@@ -294,6 +293,11 @@ def realtime(rounds: int, seconds: float) -> list[Result]:
                 f'real time at {rate_hz:g} Hz: {what}, ours / rival',
                 statistics.median(values), 'ms', spread,
                 f'{rival}, {statistics.median(limits):.3f} ms', ratio))
+        starts = [measured['start_jitter_p99_ms'] for measured in ours]
+        results.append(Result(
+            f'loop_rate.start_jitter.{rate_hz:.0f}', f'real time at {rate_hz:g} Hz: that jitter '
+            'of ours, in the seconds of the start', statistics.median(starts), 'ms',
+            deviation(starts)))
     return results
 
 
