@@ -139,6 +139,9 @@ def _valve(recording: Recording, p: np.void) -> Array:
     """Return the valve position (m) that the recorded command should have made."""
     out = np.empty(recording.fit.size)
     longest = HYSTERESIS_STEP_S if p['valve_hysteresis_model'] == FULL else STEP_S
+    if p['valve_flexure_model'] != FULL:
+        # With nothing slow behind it only a mean over a whole sample moves with the delay.
+        longest = recording.period_s
     blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
                  recording.sub_steps(longest), out)
     return out

@@ -28,6 +28,9 @@ PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 SMOOTHING, OUTSTANDING = 2.5, 4.0
 COHERENT = 0.95         # share of the power that motion and force have in common
 LOWEST_BAND_HZ = 20.0
+# A position that is an integral is judged above this, so gently that it does not ring for longer
+# at the ends; nor for more than a share of a short recording.
+LOWEST_INTEGRATED_HZ, RINGING_S, RINGING = 0.5, 1.0, 0.2
 # A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
 RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
@@ -274,7 +277,7 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     x, v = x * smooth, v * smooth
     judge = low_pass(frequency, band)
     if position is None:   # what an integral adds up at low frequency says nothing
-        judge = judge * (1.0 - low_pass(frequency, 0.5))
+        judge = judge * (1.0 - np.exp(-(frequency / LOWEST_INTEGRATED_HZ) ** 2))
     return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count),
                   np.fft.irfft(1j * omega * v, count), x, v, smooth, judge, noise, band,
                   pad, position is not None), fused
@@ -300,6 +303,12 @@ def split(count: int, period: float) -> tuple[Mask, Mask]:
     end = (np.arange(count)[::-1] * period >= BURN_OUT_S)
     usable = (np.arange(count) * period >= BURN_IN_S) & end & ~gap
     return usable & (part % 2 == 0), usable & (part % 2 == 1)
+
+
+def _ends(count: int, period: float) -> Mask:
+    """Return the samples at both ends of a recording in which a high-pass still rings."""
+    time = period * np.arange(count)
+    return np.minimum(time, time[::-1]) < min(RINGING_S, RINGING * time[-1])
 
 
 def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
@@ -358,6 +367,9 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         fit, held = split(next(iter(moving.values())).size, period)
         recorded = _recorded(run, drive, period, fit.size)
         fit, held = fit & recorded, held & recorded
+        if motion is not None and not motion.measured:
+            ends = _ends(fit.size, period)
+            fit, held = fit & ~ends, held & ~ends
         for name in MEASURED & moving.keys():   # what is cut off was not measured
             sound = ~clipped(moving[name])
             fit, held = fit & sound, held & sound
