@@ -168,12 +168,13 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),), FORCE_SIDE,
                 (('friction_inside', 1.0),)),
     )),
-    Effect('backlash', MECHANICS, 'the piston moves a little before the load does', tuple(
-        Variant((Free('backlash', 0.0, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),
-                 # What touches gives way a little.
-                 Free('compliance', 0.0, 0.5, (0.02,), 'compliance', 'm/N'),
-                 Free('piston_share', 0.0, 1.0, (0.5,))), LOAD_SIDE,
-                (('backlash_memory', memory),)) for memory in (0.0, 1.0))),
+    Effect('backlash', MECHANICS, 'the piston moves a little before the load does', (
+        *(Variant((Free('backlash', 0.001, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
+                  (('backlash_memory', memory), ('piston_share', 1.0))) for memory in (0.0, 1.0)),
+        # Mass behind the gap too; what touches gives way a little, far less than the load.
+        Variant((Free('backlash', 0.001, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),
+                 Free('compliance', 0.0, 0.1, (0.02,), 'compliance', 'm/N'),
+                 Free('piston_share', 0.0, 1.0, (0.5,))), LOAD_SIDE))),
     Effect('load_compliance', MECHANICS, 'the load gives way between piston and mass', (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's'),

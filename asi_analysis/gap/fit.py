@@ -217,11 +217,13 @@ def with_known_gain(group: Group, valve: Fitted, tolerance: float) -> Group:
     Return a group whose valve passes as much as the fit of the valve channel leaves possible.
 
     Command to valve position and valve position to force share the full opening: by itself each
-    may be off by the tolerance of several parameters, together by that of the gain alone.
+    may be off by the tolerance of several parameters, together by that of the gain alone. Not so
+    where the valve opens fully: there the thrust tells by itself.
     """
     name = 'valve_characteristic_full_opening'
-    if group.nominal['valve_characteristic_model'] == FULL or not any(
-            free.field == name for free in group.nuisance):
+    fully = (group.nominal['valve_characteristic_model'] == FULL
+             and group.scale['valve_position'] > (1.0 - tolerance) * group.nominal[name])
+    if fully or not any(free.field == name for free in group.nuisance):
         return group
     gain = float(valve.record['valve_characteristic_gain']
                  / valve.problem.group.nominal['valve_characteristic_gain'])

@@ -113,7 +113,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
         names = ('valve', *channels) if hidden else channels
         if not all(map(moves, recordings)):
             names = (*names, 'load')
-        nuisance = _nuisance(p, names, tolerance)
+        nuisance = _nuisance(p, names, tolerance, 'valve' in channels)
     return Group(p, recordings, channels, nuisance, scale, noise, floor, formulation, effects)
 
 
@@ -182,14 +182,16 @@ def _is_modelled(name: str, nominal: np.void) -> bool:
     return block is None or nominal[f'{block}_model'] == model
 
 
-def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float) -> tuple[Free, ...]:
+def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
+              valve_by_itself: bool) -> tuple[Free, ...]:
     """Return the uncertain nominal parameters of these channels."""
     low, high = 1.0 - tolerance, 1.0 + tolerance
     chosen = {}
     for name in (name for channel in channels for name in UNCERTAIN[channel]):
         if nominal[name] != 0.0 and _is_modelled(name, nominal):
-            # The valve position is known by the product of three uncertain parameters.
-            wide = name == 'valve_characteristic_gain' and 'valve' in channels
+            # The valve position is known by the product of three uncertain parameters; of the
+            # force that a command makes two of them cancel.
+            wide = name == 'valve_characteristic_gain' and valve_by_itself
             chosen[name] = Free(name, low ** 2 / high if wide else low,
                                 high ** 2 / low if wide else high, (1.0,), 'nominal')
     for free in (free for channel in channels for free in SHAPES[channel]):
