@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import cumulative_trapezoid
 from scipy.signal import coherence, resample_poly, welch
 
 from asi_analysis.errors import InputError
@@ -251,26 +250,28 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     count = source.size + 2 * pad
     frequency = np.fft.rfftfreq(count, period)
     omega = 2.0 * np.pi * frequency
-    if position is None:
-        # Integrated before it is extended: so its ends go on as those of the force do. What the
-        # trapezoidal rule makes of each frequency is undone.
-        x = np.fft.rfft(_extended(cumulative_trapezoid(source, dx=period, initial=0.0), pad))
-        half = np.minimum(0.5 * omega * period, 0.45 * np.pi)
-        x[1:] *= np.tan(half[1:]) / half[1:]
-        v = 1j * omega * x
-        noise = np.full_like(omega, noise_of(source) ** 2)
-    else:
-        x = np.fft.rfft(_extended(position, pad))
-        v = 1j * omega * x
+    if velocity is None:
+        assert position is not None
+        # What is extended jumps where it wraps round, if the ends differ: that rings.
+        line = np.linspace(position[0], position[-1], position.size)
+        v = 1j * omega * np.fft.rfft(_extended(position - line, pad))
+        v[0] = count * (line[1] - line[0]) / period
         noise = (omega * noise_of(position)) ** 2
-        if velocity is not None:
-            both = np.fft.rfft(np.pad(velocity, pad, 'reflect'))
+    else:
+        v = np.fft.rfft(np.pad(velocity, pad, 'reflect'))
+        noise = np.full_like(omega, noise_of(velocity) ** 2)
+        if position is not None:
             # Each by its noise: slow motion from the position, fast motion from the velocity.
-            trust = noise / (noise + noise_of(velocity) ** 2 + 1e-300)
-            v += trust * (both - v)
-            noise = trust * noise_of(velocity) ** 2
-            x[1:] = v[1:] / (1j * omega[1:])
-    found = source if position is None else np.fft.irfft(v, count)[pad:-pad]
+            slow = noise / ((omega * noise_of(position)) ** 2 + noise + 1e-300)
+            v += slow * np.fft.rfft(np.pad(np.gradient(position, period) - velocity, pad,
+                                           'reflect'))
+            noise = (1.0 - slow) * noise
+    # The mean velocity is a line, which goes on at the ends as the force of a spring does.
+    x = np.fft.rfft(_extended(v[0].real / count * period * np.arange(source.size), pad))
+    x[1:] += v[1:] / (1j * omega[1:])
+    found = np.fft.irfft(v, count)[pad:-pad]
+    if position is not None:
+        x[0] += count * np.mean(position - np.fft.irfft(x, count)[pad:-pad])
     fused = found if velocity is not None else None
     corner = max(SMOOTHING * band, _clear(found, omega, noise, period))
     smooth = low_pass(frequency, min(corner, 0.45 / period))
