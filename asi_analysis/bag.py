@@ -16,6 +16,7 @@ from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.run import SIGNALS, Array, Run, StateChange
 
 JOINT_STATE: Final = 'sensor_msgs/msg/JointState'
+JOINTS: Final = ('piston', 'valve')
 WRENCH: Final = 'geometry_msgs/msg/WrenchStamped'
 FLOAT: Final = 'std_msgs/msg/Float64'
 # `reference` stands for `force_reference` where a recording's reference is no force.
@@ -65,9 +66,16 @@ def read_bag(path: str | Path) -> Run:
                 raise InputError(f'{path} has several topics named {name}: expected one actuator '
                                  'a bag')
             try:
-                series[name] = _decode(topic)
+                decoded = _decode(topic)
             except cdr.LayoutError as error:
                 problems.append(f'{path}: {topic.name} is left out: {error}')
+                continue
+            joints = {key.rpartition(' ')[0] for key in decoded.values} - {''}
+            if joints and not joints & set(JOINTS):
+                problems.append(f'{path}: {topic.name} is left out: it is of the joints '
+                                f'{", ".join(sorted(joints))}, expected {" and ".join(JOINTS)}')
+            else:
+                series[name] = decoded
     if not series:
         why = f' ({problems[0]})' if problems else ''
         raise InputError(f'{path} holds no message of the topics {", ".join(TYPES)}{why}')

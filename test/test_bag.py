@@ -280,6 +280,16 @@ def test_refuses_a_foreign_bag_naming_the_topics(tmp_path: Path) -> None:
         read_bag(bag)
 
 
+def test_refuses_the_joints_of_another_robot(tmp_path: Path) -> None:
+    joints, one = 'sensor_msgs/msg/JointState', np.ones(2)
+    message = STORE.types[joints](HEADER(TIME(0, 1), ''), ['shoulder', 'elbow'], one, one, one)
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/joint_states': [(k, bytes(STORE.serialize_cdr(message, joints))) for k in range(1, 5)]},
+        types={'/joint_states': joints})
+    with pytest.raises(InputError, match='joints elbow, shoulder, expected piston and valve'):
+        read_bag(bag)
+
+
 def test_refuses_known_names_with_other_types(tmp_path: Path) -> None:
     types = {'/force': 'geometry_msgs/msg/Vector3'}
     data = bytes(STORE.serialize_cdr(VECTOR(1.0, 2.0, 3.0), types['/force']))
