@@ -52,6 +52,9 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
     low, high = _interval(errors['nominal'], errors['after'])
+    # Another recording may show of the nominal nonlinearities what this one does not.
+    unseen = math.sqrt(1.0 + group.formulation[channel] / max(rms['after'] ** 2, 1e-300))
+    low, high = 1.0 - (1.0 - low) * unseen, 1.0 - (1.0 - high) / unseen
     return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
                   group.noise[channel] / size, shrink, low, high)
 
