@@ -48,19 +48,19 @@ class Constants(NamedTuple):
     that something hides in nonlinearities whose shape is free, where they make all of the floor.
     """
 
-    samples: float = 17.0
-    price: float = 2.3
-    second: float = 5.1
-    formulation: float = 0.074
-    seen: float = 0.5
-    trust: float = 0.17
-    parameter: float = 0.41
-    alike: float = 0.3
+    samples: float = 20.0
+    price: float = 2.7
+    second: float = 5.0
+    formulation: float = 0.068
+    seen: float = 0.4
+    trust: float = 0.23
+    parameter: float = 0.46
+    alike: float = 0.29
     few: float = 100.0
-    unknown: float = -2.0
-    beyond: float = 1.25
-    left: float = 1.05
-    hidden: float = 0.23
+    unknown: float = -2.4
+    beyond: float = 1.4
+    left: float = 1.13
+    hidden: float = 0.16
 
 
 CONSTANTS = Constants()
