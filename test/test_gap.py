@@ -16,6 +16,9 @@ from asi_analysis.gap import check, quality
 from asi_analysis.gap.check import score
 from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
+from asi_analysis.gap.effects import BY_NAME
+from asi_analysis.gap.fit import Promise, fit_null, fit_variants
+from asi_analysis.gap.predict import passed_on
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.uncertainty import Likelihood, end
 from asi_analysis.run import Run
@@ -34,14 +37,15 @@ REAL = {**TEXTBOOK, 'load.stiffness': 2.2e5, 'load.mass': 0.45,
         'hydraulic_damping.linear_gain': 1100.0, 'valve_characteristic.gain': 0.5}
 
 
-def recorded(seed: int = 5, **changed: object) -> Run:
-    """Return 6 s of a machine under steps and sines, with noise."""
+def recorded(seed: int = 5, real: dict[str, object] | None = None, **changed: object) -> Run:
+    """Return 6 s of a machine (of REAL's, if not given) under steps and sines, with noise."""
     rng = np.random.default_rng(seed)
     time = np.arange(6000) * 1e-3
     steps = np.repeat(rng.uniform(-1.0, 1.0, 30), 200)
     sines = sum(np.sin(2.0 * np.pi * f * time) for f in (2.3, 11.0, 31.0))
     command = 500.0 * steps + 120.0 * sines
-    values = {**REAL, **{name.replace('__', '.'): value for name, value in changed.items()}}
+    values = dict(REAL if real is None else real)
+    values |= {name.replace('__', '.'): value for name, value in changed.items()}
     run = simulate(as_record(values), command, 1e-3)
     return Run(time, command_n=command, force_n=run.force_n + rng.normal(0.0, 1.0, 6000),
                valve_position_m=run.valve_position_m + rng.normal(0.0, 2e-8, 6000),
@@ -57,6 +61,41 @@ def test_errors_within_the_tolerance_are_no_gap():
     assert answer['gap']['after_nrmse'] < 1.2 * answer['gap']['refitted_nrmse']
     answer['report'] = None
     assert json_keys.problems(answer, json_keys.DOCUMENTS['asi gap']) == []
+
+
+@pytest.mark.parametrize('hidden', [
+    ('position_m',), ('valve_position_m', 'position_m', 'velocity_m_s')])
+def test_no_gap_where_signals_are_absent(hidden):
+    run = dataclasses.replace(recorded(), **dict.fromkeys(hidden))
+    assert diagnose([run], TEXTBOOK).verdict == ()
+
+
+def test_nominal_parameter_far_off_is_seen_and_fitted():
+    full = {'load.type': 'spring', 'load.stiffness': 2e5, 'load.damping': 20.0, 'load.mass': 0.5}
+    groups, _ = actuator_groups([recorded(real={**full, 'hydraulic_damping.viscous': 2400.0})],
+                                full, 0.2, [False])
+    group = groups[-1]
+    null = fit_null(group)
+    variant = BY_NAME['hydraulic_damping'].variants[-1]
+    promise = Promise(null)
+    assert promise.cost(group, [variant]) < 0.8 * null.cost
+    fitted = fit_variants(group, promise, [variant])
+    assert fitted.cost < 0.5 * null.cost
+    assert fitted.values['hydraulic_damping_viscous'] == pytest.approx(2400.0, rel=0.2)
+
+
+def test_effect_behind_a_lag_passes_less_noise_on():
+    groups, _ = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])
+    recording, nominal = groups[-1].recordings[0], groups[-1].nominal
+
+    def passed(**changed: float) -> float:
+        p = nominal.copy()
+        for name, value in changed.items():
+            p[name] = value
+        return passed_on(recording, 'force', p)
+
+    assert passed(air_time=5e-3) < 0.5 * passed()
+    assert passed(viscous=1000.0, friction_inside=1.0) > 1.2 * passed()
 
 
 @pytest.mark.parametrize(('changed', 'effect', 'field', 'value'), [

@@ -88,7 +88,7 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     elif not moves:
         notes.append('without the motion of the piston, backlash, compliance, a disturbance and '
                      'the gain of the force sensor cannot be told apart from other causes; it is '
-                     'made up from the nominal load, whose errors pass for effects')
+                     'simulated with the nominal load')
     if channels:
         groups.append(make_group(p, recordings, channels, tolerance))
     if not groups:

@@ -23,6 +23,7 @@ CORNERS = 400      # places in a recording where a pulse is looked for to begin 
 STEPS = np.arange(2.0, 60.0, 0.35)
 NEARBY = np.linspace(-0.35, 0.35, 71)
 FREE = 1e3         # times what is left: the range of an offset, which may be anything
+DRIVEN = 0.8       # of the force's power, at the one frequency of an excitation
 RESPONSE_S = 0.2   # after which a valve has answered
 
 
@@ -38,7 +39,8 @@ def seen(fitted: Fitted) -> Values:
     found: Values = {}
     if 'load' in group.channels:
         left, known = _left(fitted, 'load')
-        found |= _wave(left, group.recordings[0].period_s)
+        found |= _wave(left, measured(group.recordings[0], 'load'),
+                       group.recordings[0].period_s)
         found |= _pulse(left, known, group.recordings[0].period_s)
     for channel in group.channels:
         if channel == 'valve' or channel == 'force' and not group.measures_valve:
@@ -72,9 +74,19 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
     return left - known @ (known.T @ left), known
 
 
-def _wave(left: Array, period: float) -> Values:
+def _wave(left: Array, force: Array, period: float) -> Values:
+    """
+    Return the frequency (Hz) of the strongest wave in what is left.
+
+    Not the one at which nearly all of the force (N) is: a force that moves nothing, or too much,
+    is not told there from another that works against it.
+    """
     count = 8 * left.size   # padded, for a frequency as fine as the wave's phase at the end
-    power = np.abs(np.fft.rfft(left * np.hanning(left.size), count)) ** 2
+    power, driven = (np.abs(np.fft.rfft(signal * np.hanning(left.size), count)) ** 2
+                     for signal in (left, force - force.mean()))
+    lobe = 4 * count // left.size + 1   # as wide as a wave is in these spectra
+    near = np.convolve(driven, np.ones(lobe), 'same')
+    power[near > DRIVEN * driven.sum()] = 0.0
     lowest = count // left.size   # one wave in the recording
     return {'residual_frequency': (lowest + int(np.argmax(power[lowest:]))) / (count * period)}
 
