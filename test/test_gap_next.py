@@ -15,7 +15,8 @@ from asi_analysis import cli
 from asi_analysis.bag import read_bag, write_bag
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.experiment import CONTROLLER_PARAMETERS, gather, read_parameters
-from asi_analysis.gap import command
+from asi_analysis.gap import command, next_experiment
+from asi_analysis.gap.diagnose import actuator_groups
 from asi_analysis.gap.next_experiment import (
     CATALOGUE,
     DURATION_S,
@@ -58,6 +59,17 @@ def test_line_is_the_experiment_that_was_imagined(experiment: Experiment) -> Non
 
 
 @pytest.mark.timeout(600)
+def test_experiment_that_would_not_move_the_nominal_actuator_is_left_out(monkeypatch: Any) -> None:
+    group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][0]
+    late = group.nominal.copy()
+    late['command_delay'] = 0.003
+    monkeypatch.setattr(next_experiment, 'pairs_of', lambda *_: [(group, group.nominal, late)])
+    sticky = {**TEXTBOOK, 'valve_hysteresis.model': 'full', 'valve_hysteresis.radius': 100.0}
+    found = next_experiment.choose([], [], sticky, 300.0)
+    assert found is not None and found['excitation'] in found['separations']
+    assert 'small slow triangle' not in found['separations']
+
+
 def test_diagnosed_mended_and_recorded_again(tmp_path: Path, monkeypatch: Any) -> None:
     """The gap of a late valve closes: the node runs the mended model, a new recording fits it."""
     write_bag(recorded(**LATE), tmp_path / 'first')

@@ -9,6 +9,7 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value
 from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.errors import InputError
 from asi_analysis.gap.group import Group, Values
 from asi_analysis.gap.predict import predict
 from asi_analysis.gap.prepare import Recording, prepare
@@ -135,20 +136,25 @@ def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value],
     """
     Return the experiment of the catalogue that separates the hypotheses `left` best.
 
-    It is judged by the pair that it separates worst. model: the actuator's nominal parameters;
-    force: the largest, N. None if fewer than two hypotheses with a prediction are left.
+    It is judged by the pair that it separates worst; one in which the nominal actuator would not
+    move is left out. model: the actuator's nominal parameters; force: the largest, N. None if
+    fewer than two hypotheses with a prediction are left.
     """
     pairs = pairs_of(groups, left)
     own = str(model.get('load.type', LOADS[0]))
     worst: Values = {}
     for experiment in CATALOGUE if pairs else ():
-        recording = imagined(experiment, model, force)
+        try:
+            recording = imagined(experiment, model, force)
+        except InputError:   # too small to overcome the nominal friction
+            continue
         load = LOADS.index(experiment.load or own)
         worst[experiment.name] = min(separation(group, recording, _under(a, load), _under(b, load))
                                      for group, a, b in pairs)
     if not worst:
         return None
-    best = max(CATALOGUE, key=lambda experiment: worst[experiment.name])
+    best = max((experiment for experiment in CATALOGUE if experiment.name in worst),
+               key=lambda experiment: worst[experiment.name])
     return {'excitation': best.name, 'separation': worst[best.name], 'separations': worst,
             'command': command_line(best, force, own)}
 
