@@ -279,12 +279,13 @@ def _which(e: Evidence, c: Constants) -> dict[Names, float]:
 
     Of independent samples above the noise: models that leave little more than the noise are told
     apart sharply; where the best leaves more, that goes on for long and counts as few samples.
-    Where the nominal model has nonlinearities, what their formulation may leave counts as well.
+    What the formulation of nominal nonlinearities and of the effects may leave counts as well.
     """
     evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
                 for names in e.left}
     for channel, noise in e.noise.items():
-        formulation = e.formulation[channel]
+        explained = e.left[()][channel] - min(left[channel] for left in e.left.values())
+        formulation = e.formulation[channel] + c.formulation ** 2 * explained
         share = formulation / (formulation + noise + 1e-300)
         samples = 1.0 / (1.0 / e.independent[channel] + share / c.few)
         level = NEAR_NOISE * noise + c.alike * formulation
