@@ -18,7 +18,7 @@ COMPENSATOR_PARAMETERS: tuple[Parameter, ...] = (
               choices=COMPENSATORS),
     Parameter('gain', 0.0, 'N/N',
               'Gain of the compensator in use (lead2, lead4: above the corner of their lag); '
-              '0: its own (proportional 3, lead_lag 16, lead2 2.14, lead4 1.92, custom 1)',
+              '0: its own (proportional 3, lead_lag 13, lead2 2.14, lead4 1.92, custom 1)',
               0.0, 1e4),
     Parameter('feedforward', 1.0, 'N/N', 'Share of the reference that goes straight to the '
               "valve: the inverse of the actuator's static gain", 0.0, 100.0,
@@ -29,7 +29,7 @@ COMPENSATOR_PARAMETERS: tuple[Parameter, ...] = (
               'compensator would make is let in', 0.0, 10.0),
     Parameter('lead_lag.ratio', 130.0, '', 'a of K(aTs+1)/(Ts+1)', 1.0, 1e3,
               source='paper, section 5'),
-    Parameter('lead_lag.centre_frequency', 60.0, 'Hz',
+    Parameter('lead_lag.centre_frequency', 70.0, 'Hz',
               'Where the lead is largest: 1/(2 pi T sqrt(a))', 0.1, 1e4,
               source='paper, section 5: 60 to 100 Hz'),
     Parameter('lead_lag.lag_time', 0.5, 's', 'Time constant of the lag', 1e-3, 100.0,
