@@ -96,3 +96,15 @@ def test_joint_with_a_reversed_sign_is_refused():
     run = joint(friction=0.15)
     with pytest.raises(InputError, match='joint: .*sign is reversed'):
         diagnose([dataclasses.replace(run, command_n=-run.command_n)], {}, 'joint')
+
+
+def test_push_is_seen_beside_a_worse_start():
+    run = joint()
+    time, size = run.time_s, float(np.std(run.command_n))
+    command = run.command_n + 0.5 * size * ((time >= 5.0) & (time < 6.5))
+    command[time < 0.05] += 30.0 * size   # nothing is judged there
+    answer = document(diagnose([dataclasses.replace(run, command_n=command)], {}, 'joint'))
+    assert answer['verdict'] == 'disturbance_force'
+    push = answer['which'][0]['parameters']
+    assert push['disturbance_pulse'] == pytest.approx(-0.5 * size, rel=0.1)
+    assert push['disturbance_end'] == pytest.approx(6.5, abs=0.05)

@@ -59,7 +59,8 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
     group = fitted.problem.group
     recording = group.recordings[0]
     base = predict(recording, channel, fitted.record)
-    left = measured(recording, channel) - base
+    judged = recording.fit | recording.held_out   # at the ends what is made up is strongest
+    left = (measured(recording, channel) - base) * judged
     columns = [np.full_like(base, FREE * np.linalg.norm(left))]
     for number, free in enumerate(fitted.free):
         if shows_in(free.field, channel, group):
@@ -68,7 +69,7 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
             moved[number] += step
             columns.append(
                 (predict(recording, channel, fitted.problem.record(moved)) - base) / step)
-    ranges = np.array(columns).T
+    ranges = np.array(columns).T * judged[:, None]
     triangle = np.linalg.cholesky(ranges.T @ ranges + left @ left * np.eye(len(columns)))
     known = np.linalg.solve(triangle, ranges.T).T
     return left - known @ (known.T @ left), known
