@@ -19,13 +19,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
+from unittest import mock
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from asi_actuator import wire
+from asi_actuator.actuator_node import ActuatorNode
 from bench.empty_nodes import SENT, messages
 from bench.result import Result, deviation, interleaved, ratios
 from bench.timed_node import CALLBACKS, EXECUTOR, PARTS, SENDING
@@ -230,6 +234,29 @@ def tick(rounds: int, seconds: float) -> list[Result]:
                us('empty', CALLBACKS), 'us')]
 
 
+def cold(rounds: int) -> list[Result]:
+    """Return what the actuator's callback takes with nothing sent: warm, with caches emptied."""
+    found = []
+    with mock.patch.object(Publisher, 'publish', lambda *_: None):
+        node = ActuatorNode()
+        loop: Any = node.loop
+        loop._advance(0.0, 0)
+        for size, what in ((0, 'warm'), (2**20, '1 MiB read before each'),
+                           (2**25, '32 MiB read before each')):
+            others, taken_ns = np.ones(size // 8), []
+            for _ in range(rounds):
+                message, _ = wire.answer(loop.stamp_ns, 10.0, 0.0)
+                others.sum()
+                begin_ns = time.perf_counter_ns()
+                node._on_command(message)
+                taken_ns.append(time.perf_counter_ns() - begin_ns)
+            found.append(Result(
+                f'loop_rate.cold.{size}', f"the actuator's callback alone, nothing sent: {what}",
+                1e-3 * statistics.median(taken_ns), 'us', 1e-3 * deviation(taken_ns)))
+        node.destroy_node()
+    return found
+
+
 def conversions(rounds: int) -> list[Result]:
     """Return how long a tick's messages take to pack and unpack beside rclpy's message objects."""
     sent = messages()
@@ -307,7 +334,8 @@ def measure(quick: bool = False) -> list[Result]:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         return (lockstep(1 if quick else 5, 1.0 if quick else 4.0)
-                + tick(1 if quick else 5, 1.0 if quick else 4.0)
+                + tick(1 if quick else 5, 2.0 if quick else 4.0)
+                + cold(100 if quick else 1000)
                 + conversions(1 if quick else 9)
                 + realtime(1 if quick else 3, 1.0 if quick else 5.0))
     finally:
