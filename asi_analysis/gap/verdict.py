@@ -48,19 +48,19 @@ class Constants(NamedTuple):
     that something hides in nonlinearities whose shape is free, where they make all of the floor.
     """
 
-    samples: float = 20.0
-    price: float = 2.7
-    second: float = 5.0
+    samples: float = 21.0
+    price: float = 2.9
+    second: float = 4.85
     formulation: float = 0.068
-    seen: float = 0.4
-    trust: float = 0.23
-    parameter: float = 0.46
+    seen: float = 0.38
+    trust: float = 0.27
+    parameter: float = 0.53
     alike: float = 0.29
     few: float = 100.0
-    unknown: float = -2.4
-    beyond: float = 1.4
-    left: float = 1.13
-    hidden: float = 0.16
+    unknown: float = -2.5
+    beyond: float = 1.45
+    left: float = 1.17
+    hidden: float = 0.17
 
 
 CONSTANTS = Constants()
