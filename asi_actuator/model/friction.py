@@ -18,6 +18,8 @@ ELASTIC_SHARE: Final = 0.7
 
 # Beyond this many Stribeck velocities exp(-x * x) changes no bit of the friction.
 FAR: Final = 7.0
+# Seals that give way at a deflection (m) below this rub with nothing; its inverse would overflow.
+LEAST_LIMIT: Final = 1e-100
 
 
 class Friction(NamedTuple):
@@ -64,7 +66,7 @@ def deflect(before, velocity, p, h):
     Second order, and never beyond the breakaway deflection however long the sub-step.
     """
     limit = sliding_friction(velocity, p) / p.friction_presliding_stiffness
-    if limit <= 0.0:
+    if limit < LEAST_LIMIT:
         return 0.0, 0.0
     speed = abs(velocity)
     # What slides, with the deflection of the middle of the sub-step.
@@ -99,7 +101,7 @@ def friction(before, mean_velocity, velocity, p, h):
     # from stiction to Coulomb: else it would drive the piston.
     elastic = 0.0
     limit = sliding_friction(velocity, p) / stiffness
-    if limit > 0.0:
+    if limit >= LEAST_LIMIT:
         elastic = max(0.0, 1.0 - sliding_share(after, velocity, limit) * abs(after) / limit)
     return Friction(after, slope, stiffness * after + damping * elastic * velocity,
                     stiffness * slope + damping * elastic)
