@@ -52,7 +52,7 @@ def main() -> int:
                 try:
                     scenario(rig, tally, begin + 60.0 * minutes * (1.0 if wanted else share))
                 except NotThere as error:
-                    tally.count('scenario', str(error))
+                    tally.count('scenario', f'{error}: {rig.last_words()}')
                 finally:
                     rig.close()
             console.print(f'{tally.name}: {tally.survived} of {tally.tried} survived, '

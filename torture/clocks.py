@@ -56,16 +56,15 @@ def clocks(rig: Rig, tally: Tally, end: float) -> None:
         'actuator': rig.start(ACTUATOR, environment=clock.environment, **loop,
                               await_recorder=True, command_timeout=60.0)}
     states = rig.states()
-    until(lambda: len(states) > RATE_HZ, 'the loop')
+    rig.await_running('asi_actuator')
     while time.monotonic() < end or tally.tried < len(STEPS_S):
         step_s = rig.random.choice(STEPS_S) * rig.random.choice((-1.0, 1.0))
         # Not before 1970.
         clock.set(clock.offset_s + step_s if abs(clock.offset_s + step_s) < 1e7 else 0.0)
-        count, since = len(states), time.monotonic()
+        count = len(states)
         until(lambda count=count: len(states) > count + RATE_HZ, 'states')
         for name in ('asi_actuator', 'asi_controller'):
-            until(lambda name=name, since=since: rig.diagnostics[name]['at'] > since
-                  and rig.diagnostics[name]['text'] == 'running', f'{name} to say that it runs')
+            rig.await_running(name)
         problem = next((f'the {name} has ended: {node.text[-300:]}' for name, node in nodes.items()
                         if not is_alive(node)), '')
         tally.count(f'{step_s:+g} s', problem)

@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from asi_actuator.topics import set_time
-from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive, until
+from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive
 
 NUMBERS: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e5, 0.0, -0.0, 5e-324)
 BURST: Final = 50
@@ -58,10 +58,10 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
     """Bursts of each kind into a loop in real time, which must run again after a reset."""
     nodes = [rig.start(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=1.0),
              rig.start(CONTROLLER, mode='realtime', rate_hz=200.0, gain=1.0, state_timeout=2.0)]
-    states = rig.states()
     publishers = [(rig.node.create_publisher(kind, topic, 10), make)
                   for kind, topic, make in KINDS]
-    until(lambda: len(states) > 100, 'the loop')
+    # A stray state before the first of the actuator would end the controller, as it says.
+    rig.await_running('asi_actuator')
     while time.monotonic() < end or not tally.tried:
         publisher, make = rig.random.choice(publishers)
         for _ in range(BURST):
@@ -71,9 +71,7 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
                         if not is_alive(node)), '') or rig.tracebacks()
         if not problem:
             rig.enable()
-            since = time.monotonic()
-            until(lambda since=since: rig.diagnostics['asi_actuator']['at'] > since
-                  and rig.diagnostics['asi_actuator']['text'] == 'running', 'the loop to go on')
+            rig.await_running('asi_actuator')
         tally.count(publisher.topic_name, problem, BURST)
         if problem or tally.failures:
             return

@@ -116,6 +116,14 @@ class Rig:
                 return process.text[process.text.index('Traceback'):][:2000]
         return ''
 
+    def last_words(self) -> str:
+        """Return what each node has said last, and each process printed last."""
+        said = [f'{node} said {values["text"]!r} {time.monotonic() - values["at"]:.1f} s ago'
+                for node, values in self.diagnostics.items()]
+        printed = [f'exit status {process.poll()} of {" ".join(process.text[-200:].split())!r}'
+                   for process in self._started]
+        return '; '.join(said + printed)
+
     def ask(self, kind: type, name: str, request: Any, timeout_s: float = PATIENCE_S) -> Any:
         """Return the answer of a service; raises NotThere if there is none."""
         client = self.node.create_client(kind, name)
@@ -133,6 +141,12 @@ class Rig:
             self.ask(Trigger, f'{name}/reset', Trigger.Request())
             return bool(self.ask(SetBool, f'{name}/enable', SetBool.Request(data=True)).success)
         until(enabled, f'{name} to be enabled')
+
+    def await_running(self, name: str) -> None:
+        """Wait until a node says that its loop runs, from now on; raises NotThere if not."""
+        since = time.monotonic()
+        until(lambda: self.diagnostics[name]['at'] > since
+              and self.diagnostics[name]['text'] == 'running', f'{name} to say that it runs')
 
     def listen(self, kind: type, topic: str) -> list[Any]:
         """Return a list that gets the messages of a topic."""
