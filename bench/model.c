@@ -179,7 +179,7 @@ static inline void deflect(double before, double velocity, const struct paramete
 {
     double limit = sliding_friction(velocity, p) / p->friction_presliding_stiffness;
     r->seal = r->seal_slope = 0.0;
-    if (limit < 1e-100)
+    if (limit <= 0.0)
         return;
     double speed = fabs(velocity);
     double loss = sliding_share(before, velocity, limit) / limit;
@@ -209,7 +209,7 @@ static inline struct rub friction(double before, double mean_velocity, double ve
     double stiffness = p->friction_presliding_stiffness, damping = p->friction_presliding_damping;
     deflect(before, mean_velocity, p, h, &r);
     double limit = sliding_friction(velocity, p) / stiffness, elastic = 0.0;
-    if (limit >= 1e-100)
+    if (limit > 0.0)
         elastic = fmax(0.0, 1.0 - sliding_share(r.seal, velocity, limit) * fabs(r.seal) / limit);
     r.force = stiffness * r.seal + damping * elastic * velocity;
     r.force_slope = stiffness * r.seal_slope + damping * elastic;
