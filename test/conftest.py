@@ -21,12 +21,13 @@ DOMAINS = range(30, 100)
 PATIENCE_S = 60.0
 
 
-def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
-    """Return condition() once it is true; fail, naming `what`, if it never is."""
+def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S,
+               evidence: Callable[[], str] = str) -> Any:
+    """Return condition() once it is true; fail, naming `what` with its evidence(), if never."""
     end = time.monotonic() + timeout_s
     while not (result := condition()):
         if time.monotonic() > end:
-            pytest.fail(f'not within {timeout_s:g} s: {what}')
+            pytest.fail(f'not within {timeout_s:g} s: {what} {evidence()}')
         time.sleep(0.01)
     return result
 
@@ -56,7 +57,7 @@ class NodeProcess:
     def wait_for(self, text: str) -> None:
         """Wait until it has printed `text`."""
         wait_until(lambda: text in self.text or self._process.poll() is not None,
-                   f'{text!r} in {self._log.name}')
+                   f'{text!r} in {self._log.name}', evidence=lambda: self.text)
         assert text in self.text, f'ended with {self._process.poll()}: {self.text}'
 
     def poll(self) -> int | None:
