@@ -427,8 +427,9 @@ class RealTime:
 
     def health(self) -> tuple[bytes, str]:
         if self.node.measured is None:
-            return WARN, 'waiting for ' + ', '.join(
-                self.node.missing() or [f'a state of the actuator; {self.node.health.problem}'])
+            problem = self.node.health.problem
+            return WARN, 'waiting for ' + ', '.join(self.node.missing() or [
+                'a state of the actuator' + (f'; {problem}' if problem else '')])
         if self.commanded_at is None:
             return WARN, 'no valve_command yet, the valve command is 0' + (
                 f' ({self.node.ignored} were stamped too far from now)' if self.node.ignored

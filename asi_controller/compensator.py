@@ -21,7 +21,7 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS
 # Phase counts most where the limit cycle is.
 PREWARP_HZ: Final = 90.0
 MOST_SECTIONS: Final = 8
-OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 13.0, 'lead2': 2.14, 'lead4': 1.92,
+OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 13.0, 'lead2': 2.16, 'lead4': 1.92,
                    'custom': 1.0}
 
 
