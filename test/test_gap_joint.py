@@ -5,6 +5,7 @@ import dataclasses
 import numba
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from asi_analysis.errors import InputError
 from asi_analysis.gap.diagnose import diagnose, document
@@ -108,3 +109,17 @@ def test_push_is_seen_beside_a_worse_start():
     push = answer['which'][0]['parameters']
     assert push['disturbance_pulse'] == pytest.approx(-0.5 * size, rel=0.1)
     assert push['disturbance_end'] == pytest.approx(6.5, abs=0.05)
+
+
+def test_slow_position_loop():
+    time = np.arange(0.0, 30.0, 0.01)
+    course = np.interp(time, np.arange(0.0, 31.0, 2.5), np.arange(13) * 5 % 7 / 7.0)
+    late = np.interp(time - 0.2, time, course)
+    followed = lfilter([1.0 - np.exp(-0.01 / 0.3)], [1.0, -np.exp(-0.01 / 0.3)], late)
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, time.size)
+    answer = document(diagnose([Run(time, reference_n=course, position_m=followed + noise,
+                                    source='loop',
+                                    information={'signals': {'reference': 'm'}})], {}, 'joint'))
+    assert {entry['effect'] for entry in answer['which'][:2]} == {'transport_delay', 'valve_lag'}
+    assert answer['gap']['before_nrmse'] > 0.15
+    assert answer['gap']['after_nrmse'] < 0.03

@@ -37,6 +37,9 @@ BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the force below which the mass shows nothing
 TYPICAL = 0.3       # share of the force that mass or damper may take and hide behind friction
+# The position loop of a slow machine waits and lags ten times as long as a valve.
+SLOW = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
+        for field in ('command_delay', 'valve_lag')}
 
 
 def drive_of(runs: Sequence[Run]) -> str:
@@ -108,7 +111,10 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     if proportional:
         nominal['valve_characteristic_gain'] = _gain(recordings)
     gain = Free('valve_characteristic_gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal')
-    return make_group(nominal, recordings, ('valve',), nuisance=(gain,),
+    effects = tuple(effect._replace(variants=tuple(
+        variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free))
+        for variant in effect.variants)) for effect in EFFECTS)
+    return make_group(nominal, recordings, ('valve',), nuisance=(gain,), effects=effects,
                       model_error=SERVO_ERROR)
 
 
