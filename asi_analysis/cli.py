@@ -502,10 +502,11 @@ def gap_check(
     seed: Annotated[int, typer.Option(
         help='First seed of the new cases; those below 10000 were developed on')] = 20000,
     world: Annotated[str, typer.Option(
-        help='Nominal model of new cases: textbook (every effect off) or full')] = 'textbook',
+        help='Nominal model of new cases: textbook (every effect off), full, or foreign (other '
+             'machines, courses and noise, small effects everywhere)')] = 'textbook',
     load: Annotated[str, typer.Option(help='Load of new cases: spring or locked')] = 'spring',
     signals: Annotated[str, typer.Option(
-        help='Of new cases: all, no_valve, no_velocity or force_only')] = 'all',
+        help='Of new cases: all, no_valve, no_velocity, no_position or force_only')] = 'all',
     jobs: Jobs = 2,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -517,8 +518,10 @@ def gap_check(
     from asi_analysis.gap.check import check, show
     from asi_analysis.parallel import workers
     for name, value, allowed in (
-            ('--world', world, ('textbook', 'full')), ('--load', load, ('spring', 'locked')),
-            ('--signals', signals, ('all', 'no_valve', 'no_velocity', 'force_only'))):
+            ('--world', world, ('textbook', 'full', 'foreign')),
+            ('--load', load, ('spring', 'locked')),
+            ('--signals', signals, ('all', 'no_valve', 'no_velocity', 'no_position',
+                                    'force_only'))):
         if value not in allowed:
             raise InputError(f'{name} {value!r} is not allowed: one of {", ".join(allowed)}')
     with workers(jobs, dask), progress() as told:

@@ -1,10 +1,11 @@
 """
 Write blind cases as bags without hints, and the answers in one sealed file beside them.
 
-A directory of cases: `nominal_WORLD_LOAD.yaml` (the model file that a user would have), `case_K/`
-(bags whose name and metadata tell nothing), `fresh_K/` (another recording of the same machine),
-`cases.json` (which bags and model belong together), `examiner.json` (what was asked for) and
-`answers.sealed` (compressed, so that no search in the files finds a hint).
+A directory of cases: `nominal_WORLD_LOAD.yaml` (the model file that a user would have; of foreign
+worlds one for each case, `nominal_K.yaml`), `case_K/` (bags whose name and metadata tell nothing),
+`fresh_K/` (another recording of the same machine), `cases.json` (which bags and model belong
+together), `examiner.json` (what was asked for) and `answers.sealed` (compressed, so that no search
+in the files finds a hint).
 """
 
 import base64
@@ -22,10 +23,11 @@ from asi_analysis.bag import write_bag
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
 from asi_analysis.run import Run
-from asi_examiner.cases import EFFECTS, NOISE, Case, draw, excite
+from asi_examiner.cases import EFFECTS, Case, draw, excite
 from asi_examiner.plant import PERIOD_S, simulate
 
 HIDDEN = {'all': (), 'no_valve': ('valve_position_m',), 'no_velocity': ('velocity_m_s',),
+          'no_position': ('position_m',),
           'force_only': ('valve_position_m', 'velocity_m_s', 'position_m')}
 
 
@@ -64,7 +66,7 @@ def fresh(case: Case) -> np.ndarray:
     """Return another recording of the same machine: other noise, another course."""
     rng = np.random.default_rng([case.seed, 11])
     reference = excite(case.excitation, rng, float(np.abs(case.reference).max()))
-    return simulate(case.plant, reference, case.closed, 1.0 / 0.535, NOISE, case.seed + 1_000_000)
+    return simulate(case.plant, reference, case.bench, case.seed + 1_000_000)
 
 
 def model_text(nominal: Mapping[str, Any]) -> str:
@@ -79,13 +81,18 @@ def model_text(nominal: Mapping[str, Any]) -> str:
     return yaml.safe_dump({'/**/asi_actuator': {'ros__parameters': tree}})
 
 
+def model_name(world: str, load: str, number: int) -> str:
+    """Return the model file of a case: one for all, but of a foreign world."""
+    return f'nominal_{number:04d}.yaml' if world == 'foreign' else f'nominal_{world}_{load}.yaml'
+
+
 def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answer:
     """Write one case's bag, its fresh bag and its model; return the answer."""
     for torn in (f'case_{number:04d}', f'fresh_{number:04d}'):   # of a call that was stopped
         shutil.rmtree(out / torn, ignore_errors=True)
     write_bag(as_run(case.recording, HIDDEN[signals]), out / f'case_{number:04d}', {})
     write_bag(as_run(fresh(case), HIDDEN[signals]), out / f'fresh_{number:04d}', {})
-    (out / f'nominal_{case.world}_{case.load}.yaml').write_text(model_text(case.nominal))
+    (out / model_name(case.world, case.load, number)).write_text(model_text(case.nominal))
     return Answer(case.kind, list(case.effects),
                   [EFFECTS[name] for name in case.effects if name in EFFECTS], case.excitation,
                   case.world, case.load, signals, case.visibility,
@@ -121,7 +128,7 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
         seal(answers, sealed)
         _replace(index, json.dumps(
             [{'bag': f'case_{done:04d}', 'fresh': f'fresh_{done:04d}',
-              'model': f'nominal_{world}_{load}.yaml'} for done in range(number + 1)],
+              'model': model_name(world, load, done)} for done in range(number + 1)],
             indent=1).encode())
         yield number + 1
 

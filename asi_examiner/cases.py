@@ -4,6 +4,9 @@ Blind cases: which effect, how large, which excitation, which errors of the nomi
 Everything of a case follows from its seed. An effect is drawn large enough to be seen: at least
 VISIBLE times the noise after all that errors of the nominal parameters can explain of it, which is
 worked out with the examiner's own plant (`visibility`).
+
+Of the world `foreign` nothing is as the diagnosis was made for: another machine, gain of the loop
+and course, louder and coloured noise, and a few more effects, each too small to see.
 """
 
 import math
@@ -13,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
-from asi_examiner.plant import PERIOD_S, plant, simulate
+from asi_examiner.plant import PERIOD_S, Bench, plant, simulate
 
 Array = npt.NDArray[np.float64]
 Values = dict[str, float]
@@ -22,6 +25,7 @@ DURATION_S = 10.0
 ERROR = 0.2
 VISIBLE, INVISIBLE = 2.0, 0.5
 NOISE = np.array([1.0, 2e-8, 1e-6, 5e-4])   # N, m, m, m/s
+TRIFLES = 3   # how many more effects, too small to see, a foreign world has
 
 # The nominal parameters of the actuator, by the name that the user's model file has.
 NOMINAL = {
@@ -66,6 +70,11 @@ TEXTBOOK_MODEL = {
     'hydraulic_damping.model': 'linear', 'friction.model': 'off', 'force_sensor.model': 'off',
 }
 EXCITATIONS = ('loop', 'multisine', 'chirp', 'steps', 'triangle')
+FOREIGN_EXCITATIONS = (*EXCITATIONS, 'tones', 'noise', 'binary')
+# By which factors a foreign machine differs from the nominal ones above.
+FOREIGN = {'gain': (0.5, 2.0), 'coil': (0.6, 2.5), 'pipe': (0.4, 1.2), 'full_opening': (0.1, 10.0),
+           'fluid': (0.2, 1.5), 'mass': (0.4, 10.0), 'stiffness': (0.2, 4.0),
+           'damper': (0.3, 10.0), 'damping': (0.5, 2.0)}
 
 EFFECTS = {
     'transport_delay': 'command_path', 'command_quantisation': 'command_path',
@@ -79,13 +88,18 @@ EFFECTS = {
 }
 OUTSIDE = ('slew_limit', 'one_sided_gain', 'cubic_spring', 'fading_gain', 'dropouts', 'ripple',
            'resonance', 'position_gain')
+# What may be there a little (a fiftieth of it) in a foreign world.
+TRIFLING = ('transport_delay', 'valve_hysteresis', 'valve_deadband', 'valve_bias', 'valve_lag',
+            'hydraulic_damping', 'internal_leakage', 'coulomb_friction', 'viscous_friction',
+            'disturbance_force', 'sensor_offset', 'sensor_lag', 'sensor_drift', 'one_sided_gain',
+            'position_gain', 'cubic_spring', 'fading_gain')
 
 
 class Case(NamedTuple):
     """One blind case: what the bag shows, and what the answer file says."""
 
     seed: int
-    world: str                    # 'textbook' or 'full'
+    world: str                    # 'textbook', 'full' or 'foreign'
     excitation: str
     load: str
     effects: tuple[str, ...]      # the truth; () if there is none
@@ -95,7 +109,7 @@ class Case(NamedTuple):
     plant: np.void
     without: np.void              # the same plant without the effect
     reference: Array
-    closed: bool
+    bench: Bench
     recording: Array              # 5 x n
 
 
@@ -120,7 +134,7 @@ def draw_effect(name: str, rng: np.random.Generator, size: Values, world: str) -
                              'loop_exponent': rng.uniform(1.0, 2.0)},
         'valve_deadband': ({'deadband': _log(rng, 0.02, 0.2) * u} if rng.random() < 0.7 else
                            {'orifice_deadband': _log(rng, 0.02, 0.2) * z}),
-        'valve_saturation': ({'travel_limit': rng.uniform(0.4, 0.85) * z * 2e-5}
+        'valve_saturation': ({'travel_limit': rng.uniform(0.4, 0.85) * z * size['full']}
                              if rng.random() < 0.5 else
                              {'force_limit': rng.uniform(0.4, 0.85) * force}),
         'valve_bias': {'bias': _sign(rng) * _log(rng, 0.01, 0.15) * u},
@@ -186,6 +200,13 @@ def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
         rate = np.geomspace(0.3, rng.uniform(40, 90), t.size)
         signal = np.sin(2 * np.pi * np.cumsum(rate) * PERIOD_S) * rng.uniform(0.7, 1.0)
         signal = signal + 0.3 * np.sin(2 * np.pi * 0.31 * t)
+    elif kind == 'tones':
+        signal = sum(np.sin(2 * np.pi * _log(rng, 0.5, 20.0) * t + rng.uniform(0, 2 * np.pi))
+                     for _ in range(int(rng.integers(1, 4))))
+    elif kind in ('noise', 'binary'):
+        length = int(0.5 / rng.uniform(10.0, 60.0) / PERIOD_S)
+        levels = rng.standard_normal(t.size // length + 1)
+        signal = np.repeat(np.sign(levels) if kind == 'binary' else levels, length)[:t.size]
     elif kind == 'triangle':
         f = rng.uniform(0.3, 0.8)
         signal = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * f * t)) * (0.4 + 0.6 * t / t[-1])
@@ -202,60 +223,85 @@ def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
     return peak * np.asarray(signal) / np.abs(signal).max()
 
 
-def visibility(p: np.void, without: np.void, uncertain: list[str], recording: Array) -> float:
+def visibility(p: np.void, without: np.void, uncertain: list[str], recording: Array,
+               noise: Array) -> float:
     """
     Return how far an effect stands out, in multiples of the noise.
 
     Both plants replay the recorded command, without noise. What errors of the nominal parameters
     can explain (linear, within their bounds) is taken away; the largest over the signals counts.
     """
-    quiet = np.zeros(4)
+    quiet = Bench(False, 0.0, 0.0, np.zeros(4), 0.0)
     command = recording[0]
-    base = simulate(without, command, False, 0.0, quiet, 0)
-    gap = simulate(p, command, False, 0.0, quiet, 0) - base
+    base = simulate(without, command, quiet, 0)
+    gap = simulate(p, command, quiet, 0) - base
     columns = []
     for name in uncertain:
         moved = without.copy()
         moved[name] *= 1.02
-        columns.append((simulate(moved, command, False, 0.0, quiet, 0) - base) / 0.02)
+        columns.append((simulate(moved, command, quiet, 0) - base) / 0.02)
     best = 0.0
-    for signal, level in ((1, NOISE[0]), (2, NOISE[1]), (4, NOISE[3])):
+    for signal, level in ((1, noise[0]), (2, noise[1]), (4, noise[3])):
         matrix = np.array([column[signal] for column in columns]).T
         explained = lsq_linear(matrix / level, gap[signal] / level, (-ERROR, ERROR))
         best = max(best, math.sqrt(2.0 * explained.cost / gap[signal].size))
     return best
 
 
+def foreign(rng: np.random.Generator, closed: bool, names: dict[str, tuple[str, float]]
+            ) -> tuple[dict[str, tuple[str, float]], Bench]:
+    """Return the nominal parameters of another machine, and its bench."""
+    other = {key: (name, value * _log(rng, *FOREIGN[key]) if key in FOREIGN else value)
+             for key, (name, value) in names.items()}
+    noise = NOISE * [_log(rng, 0.3, 5.0) for _ in NOISE]
+    noise[1] *= other['full_opening'][1] / names['full_opening'][1]
+    return other, Bench(closed, rng.uniform(0.5, 3.0), 1.0 / other['gain'][1], noise,
+                        rng.uniform(0.3, 0.95) if rng.random() < 0.5 else 0.0)
+
+
+def trifling(effect: Values) -> Values:
+    """Return an effect of a fiftieth of its size, of the same form."""
+    return {key: value * (1.0 if key in (
+        'slip_distance', 'dahl', 'breakaway', 'piston_share', 'drift_time') else 0.02)
+        for key, value in effect.items()}
+
+
 def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | None = None,
          effects: tuple[str, ...] | None = None, excitation: str | None = None) -> Case:
     """Return the case of a seed; what is not given is drawn: 70 % of cases hold one effect."""
-    rng = np.random.default_rng([seed, 7])
+    rng, other = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 13])
     excitation = excitation or EXCITATIONS[rng.choice(5, p=[0.3, 0.25, 0.2, 0.15, 0.1])]
     kind = kind or str(rng.choice(['effect', 'pair', 'none', 'small', 'outside'],
                                   p=[0.6, 0.12, 0.12, 0.04, 0.12]))
+    known = world   # what the user's model knows of
+    if world == 'foreign':
+        known = str(other.choice(['textbook', 'full']))
+        excitation = str(other.choice(FOREIGN_EXCITATIONS))
     names = {**NOMINAL, **(SPRING if load == 'spring' else LOCKED),
-             **(TEXTBOOK if world == 'textbook' else FULL)}
+             **(TEXTBOOK if known == 'textbook' else FULL)}
+    bench = Bench(excitation == 'loop', 3.0, 1.0 / 0.535, NOISE, 0.0)
+    if world == 'foreign':
+        names, bench = foreign(other, bench.closed, names)
     nominal: dict[str, Any] = dict(names.values())
     nominal |= {'load.type': load} | (
-        TEXTBOOK_MODEL if world == 'textbook' else FULL_MODEL)
+        TEXTBOOK_MODEL if known == 'textbook' else FULL_MODEL)
     true = {key: value * (1.0 + ERROR * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
     # The flow that opens the valve fully and the thrust are known together: the gain is what errs.
-    true['friction_inside'] = float(rng.random() < 0.5) if world == 'textbook' else 1.0
-    true['saturates'] = true['family'] = float(world == 'full')
+    true['friction_inside'] = float(rng.random() < 0.5) if known == 'textbook' else 1.0
+    true['saturates'] = true['family'] = float(known == 'full')
     uncertain = list(names)
 
-    closed = excitation == 'loop'
     force = rng.uniform(250, 700)
-    gain = true['gain']
-    reference = excite(excitation, rng, force if closed else force / gain)
-    feed_forward = 1.0 / 0.535
+    reference = excite(excitation, rng, force if bench.closed else force / true['gain'])
+    clean = simulate(plant(true), reference, bench, seed)
+    size = {name: float(np.quantile(np.abs(signal), 0.98))
+            for name, signal in zip('ufzxv', clean, strict=True)}
+    size |= {'z': size['z'] / true['full_opening'], 'k': true['stiffness'],
+             'full': true['full_opening']}
+    if world == 'foreign':
+        for name in other.choice(TRIFLING, TRIFLES, replace=False):
+            true |= trifling(draw_effect(str(name), other, size, 'textbook'))
     without = plant(true)
-    clean = simulate(without, reference, closed, feed_forward, NOISE, seed)
-    size = {'u': float(np.quantile(np.abs(clean[0]), 0.98)),
-            'f': float(np.quantile(np.abs(clean[1]), 0.98)),
-            'z': float(np.quantile(np.abs(clean[2]), 0.98)) / 2e-5,
-            'x': float(np.quantile(np.abs(clean[3]), 0.98)),
-            'v': float(np.quantile(np.abs(clean[4]), 0.98)), 'k': true['stiffness']}
 
     for _ in range(30):
         if effects is not None:
@@ -268,18 +314,17 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             chosen = tuple(map(str, rng.choice(list(EFFECTS), 2 if kind == 'pair' else 1,
                                                replace=False)))
         values, seen = dict(true), math.inf
-        extras = [draw_effect(name, rng, size, world) for name in chosen]
+        extras = [draw_effect(name, rng, size, known) for name in chosen]
         if len(extras) == 2 and extras[0].keys() & extras[1].keys():
             continue   # the second would take the place of the first: that is one effect
         for extra in extras:
             if kind == 'small':
-                extra = {key: value * (0.02 if key not in ('slip_distance', 'dahl', 'breakaway',
-                                                           'piston_share', 'drift_time') else 1.0)
-                         for key, value in extra.items()}
+                extra = trifling(extra)
             single = plant({**true, **extra})
-            recording = simulate(single, reference, closed, feed_forward, NOISE, seed)
+            recording = simulate(single, reference, bench, seed)
             if np.isfinite(recording).all():
-                seen = min(seen, visibility(single, without, uncertain, recording))
+                seen = min(seen, visibility(single, without, uncertain, recording,
+                                            bench.noise))
             else:
                 seen = -1.0
             values |= extra
@@ -289,6 +334,6 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
         if kind == 'small' and 0.0 <= seen <= INVISIBLE or kind != 'small' and seen >= VISIBLE:
             break
     truth = plant(values)
-    recording = simulate(truth, reference, closed, feed_forward, NOISE, seed)
+    recording = simulate(truth, reference, bench, seed)
     return Case(seed, world, excitation, load, chosen, kind, seen, nominal, truth, without,
-                reference, closed, recording)
+                reference, bench, recording)

@@ -10,10 +10,12 @@ compliance with two masses and a contact; warm-up drift; steps and bursts of dis
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
 STEP_S = 1e-5
 PERIOD_S = 1e-3
@@ -40,6 +42,18 @@ FIELDS = (
     'slew', 'one_sided_gain', 'cubic_spring', 'fading_gain', 'dropout', 'ripple', 'ripple_pitch',
     'resonance', 'resonance_share', 'position_gain',
 )
+
+
+class Bench(NamedTuple):
+    """How a machine is run and measured."""
+
+    closed: bool
+    gain: float           # of the closed loop
+    feed_forward: float
+    noise: npt.NDArray[np.float64]   # of force N, valve position m, position m, velocity m/s
+    colour: float         # correlation of the noise from sample to sample
+
+
 PLANT = np.dtype([(name, np.float64) for name in FIELDS])
 jit = numba.njit(cache=True)
 
@@ -319,12 +333,15 @@ def plant(values: dict[str, float]) -> np.void:
     return record
 
 
-def simulate(p: np.void, reference: npt.NDArray[np.float64], closed: bool, feed_forward: float,
-             noise: npt.NDArray[np.float64], seed: int) -> npt.NDArray[np.float64]:
+def simulate(p: np.void, reference: npt.NDArray[np.float64], bench: Bench, seed: int
+             ) -> npt.NDArray[np.float64]:
     """Return command, force, valve position, position and velocity: 5 x n samples at 1 kHz."""
     rng = np.random.default_rng(seed)
     random = np.vstack([rng.standard_normal((4, reference.size)), rng.random(reference.size)])
+    if bench.colour:
+        fresh = math.sqrt(1.0 - bench.colour ** 2)   # so that the noise stays as strong
+        random[:4] = lfilter([fresh], [1.0, -bench.colour], random[:4])
     out = np.empty((5, reference.size))
-    top = 4000.0 if closed else 1.2 * float(np.abs(reference).max())
-    run(p, reference, closed, 3.0, feed_forward, random, noise, top, out)
+    top = 4000.0 if bench.closed else 1.2 * float(np.abs(reference).max())
+    run(p, reference, bench.closed, bench.gain, bench.feed_forward, random, bench.noise, top, out)
     return out

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asi_actuator.model.jit import FULL, LINEAR
-from asi_analysis.gap import blocks
 from asi_analysis.gap.effects import EFFECTS, Effect, Free, Variant
 from asi_analysis.gap.predict import measured, passed_on, predict
 from asi_analysis.gap.prepare import Array, Recording
@@ -137,14 +136,11 @@ def _noise(recording: Recording, channel: str, p: np.void) -> float:
     noise, motion = recording.noise, recording.motion
     if channel == 'valve':
         return noise['valve_position']
-    if channel == 'force':
-        return math.hypot(noise['force'], math.sqrt(passed_on(recording, channel, p)))
-    assert motion is not None
-    _, _, stiffness = blocks.load_constants(p)
-    moved = blocks.impedance(motion.omega, p) + stiffness / (
-        1j * np.maximum(motion.omega, motion.omega[1]))
-    return math.sqrt(float(np.mean(motion.judge ** 2 * (
-        noise['force'] ** 2 + np.abs(moved) ** 2 * motion.noise))))
+    share = 1.0
+    if channel == 'load':
+        assert motion is not None
+        share = math.sqrt(float(np.mean(motion.judge ** 2)))
+    return math.hypot(share * noise['force'], math.sqrt(passed_on(recording, channel, p)))
 
 
 def _range(signals: Sequence[Array | None]) -> float:

@@ -10,6 +10,7 @@ from asi_actuator.model.jit import FULL
 from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import Value, as_record
 from asi_analysis.gap import blocks
+from asi_analysis.gap.blocks import Complex
 from asi_analysis.gap.prepare import Array, Recording
 
 # Valve position and velocity come sampled, and lags are exact for what moves straight, so finer
@@ -76,10 +77,18 @@ def passed_on(recording: Recording, channel: str, p: np.void) -> float:
     """
     Return the mean square that the noise of its measured inputs leaves in what a channel predicts.
 
-    Of valve position and motion. What acts behind a lag passes on less.
+    Of valve position and motion. What acts behind a lag passes on less, and a lag that has to be
+    undone more.
     """
-    if channel != 'force':
+    if channel == 'valve':
         return 0.0
+    if channel == 'load':
+        motion = recording.motion
+        assert motion is not None
+        omega = np.maximum(motion.omega, motion.omega[1])
+        one, none = np.ones_like(omega), np.zeros_like(omega)
+        moved = _linear(omega, one, one / (1j * omega), none, p) * motion.judge
+        return float(np.mean(np.abs(moved) ** 2 * motion.noise))
     rng = np.random.default_rng(0)
     noisy: dict[str, Any] = {}
     if recording.valve_position is not None:
@@ -166,17 +175,14 @@ def _load(recording: Recording, p: np.void) -> Array:
     """Return the force (N) that the measured motion takes, as the sensor reads it, in band."""
     motion = recording.motion
     assert motion is not None
-    _, damping, stiffness = blocks.load_constants(p)
-    linear = (blocks.impedance(motion.omega, p) * motion.velocity_spectrum
-              + stiffness * motion.position_spectrum)
+    _, damping, _ = blocks.load_constants(p)
     extra, slack = np.zeros((2, motion.velocity.size))
     blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
                           recording.period_s, -motion.pad * recording.period_s, extra, slack)
-    if p['compliance'] > 0.0 or p['backlash'] > 0.0:
-        linear = blocks.behind(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
-                               np.fft.rfft(slack), p)
-    total = ((linear + np.fft.rfft(extra)) * blocks.sensor_response(motion.omega, p)
-             * blocks.drive_inverse(motion.omega, p) * motion.judge)
+    total = motion.judge * (
+        _linear(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
+                np.fft.rfft(slack), p)
+        + np.fft.rfft(extra) * _read(motion.omega, p))
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
     if not motion.measured:   # the offset is outside the band
@@ -184,6 +190,20 @@ def _load(recording: Recording, p: np.void) -> Array:
     time = recording.time_s
     return inner + (p['force_sensor_offset'] + p['sensor_offset'] + p['sensor_drift'] * time
                     + p['sensor_drift_curve'] * time * time)
+
+
+def _read(omega: Array, p: np.void) -> Complex:
+    """Return what is read, or was commanded, over the force that the load takes."""
+    return blocks.sensor_response(omega, p) * blocks.drive_inverse(omega, p)
+
+
+def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void
+            ) -> Complex:
+    """Return the spectrum of the force that the linear load takes of a motion, as it is read."""
+    if p['compliance'] > 0.0 or p['backlash'] > 0.0:
+        return blocks.behind(omega, velocity, position, slack, p) * _read(omega, p)
+    _, _, stiffness = blocks.load_constants(p)
+    return (blocks.impedance(omega, p) * velocity + stiffness * position) * _read(omega, p)
 
 
 def measured(recording: Recording, channel: str) -> Array:

@@ -5,6 +5,8 @@ A disturbance (how often, from when to when) and the steps of a command. What th
 are fitted already could do as well is taken away first, so that it hides nothing.
 """
 
+import itertools
+
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
@@ -23,7 +25,9 @@ CORNERS = 400      # places in a recording where a pulse is looked for to begin 
 STEPS = np.arange(2.0, 60.0, 0.35)
 NEARBY = np.linspace(-0.35, 0.35, 71)
 FREE = 1e3         # times what is left: the range of an offset, which may be anything
-DRIVEN = 0.8       # of the force's power, at the one frequency of an excitation
+# An excitation of at most LINES waves, which hold DRIVEN of the power of the force or the motion;
+# one of them holds at least LINE of either.
+LINES, LINE, DRIVEN = 3, 0.1, 0.8
 RESPONSE_S = 0.2   # after which a valve has answered
 
 
@@ -39,8 +43,7 @@ def seen(fitted: Fitted) -> Values:
     found: Values = {}
     if 'load' in group.channels:
         left, known = _left(fitted, 'load')
-        found |= _wave(left, measured(group.recordings[0], 'load'),
-                       group.recordings[0].period_s)
+        found |= _wave(left, group.recordings[0])
         found |= _pulse(left, known, group.recordings[0].period_s)
     for channel in group.channels:
         if channel == 'valve' or channel == 'force' and not group.measures_valve:
@@ -75,21 +78,39 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
     return left - known @ (known.T @ left), known
 
 
-def _wave(left: Array, force: Array, period: float) -> Values:
+def _wave(left: Array, recording: Recording) -> Values:
     """
     Return the frequency (Hz) of the strongest wave in what is left.
 
-    Not the one at which nearly all of the force (N) is: a force that moves nothing, or too much,
-    is not told there from another that works against it.
+    Not one of the few at which nearly all of the force or of the motion is: a force that moves
+    nothing, or too much, is not told there from another that works against it.
     """
     count = 8 * left.size   # padded, for a frequency as fine as the wave's phase at the end
-    power, driven = (np.abs(np.fft.rfft(signal * np.hanning(left.size), count)) ** 2
-                     for signal in (left, force - force.mean()))
     lobe = 4 * count // left.size + 1   # as wide as a wave is in these spectra
-    near = np.convolve(driven, np.ones(lobe), 'same')
-    power[near > DRIVEN * driven.sum()] = 0.0
+    motion = recording.motion
+    assert motion is not None
+    moved = motion.position[motion.pad:motion.pad + left.size]
+    power, *driven = (np.abs(np.fft.rfft(signal * np.hanning(left.size), count)) ** 2
+                      for signal in (left, *(each - each.mean() for each in (
+                          measured(recording, 'load'), moved))))
+    for zone in itertools.chain(*(_lines(each, lobe) for each in driven)):
+        power[zone] = 0.0
     lowest = count // left.size   # one wave in the recording
-    return {'residual_frequency': (lowest + int(np.argmax(power[lowest:]))) / (count * period)}
+    return {'residual_frequency':
+            (lowest + int(np.argmax(power[lowest:]))) / (count * recording.period_s)}
+
+
+def _lines(power: Array, lobe: int) -> list[slice]:
+    """Return where the waves of an excitation lie that is made of a few; none if it is not."""
+    rest, total, zones = power.copy(), power.sum(), []
+    for _ in range(LINES):
+        near = np.convolve(rest, np.ones(lobe), 'same')
+        line = int(np.argmax(near))
+        if near[line] < LINE * total:
+            break
+        zones.append(slice(max(line - lobe // 2, 0), line + lobe // 2 + 1))
+        rest[zones[-1]] = 0.0
+    return zones if rest.sum() < (1.0 - DRIVEN) * total else []
 
 
 def _pulse(left: Array, known: Array, period: float) -> Values:
