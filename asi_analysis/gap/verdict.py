@@ -237,15 +237,21 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     Return what the hypotheses of a group are weighed by.
 
     What they leave is made comparable: one that passes more of its inputs' noise on than the
-    nominal model does must leave more.
+    nominal model does must leave more. That noise is taken to be so strong as all of them allow.
     """
     best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+    noise = {channel: level ** 2 for channel, level in group.noise.items()}
     passed = {names: _passed_on(group, candidate.fitted) for names, candidate in found.items()}
-    left = {names: {channel: max(mean - passed[names][channel] + passed[()][channel], LEAST * mean)
-                    for channel, mean in candidate.fitted.held_out.items()}
-            for names, candidate in found.items()}
+    left = {names: dict(candidate.fitted.held_out) for names, candidate in found.items()}
+    for channel, level in noise.items():
+        more = {names: passed[names][channel] - passed[()][channel] for names in found}
+        share = min(1.0, *(left[names][channel] / (level + more[names] + 1e-300)
+                           for names in found))
+        for names in found:
+            left[names][channel] = max(left[names][channel] - share * more[names],
+                                       LEAST * left[names][channel])
     return Evidence(
-        {channel: noise ** 2 for channel, noise in group.noise.items()}, group.floor,
+        noise, group.floor,
         group.formulation, independent_samples(group, best.fitted.record), group.held_out_s, left,
         {names: len({free.field for variant in candidate.variants for free in variant.free})
          for names, candidate in found.items()})
