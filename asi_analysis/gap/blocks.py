@@ -176,15 +176,16 @@ def valve(command, p, e, period, count, out):
     decay = rate_decay(p, h)
     coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
     flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
-    keep, old, new = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
+    # Of an input that is held over each step, as the command is.
+    keep, _, _ = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
     keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
     start = command[0] + e.command_bias
     plays, fluxes = np.full(PLAYS, start), np.full(PLAYS, start)
     widths = spread(e.valve_hysteresis_spread)
     magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
     filtered, flux, slow_flux = start, start, start
-    before = dead_zone(start, e.command_deadband)
-    first, lagged, coil, pipe, pipe_rate = before, before, before, before, 0.0
+    rest = dead_zone(start, e.command_deadband)
+    first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
     for k in range(out.shape[0]):
         position = valve_position(pipe, p)
         if e.valve_limit > 0.0:
@@ -205,9 +206,8 @@ def valve(command, p, e, period, count, out):
             after = dead_zone(drive, e.command_deadband)
             lagged_before = lagged
             first_before = first
-            first = keep * first + old * before + new * after
+            first = keep * first + (1.0 - keep) * after
             lagged = keep_2 * lagged + old_2 * first_before + new_2 * first
-            before = after
             if p.valve_flexure_model == FULL:
                 mean = 0.5 * (lagged_before + lagged) if e.valve_lag > 0.0 else lagged
                 coil_before = coil

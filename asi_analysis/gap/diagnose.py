@@ -263,7 +263,8 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
     second = (f'On data that no fit has seen the error of the {gap["channel"]} falls from '
               f'{100 * gap["before_nrmse"]:.1f} % to {100 * gap["after_nrmse"]:.1f} % of the '
               f'signal (shrink {gap["shrink"]:.2f}, 95 % interval {gap["shrink_low"]:.2f} to '
-              f'{gap["shrink_high"]:.2f}; noise {100 * gap["noise_floor_nrmse"]:.1f} %).')
+              f'{gap["shrink_high"]:.2f} for another recording of this kind; noise '
+              f'{100 * gap["noise_floor_nrmse"]:.1f} %).')
     if verdict == NO_GAP:
         second = (f'The error of the {gap["channel"]} is {100 * gap["before_nrmse"]:.1f} % of the '
                   f'signal, and {100 * gap["refitted_nrmse"]:.1f} % with the parameters refitted '

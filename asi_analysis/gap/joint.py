@@ -110,7 +110,9 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     nominal['load_mass'] = 0.0
     if proportional:
         nominal['valve_characteristic_gain'] = _gain(recordings)
-    gain = Free('valve_characteristic_gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal')
+    # A gain that was identified without a lag is far too small where there is one.
+    low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
+    gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
     effects = tuple(effect._replace(variants=tuple(
         variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free))
         for variant in effect.variants)) for effect in EFFECTS)

@@ -28,6 +28,7 @@ FREE = 1e3         # times what is left: the range of an offset, which may be an
 # An excitation of at most LINES waves, which hold DRIVEN of the power of the force or the motion;
 # one of them holds at least LINE of either.
 LINES, LINE, DRIVEN = 3, 0.1, 0.8
+ORDER = 3          # of harmonics that what is not linear is seen by
 RESPONSE_S = 0.2   # after which a valve has answered
 
 
@@ -83,7 +84,8 @@ def _wave(left: Array, recording: Recording) -> Values:
     Return the frequency (Hz) of the strongest wave in what is left.
 
     Not one of the few at which nearly all of the force or of the motion is: a force that moves
-    nothing, or too much, is not told there from another that works against it.
+    nothing, or too much, is not told there from another that works against it. Nor their
+    harmonics: what happens to be there is what is not linear.
     """
     count = 8 * left.size   # padded, for a frequency as fine as the wave's phase at the end
     lobe = 4 * count // left.size + 1   # as wide as a wave is in these spectra
@@ -93,24 +95,37 @@ def _wave(left: Array, recording: Recording) -> Values:
     power, *driven = (np.abs(np.fft.rfft(signal * np.hanning(left.size), count)) ** 2
                       for signal in (left, *(each - each.mean() for each in (
                           measured(recording, 'load'), moved))))
-    for zone in itertools.chain(*(_lines(each, lobe) for each in driven)):
-        power[zone] = 0.0
     lowest = count // left.size   # one wave in the recording
-    return {'residual_frequency':
-            (lowest + int(np.argmax(power[lowest:]))) / (count * recording.period_s)}
+    power[:lowest] = 0.0
+    lines = [_lines(each, lobe) for each in driven]
+    for line in itertools.chain(*lines):
+        power[max(line - lobe // 2, 0):line + lobe // 2 + 1] = 0.0
+    harmonics = np.array([number for each in lines for number in _harmonics(each)])
+    found = int(np.argmax(power))
+    while power[found] > 0.0 and np.any(np.abs(harmonics - found) <= lowest / 2):
+        power[max(found - lobe // 2, 0):found + lobe // 2 + 1] = 0.0
+        found = int(np.argmax(power))
+    return {'residual_frequency': found / (count * recording.period_s)}
 
 
-def _lines(power: Array, lobe: int) -> list[slice]:
-    """Return where the waves of an excitation lie that is made of a few; none if it is not."""
-    rest, total, zones = power.copy(), power.sum(), []
+def _lines(power: Array, lobe: int) -> list[int]:
+    """Return where the waves of an excitation are that is made of a few; none if it is not."""
+    rest, total, lines = power.copy(), power.sum(), []
     for _ in range(LINES):
         near = np.convolve(rest, np.ones(lobe), 'same')
         line = int(np.argmax(near))
         if near[line] < LINE * total:
             break
-        zones.append(slice(max(line - lobe // 2, 0), line + lobe // 2 + 1))
-        rest[zones[-1]] = 0.0
-    return zones if rest.sum() < (1.0 - DRIVEN) * total else []
+        lines.append(line)
+        rest[max(line - lobe // 2, 0):line + lobe // 2 + 1] = 0.0
+    return lines if rest.sum() < (1.0 - DRIVEN) * total else []
+
+
+def _harmonics(lines: list[int]) -> list[int]:
+    """Return the sums and differences of up to ORDER frequencies, but for themselves."""
+    times = itertools.product(range(-ORDER, ORDER + 1), repeat=len(lines))
+    return [abs(sum(n * line for n, line in zip(each, lines, strict=True))) for each in times
+            if 1 < sum(map(abs, each)) <= ORDER]
 
 
 def _pulse(left: Array, known: Array, period: float) -> Values:
