@@ -1,6 +1,7 @@
 """Joints that turn, simulated by other equations than the diagnosis: LuGre friction, a hold."""
 
 import dataclasses
+import math
 
 import numba
 import numpy as np
@@ -41,15 +42,19 @@ def _joint(reference, friction, breakaway, late, gravity, out):
             angle += step * speed
 
 
+TIME_S = np.arange(int(16.0 * RATE_HZ)) / RATE_HZ
+WITH_RESTS = (0.8 * np.sin(2.0 * np.pi * 0.3 * TIME_S) ** 3
+              + 0.2 * np.sin(2.0 * np.pi * 1.7 * TIME_S))
+TWO_WAVES = 0.6 * np.sin(2.0 * np.pi * 0.4 * TIME_S) + 0.2 * np.sin(2.0 * np.pi * 2.3 * TIME_S)
+
+
 def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
-          gravity: float = 0.0) -> Run:
-    """Return 16 s of the joint on a smooth course with rests, read by a 14 bit encoder."""
-    time = np.arange(int(16.0 * RATE_HZ)) / RATE_HZ
-    course = 0.8 * np.sin(2.0 * np.pi * 0.3 * time) ** 3 + 0.2 * np.sin(2.0 * np.pi * 1.7 * time)
-    out = np.empty((2, time.size))
+          gravity: float = 0.0, course: np.ndarray = WITH_RESTS) -> Run:
+    """Return 16 s of the joint on a smooth course, read by a 14 bit encoder."""
+    out = np.empty((2, course.size))
     _joint(course, friction, breakaway, round(late_s * RATE_HZ * SUB_STEPS), gravity, out)
     count = 2.0 * np.pi / 2 ** 14
-    return Run(time, command_n=out[0], position_m=count * np.round(out[1] / count),
+    return Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
                source='joint', information=PENDULUM)
 
 
@@ -93,6 +98,19 @@ def test_what_no_effect_explains_is_described():
     assert 'a function of the position' in answer['unexplained']
 
 
+@pytest.mark.parametrize(('changed', 'perhaps'), [
+    ({'gravity': 0.3}, {'unknown'}), ({'late_s': 0.012}, {'transport_delay', 'valve_lag'})])
+def test_what_two_waves_cannot_tell(changed, perhaps):
+    """A wave of the course is no disturbance; a gain and a phase at two waves fit any lag."""
+    run = joint(**changed, course=TWO_WAVES)
+    run = dataclasses.replace(run, position_m=None, velocity_m_s=np.gradient(
+        run.position_m, 1.0 / RATE_HZ), information={'signals': {
+            'velocity': 'rad/s', 'command': 'Nm'}})
+    answer = document(diagnose([run], {}, 'joint'))
+    assert 'disturbance_force' not in answer['verdict']
+    assert perhaps <= set(answer['ambiguity_set'])
+
+
 def test_joint_with_a_reversed_sign_is_refused():
     run = joint(friction=0.15)
     with pytest.raises(InputError, match='joint: .*sign is reversed'):
@@ -123,3 +141,14 @@ def test_slow_position_loop():
     assert {entry['effect'] for entry in answer['which'][:2]} == {'transport_delay', 'valve_lag'}
     assert answer['gap']['before_nrmse'] > 0.15
     assert answer['gap']['after_nrmse'] < 0.03
+
+
+def test_lag_of_a_slowly_sampled_drive():
+    """Its command is held for half a time constant, and its gain is not known without the lag."""
+    run = joint(course=TWO_WAVES)
+    kept = run.command_n[::4]
+    force = lfilter([0.0, 1.0 - math.exp(-0.8)], [1.0, -math.exp(-0.8)], kept)
+    slow = Run(TIME_S[::4], command_n=kept, force_n=force, source='drive')
+    answer = document(diagnose([slow], {}, 'joint', drive='drive'))
+    assert answer['verdict'] == 'valve_lag'
+    assert answer['which'][0]['parameters']['valve_lag'] == pytest.approx(0.01, rel=0.02)
