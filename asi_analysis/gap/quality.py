@@ -30,7 +30,7 @@ FAR = 20.0             # a factor that is refused whatever the shape
 BRAKED = 0.2           # correlation of force and velocity that no load has against the motion
 EARLY_S, LATE_S = 0.004, 0.08
 EARLY_SAMPLES = 1.5    # or so many samples: a reply may be logged beside the next command
-SAME = 0.93            # correlation above which being late is all that differs
+SAME = 0.93            # correlation above which a shift is all that differs
 IMPROVED = 0.1         # by which a shift of the clock must raise the correlation
 
 # What a channel compares: what is measured, and what it is driven by.
@@ -153,8 +153,8 @@ def check_against_model(group: Group) -> list[str]:
             off = (f'{where}: {"late" if shift > 0.0 else "early"} by {abs(shift) * 1e3:.0f} ms '
                    f'(correlation {alike:.3f}, shifted {shifted:.3f}): the clocks of {output} and '
                    f'{driven}')
-            late = shift > LATE_S and shifted > SAME
-            if shifted > alike + IMPROVED and (early or late):
+            # With a wrong damping a free load may be ahead of its model too, but not so alike.
+            if (early or shift > LATE_S) and shifted > max(alike + IMPROVED, SAME):
                 raise InputError(f'{off} differ')
             if early and 1.0 - shifted < 0.5 * (1.0 - alike):
                 notes.append(f'{off} may differ')
