@@ -62,6 +62,9 @@ NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
 DRAIN_PERIOD_S: Final = 0.01
 LOOK_AROUND_PERIOD_S: Final = 0.2
 FAREWELL_S: Final = 0.05
+# What counts at most of the time between two looks at what has come: while this process or the
+# whole machine stands still nothing can come, and nothing is missing.
+LOOK_S: Final = 2.0 * DRAIN_PERIOD_S
 # Messages of one topic that may wait: ten seconds of lock-step.
 DEPTH: Final = 50_000
 
@@ -165,6 +168,9 @@ class Recorder(Node):
         self._writer = BagWriter(Path(output))
         if information:
             self._writer.add_information(information)
+        # For how long this node has looked; when it saw the first message of the loop.
+        self._looked_for_s, self._first_s = 0.0, math.inf
+        self._last_look_s = time.monotonic()
         self._arrived: list[Arrival] = []
         self._order: ReceiptOrder | TickOrder | None = None
         self._even_clock = SteadyClock()
@@ -190,15 +196,15 @@ class Recorder(Node):
     def _await_rest(self) -> None:
         """Take what is on its way: until a moment brings nothing, and no tick lacks anything."""
         ended_ns = self._even_clock.now_ns()
-        now_s = time.monotonic()
-        moment_s, end_s = now_s + FAREWELL_S, now_s + PATIENCE_S
-        while now_s < end_s and (now_s < moment_s or (self._order and self._order.waiting())):
+        moment_s = self._looked_for_s + FAREWELL_S
+        end_s = self._looked_for_s + PATIENCE_S
+        while self._looked_for_s < end_s and (
+                self._looked_for_s < moment_s or (self._order and self._order.waiting())):
             time.sleep(DRAIN_PERIOD_S)
             self._drain()
-            now_s = time.monotonic()
             # What others go on to publish does not count.
             if any(arrival.published_ns <= ended_ns for arrival in self._arrived):
-                moment_s = now_s + FAREWELL_S
+                moment_s = self._looked_for_s + FAREWELL_S
             self._write()
 
     def _text(self, name: str, default: str, description: str) -> str:
@@ -217,6 +223,9 @@ class Recorder(Node):
 
     def _drain(self) -> None:
         """Take everything that has come."""
+        now_s = time.monotonic()
+        self._looked_for_s += min(now_s - self._last_look_s, LOOK_S)
+        self._last_look_s = now_s
         # How far the wall clock was set since the start: log times go on evenly.
         set_ns = time.time_ns() - self._even_clock.now_ns()
         for index, topic in enumerate(self._topics):
@@ -240,7 +249,7 @@ class Recorder(Node):
         arrived, self._arrived = self._arrived, []
         if isinstance(self._order, TickOrder):
             arrived = [arrival for arrival in arrived if self._is_of_the_run(arrival)]
-        for item in self._order.ready(arrived, math.inf if final else time.monotonic()):
+        for item in self._order.ready(arrived, math.inf if final else self._looked_for_s):
             topic = self._topics[item.topic]
             if topic.channel is None:
                 self._look_at_publishers(topic)
@@ -264,6 +273,7 @@ class Recorder(Node):
         arrived = [arrival for arrival in self._arrived
                    if self._topics[arrival.topic].type != TYPES['/diagnostics']]
         for arrival in arrived:
+            self._first_s = min(self._first_s, self._looked_for_s)
             if arrival.stamp_ns:
                 if abs(arrival.stamp_ns - arrival.received_ns) < OTHER_CLOCK_NS:
                     return ReceiptOrder()
@@ -272,8 +282,8 @@ class Recorder(Node):
                 unawaited = {i for i, topic in enumerate(self._topics)
                              if topic.type == TYPES['/diagnostics']}
                 return TickOrder(len(self._topics), guides[0], unawaited)
-        waited_ns = time.time_ns() - arrived[0].received_ns if arrived else 0
-        return ReceiptOrder() if final or waited_ns > HOLD_S * 1e9 else None
+        waited_s = self._looked_for_s - self._first_s
+        return ReceiptOrder() if final or waited_s > HOLD_S else None
 
     def _look_at_publishers(self, topic: _Recorded) -> None:
         """Note the different QoS that are offered; those of the past, if nobody is left."""

@@ -59,7 +59,8 @@ class Replay(Node):
         self._clocks = (self.create_publisher(ClockMessage, '/clock', STREAM_QOS)
                        if values['clock'] else None)
         self._entries = self._load(Path(str(values['bag'])))
-        self._played = list({entry.publisher for entry in self._entries})
+        self._played = [*{entry.publisher for entry in self._entries},
+                        *([self._clocks] if self._clocks else [])]
         self._heard = not values['await_recorder']
         self._start_ns = self._entries[0].log_ns
         self._duration_ns = self._entries[-1].log_ns - self._start_ns
@@ -106,8 +107,8 @@ class Replay(Node):
         now_s = time.monotonic()
         if now_s < self._last_s:
             return
-        self._heard = self._heard or not not_recorded(self, self._played)
         if self._paused or not self._heard:
+            self._heard = self._heard or not not_recorded(self, self._played)
             self._last_s = now_s
             return
         self._position_ns += (now_s - self._last_s) * 1e9 * float(self.parameters.values['rate'])
@@ -140,6 +141,8 @@ class Replay(Node):
         self._next, self._position_ns = 0, 0.0
 
     def _pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        if self._paused:  # what has gone by since the last step too
+            self._last_s = max(self._last_s, time.monotonic())
         self._paused = request.data
         answer.success, answer.message = True, 'paused' if self._paused else 'running'
         self._tell()

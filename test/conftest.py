@@ -13,12 +13,27 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).parents[1]
 # Domains whose ports stay below those that Linux gives to clients.
 DOMAINS = range(30, 100)
 # Generous: a process starts in two seconds, but a busy machine takes far longer.
 PATIENCE_S = 60.0
+# Looks in a row that find nothing new are silence: a machine that stands still takes only one.
+SILENT_LOOKS = 20
+LOOK_S = 0.05
+
+# The same examples each time, however long one takes: what has passed here passes in CI. Others
+# are looked for by `pytest --hypothesis-profile=search`.
+settings.register_profile('suite', derandomize=True, deadline=None,
+                          suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile('search', settings.get_profile('suite'), derandomize=False,
+                          max_examples=5000)
+settings.load_profile('suite')
+
+# A shell that starts something in the background has it, and all that it starts, ignore SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S,
@@ -30,6 +45,38 @@ def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIE
             pytest.fail(f'not within {timeout_s:g} s: {what} {evidence()}')
         time.sleep(0.01)
     return result
+
+
+def wait_for_silence(what: str, *lists: list[Any]) -> None:
+    """Wait until no list gets longer any more; fail, naming `what`, if they go on."""
+    counts = [-1] * SILENT_LOOKS
+
+    def silent() -> bool:
+        time.sleep(LOOK_S)
+        counts.append(sum(map(len, lists)))
+        return len(set(counts[-SILENT_LOOKS:])) == 1
+
+    wait_until(silent, f'the end of {what}')
+
+
+class Listener:
+    """The messages of a topic, in the order in which they come."""
+
+    def __init__(self, node: Any, kind: type, topic: str):
+        """Subscribe."""
+        self.messages: list[Any] = []
+        node.create_subscription(kind, topic, self.messages.append, 1000)
+
+    def wait(self, count: int = 1) -> list[Any]:
+        """Return the next `count` messages."""
+        begin = len(self.messages)
+        wait_until(lambda: len(self.messages) >= begin + count, f'{count} messages')
+        return self.messages[begin:begin + count]
+
+    def wait_until(self, condition: Callable[[Any], bool], what: str) -> Any:
+        """Return the newest message once it meets a condition."""
+        return wait_until(lambda: next((m for m in self.messages[-1:] if condition(m)), None),
+                          what)
 
 
 class NodeProcess:
@@ -158,6 +205,13 @@ def ros_node(ros_environment: dict[str, str]) -> Iterator[Any]:
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown()
+
+
+@pytest.fixture
+def states(ros_node: Any) -> Listener:
+    """Return the messages of joint_states."""
+    from sensor_msgs.msg import JointState
+    return Listener(ros_node, JointState, 'joint_states')
 
 
 @pytest.fixture

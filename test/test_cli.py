@@ -5,11 +5,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import PATIENCE_S, wait_until
 from rosbags.rosbag2 import Reader
 
 from asi_analysis import cli, experiment, json_keys
@@ -41,7 +41,7 @@ def test_help_loads_nothing_heavy():
             'heavy = {"rclpy", "numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)\n'
             'sys.exit(f"loaded: {heavy}" if heavy else 0)')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            timeout=60, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+                            timeout=PATIENCE_S, env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert result.returncode == 0, result.stderr
 
 
@@ -230,30 +230,32 @@ def processes_of(directory):
     return found
 
 
-def recording(out):
-    """Return an `asi run` without end whose bag has begun to grow."""
+@pytest.fixture
+def recording(ros_environment, tmp_path):
+    """Return an `asi run` to tmp_path / 'out', without end, whose bag has begun to grow."""
     process = subprocess.Popen(
-        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--duration', '1000', '--out', str(out)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, 'PYTHONPATH': str(ROOT)})
-    deadline = time.monotonic() + 60.0
-    while not any(path.stat().st_size > 50_000 for path in out.glob('bag/*.mcap')):
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--duration', '1000', '--out',
+         str(tmp_path / 'out')], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+
+    def grows():
         assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < deadline, 'the bag does not grow'
-        time.sleep(0.1)
-    return process
+        return any(path.stat().st_size > 50_000 for path in tmp_path.glob('out/bag/*.mcap'))
+
+    try:
+        wait_until(grows, 'a bag that grows')
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, ros_environment, tmp_path):
-    out = tmp_path / 'out'
-    process = recording(out)
+def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, recording, tmp_path):
+    out, process = tmp_path / 'out', recording
     process.send_signal(how)
-    process.wait(60)
-    deadline = time.monotonic() + 60.0
-    while processes_of(out):
-        assert time.monotonic() < deadline, 'a node is left behind'
-        time.sleep(0.1)
+    process.wait(PATIENCE_S)
+    wait_until(lambda: not processes_of(out), 'the end of every node')
     if how == signal.SIGINT:
         assert process.returncode == 130
         assert process.stderr.read().strip() == (
@@ -264,14 +266,13 @@ def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, ros_environment, 
     assert np.allclose(np.diff(run.time_s), 1.0 / 5000.0)
 
 
-def test_dead_node_is_named(ros_environment, tmp_path):
+def test_dead_node_is_named(recording, tmp_path):
     """Kill -9 of the controller: the run ends, says which node died, and keeps its bag."""
-    out = tmp_path / 'out'
-    process = recording(out)
+    out, process = tmp_path / 'out', recording
     controller, = (path for path in processes_of(out)
                    if 'asi_controller.controller_node' in path.read_text())
     os.kill(int(controller.parent.name), signal.SIGKILL)
-    assert process.wait(60) == 1
+    assert process.wait(PATIENCE_S) == 1
     complaint = process.stderr.read().strip()
     assert 'controller' in complaint and 'SIGKILL' in complaint
     assert len(complaint.splitlines()) == 1

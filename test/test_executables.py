@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from conftest import ROOT
+from conftest import PATIENCE_S, ROOT
 
 # The import of a node, as slow as can be.
 SLOW_IMPORT = """
@@ -16,7 +16,7 @@ from asi_actuator import executables
 
 def slow(module):
     print(module, flush=True)
-    time.sleep(60.0)
+    time.sleep(600.0)
 
 executables.import_module = slow
 executables.actuator()
@@ -30,7 +30,7 @@ def test_signal_while_a_node_imports_ends_it_cleanly(number):
         text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert process.stdout.readline() == 'asi_actuator.actuator_node\n'
     process.send_signal(number)
-    _, complaint = process.communicate(timeout=30)
+    _, complaint = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, complaint) == (0, '')
 
 
@@ -40,7 +40,7 @@ def test_every_executable_says_what_it_cannot_do(name, function):
     code = f'import sys; from asi_actuator import executables; sys.exit(executables.{function}())'
     result = subprocess.run(
         [sys.executable, '-c', code, '--ros-args', '--remap', 'no_rule'], capture_output=True,
-        text=True, timeout=60, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+        text=True, timeout=PATIENCE_S, env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert name == function
     assert (result.returncode, 'Traceback' in result.stderr) == (2, False)
     assert 'no_rule' in result.stderr or 'socketcan' in result.stderr

@@ -1,13 +1,12 @@
 """Lock-step over DDS, in separate processes: the same run as in one process, whatever happens."""
 
 import json
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import wait_until
+from conftest import wait_for_silence, wait_until
 from relay import TOPICS
 
 from asi_actuator.parameters import Value
@@ -46,18 +45,19 @@ class Recording:
 
     def stamps(self, name: str) -> list[int]:
         """Return the stamps (ns) of a topic, in the order of arrival."""
-        return [nanoseconds(m.clock if name == '/clock' else m.header.stamp)
-                for m in self.messages[name]]
+        return [nanoseconds(m.header.stamp) for m in self.messages[name]]
 
     def once(self, name: str) -> list[Any]:
-        """Return the messages of a topic, those that were sent again only once."""
-        return list(dict(zip(self.stamps(name), self.messages[name], strict=True)).values())
+        """
+        Return the messages of a topic, those that were sent again only once.
 
-    def is_quiet(self) -> bool:
-        """Return whether nothing arrives any more."""
-        before = [len(messages) for messages in self.messages.values()]
-        time.sleep(0.5)
-        return before == [len(messages) for messages in self.messages.values()]
+        Those of velocity and valve_position have no stamp, and are not sent again.
+        """
+        messages = list(self.messages[name])
+        if name in ('valve_position', 'velocity'):
+            return messages
+        return list({nanoseconds(m.clock if name == '/clock' else m.header.stamp): m
+                     for m in messages}.values())
 
     def run(self) -> LoopRun:
         """Return the signals, in the order of the stamps."""
@@ -66,9 +66,9 @@ class Recording:
             np.array([nanoseconds(m.header.stamp) for m in states]) * 1e-9,
             *(np.array([m.wrench.force.x for m in self.once(name)])
               for name in ('force_reference', 'valve_command', 'force')),
-            np.array([m.data for m in self.messages['valve_position']]),
+            np.array([m.data for m in self.once('valve_position')]),
             np.array([m.position[0] for m in states]),
-            np.array([m.data for m in self.messages['velocity']]))
+            np.array([m.data for m in self.once('velocity')]))
 
 
 @pytest.fixture
@@ -79,7 +79,8 @@ def recording(ros_node: Any) -> Recording:
 def assert_same_run(recording: Recording, expected: LoopRun) -> None:
     """Compare sample for sample, bit for bit."""
     ticks = expected.time_s.size
-    wait_until(lambda: len(recording.once('valve_command')) >= ticks, f'{ticks} commands')
+    for name in recording.messages:
+        wait_until(lambda name=name: len(recording.once(name)) >= ticks, f'{ticks} of {name}')
     run = recording.run()
     period_ns = round(1e9 / RATE_HZ)
     assert recording.stamps('force') == [k * period_ns for k in range(1, ticks + 1)]
@@ -150,7 +151,7 @@ def test_controller_begins_anew_with_the_next_actuator(
     first = start_node(ACTUATOR, **NOISY)
     wait_until(lambda: len(recording.messages['valve_command']) > 100, 'commands')
     first.kill()
-    wait_until(recording.is_quiet, 'silence')
+    wait_for_silence('the first run', *recording.messages.values())
     for messages in recording.messages.values():
         messages.clear()
     second = start_node(ACTUATOR, duration=0.1, resend_after=0.02, await_recorder=True, **NOISY)
@@ -176,6 +177,7 @@ def test_stray_state_is_ignored_and_counted(
     controller.wait_for('s apart, but rate_hz = 5000 asks for 0.0002 s')
     assert actuator.exit_status() == 0, actuator.text
     messages = recording.messages['joint_states']
+    wait_for_silence('the states', messages)
     messages[:] = [m for m in messages if m.header.stamp.sec != 7]
     assert_same_run(recording, expected)
     assert controller.stop() == 0
@@ -187,8 +189,9 @@ def test_commands_of_two_controllers_that_disagree_are_a_fault(
     from geometry_msgs.msg import WrenchStamped
 
     actuator = start_node(ACTUATOR, give_up_after=60.0)
+    # Of this recording, and of the actuator.
     commands = ros_node.create_publisher(WrenchStamped, 'valve_command', 10)
-    wait_until(commands.get_subscription_count, 'the actuator')
+    wait_until(lambda: commands.get_subscription_count() > 1, 'the actuator')
     wait_until(lambda: recording.messages['joint_states'], 'the first state')
     for force_n in (1.0, 2.0):
         command = WrenchStamped(header=recording.messages['joint_states'][0].header)
@@ -199,7 +202,7 @@ def test_commands_of_two_controllers_that_disagree_are_a_fault(
 
 
 def test_different_rates_are_an_error_that_says_both(start_node: Callable) -> None:
-    start_node(ACTUATOR, rate_hz=2000.0)
+    start_node(ACTUATOR, rate_hz=2000.0, give_up_after=60.0)
     controller = start_node(CONTROLLER, rate_hz=5000.0)
     assert controller.exit_status() == 1
     assert '0.0005 s apart' in controller.text and '0.0002 s' in controller.text

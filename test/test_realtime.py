@@ -1,5 +1,6 @@
 """Real time over DDS: a step, the watchdog, the services, /diagnostics, clean ends."""
 
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -9,7 +10,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from conftest import NodeProcess, wait_until
+from conftest import Listener, NodeProcess, wait_for_silence, wait_until
 
 from asi_actuator.parameters import Value
 from asi_actuator.topics import SteadyClock
@@ -17,47 +18,22 @@ from asi_controller import controller_node
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 # A busy machine is no fault of the loop: what is tested here is not how fast it is.
-PATIENT: dict[str, Value] = {'mode': 'realtime', 'rate_hz': 200.0, 'state_timeout': 10.0}
-
-
-class Listener:
-    """The newest message of a topic, and all there were."""
-
-    def __init__(self, node: Any, kind: type, topic: str):
-        """Subscribe."""
-        self.messages: list[Any] = []
-        node.create_subscription(kind, topic, self.messages.append, 1000)
-
-    def wait(self, count: int = 1) -> Any:
-        """Return the newest message after `count` more."""
-        target = len(self.messages) + count
-        wait_until(lambda: len(self.messages) >= target, f'{target} messages')
-        return self.messages[-1]
-
-    def wait_until(self, condition: Callable[[Any], bool], what: str) -> Any:
-        """Return the newest message once it meets a condition."""
-        wait_until(lambda: self.messages and condition(self.messages[-1]), what)
-        return self.messages[-1]
-
-
-@pytest.fixture
-def states(ros_node: Any) -> Listener:
-    from sensor_msgs.msg import JointState
-    return Listener(ros_node, JointState, 'joint_states')
+PATIENT: dict[str, Value] = {'mode': 'realtime', 'rate_hz': 200.0, 'state_timeout': 60.0}
 
 
 @pytest.fixture
 def diagnostics(ros_node: Any) -> Callable[[str, str], Any]:
-    """Return a function that waits for the next diagnostic status of a node."""
+    """Return a function that waits for the next diagnostic status of a node with a text."""
     from diagnostic_msgs.msg import DiagnosticArray
     listener = Listener(ros_node, DiagnosticArray, '/diagnostics')
 
     def status(node: str, text: str) -> Any:
-        listener.messages.clear()
-        message = listener.wait_until(
-            lambda m: m.status[0].name == f'{node}: loop' and text in m.status[0].message,
+        begin = len(listener.messages)
+        return wait_until(
+            lambda: next((status for message in listener.messages[begin:]
+                          for status in message.status
+                          if status.name == f'{node}: loop' and text in status.message), None),
             f'{text!r} from {node}')
-        return message.status[0]
 
     return status
 
@@ -67,11 +43,11 @@ def force(state: Any) -> float:
 
 
 def test_step_settles_near_the_reference(start_node: Callable, states: Listener) -> None:
-    start_node(ACTUATOR, mode='realtime', command_timeout=10.0)
-    start_node(CONTROLLER, mode='realtime', state_timeout=10.0, gain=1.0,
+    start_node(ACTUATOR, mode='realtime', command_timeout=60.0)
+    start_node(CONTROLLER, mode='realtime', state_timeout=60.0, gain=1.0,
                **{'reference.shape': 'step', 'reference.amplitude': 300.0})
     states.wait_until(lambda state: force(state) > 200.0, 'the step')
-    last = states.wait(1000) and [force(state) for state in states.messages[-500:]]
+    last = [force(state) for state in states.wait(1000)[-500:]]
     # With a gain of 1 and the feed-forward the hysteresis leaves about 14 N.
     assert abs(np.mean(last) - 300.0) < 30.0
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in states.messages]
@@ -90,25 +66,27 @@ def test_no_shared_memory_whose_locks_a_killed_process_would_keep(
 
 
 def test_watchdog_takes_the_command_away_until_the_reset(
-        start_node: Callable, states: Listener, diagnostics: Callable, call: Callable) -> None:
+        start_node: Callable, states: Listener, diagnostics: Callable, call: Callable,
+        set_parameters: Callable) -> None:
     from diagnostic_msgs.msg import DiagnosticStatus
     from std_srvs.srv import SetBool, Trigger
 
-    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=2.0)
+    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
     constant = {'reference.shape': 'step', 'reference.amplitude': 200.0}
     controller = start_node(CONTROLLER, **PATIENT, **constant)
     states.wait_until(lambda state: state.effort[1] > 100.0, 'a valve command')
     assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
     controller.kill()
+    set_parameters('asi_actuator', {'command_timeout': 2.0})
     states.wait_until(lambda state: state.effort[1] == 0.0, 'the watchdog')
     status = diagnostics('asi_actuator', 'fault')
     assert status.level == DiagnosticStatus.ERROR
     assert {v.key: v.value for v in status.values}['state'] == 'fault'
     assert 'age of valve_command' in status.message and 'command_timeout = 2 s' in status.message
     actuator.wait_for(status.message)
+    set_parameters('asi_actuator', {'command_timeout': 60.0})
     start_node(CONTROLLER, **PATIENT, **constant).wait_for('realtime at')
-    states.wait(100)
-    assert not any(state.effort[1] for state in states.messages[-100:])
+    assert not any(state.effort[1] for state in states.wait(100))
     refused = call(SetBool, '/asi_actuator/enable', SetBool.Request(data=True))
     assert not refused.success and 'age of valve_command' in refused.message
     assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
@@ -126,9 +104,7 @@ def test_controller_says_that_the_actuator_is_gone_and_gives_no_command(
     commands.wait(10)
     actuator.kill()
     assert diagnostics('asi_controller', 'no new state: no command is given')
-    count = len(commands.messages)
-    diagnostics('asi_controller', 'no new state')
-    assert len(commands.messages) == count
+    wait_for_silence('the commands', commands.messages)
     start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
     commands.wait(10)
     assert controller.stop() == 0
@@ -165,7 +141,7 @@ def test_stray_state_of_another_clock_does_not_end_the_controller(
         start_node: Callable, ros_node: Any, states: Listener, diagnostics: Callable) -> None:
     from sensor_msgs.msg import JointState
 
-    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=10.0)
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
     controller = start_node(CONTROLLER, **PATIENT)
     diagnostics('asi_controller', 'running')
     stray = JointState(name=['piston', 'valve'], effort=[1e6, 0.0])
@@ -198,7 +174,7 @@ def test_reference_comes_from_the_topic_and_live_parameters_act(
         start_node: Callable, ros_node: Any, states: Listener, set_parameters: Callable) -> None:
     from geometry_msgs.msg import WrenchStamped
 
-    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=10.0)
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
     start_node(CONTROLLER, **PATIENT, gain=0.5, feedforward=0.0)
     reference = WrenchStamped()
     reference.wrench.force.x = 100.0
@@ -206,17 +182,17 @@ def test_reference_comes_from_the_topic_and_live_parameters_act(
     wait_until(publisher.get_subscription_count, 'the controller')
     publisher.publish(reference)
     states.wait_until(lambda state: 10.0 < force(state), 'the reference')
-    before = states.wait(400)
+    assert abs(states.wait(400)[-1].effort[1]) > 1.0
     # An offset of the sensor moves what is measured, not the piston.
     result, = set_parameters('asi_controller', {'gain': 0})
     assert result.successful
     result, = set_parameters('asi_controller', {'gain': 0.001})
     assert result.successful
-    after = states.wait(400)
-    assert abs(after.effort[1]) < 1.0 < abs(before.effort[1])
+    states.wait_until(lambda state: abs(state.effort[1]) < 1.0, 'the next gain')
+    after = states.wait(400)[-1]
     result, = set_parameters('asi_actuator', {'force_sensor.offset': 50})
     assert result.successful
-    moved = states.wait(100)
+    moved = states.wait(100)[-1]
     assert force(moved) - force(after) == pytest.approx(50.0, abs=1.0)
     assert moved.position[0] == pytest.approx(after.position[0], abs=1e-6)
 
@@ -224,35 +200,40 @@ def test_reference_comes_from_the_topic_and_live_parameters_act(
 def test_services(start_node: Callable, states: Listener, call: Callable) -> None:
     from std_srvs.srv import SetBool, Trigger
 
-    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=10.0,
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0,
                **{'force_sensor.offset': 40.0, 'force_sensor.noise': 0.5})
     states.wait(100)
     answer = call(Trigger, '/asi_actuator/calibrate', Trigger.Request())
     assert answer.success, answer.message
-    states.wait(100)
-    assert abs(np.mean([force(state) for state in states.messages[-80:]])) < 1.0
+    states.wait_until(lambda state: abs(force(state)) < 10.0, 'a calibrated state')
+    assert abs(np.mean([force(state) for state in states.wait(80)])) < 1.0
 
     sine = {'reference.shape': 'sine', 'reference.frequency': 2.0, 'reference.start': 0.0}
     start_node(CONTROLLER, **PATIENT, **sine)
     states.wait_until(lambda state: abs(force(state)) > 30.0, 'the sine')
     states.wait(100)
-    answer = call(Trigger, '/asi_actuator/calibrate', Trigger.Request())
-    assert not answer.success and 'refused' in answer.message and 'moved' in answer.message
+
+    def refusal() -> str:
+        answer = call(Trigger, '/asi_actuator/calibrate', Trigger.Request())
+        return '' if answer.success else answer.message
+
+    # While the controller stands still, the actuator may come to rest.
+    assert re.match('refused: .* moved ', wait_until(refusal, 'a refusal'))
 
     assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=False)).success
     states.wait_until(lambda state: state.effort[1] == 0.0, 'the command to be 0')
-    assert states.wait(20).effort[1] == 0.0
+    assert not any(state.effort[1] for state in states.wait(20))
     assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=True)).success
     states.wait_until(lambda state: abs(force(state)) > 30.0, 'the sine again')
 
     assert call(SetBool, '/asi_actuator/pause', SetBool.Request(data=True)).success
-    count = len(states.messages)
+    wait_for_silence('the states', states.messages)
     assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=False)).success
-    assert len(states.messages) <= count + 2
     assert call(SetBool, '/asi_actuator/pause', SetBool.Request(data=False)).success
     states.wait_until(lambda state: state.effort[1] == 0.0, 'the command to be 0')
+    assert states.messages[-1].position[0] != 0.0
     assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
-    assert states.wait(2).position[0] == 0.0
+    states.wait_until(lambda state: state.position[0] == 0.0, 'the reset')
 
 
 def test_diagnostics_say_how_the_loop_does(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import NodeProcess, wait_until
+from conftest import Listener, NodeProcess, wait_for_silence, wait_until
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
@@ -50,6 +50,15 @@ def record_replay(start: Start, call: Call, bag: Path, **options: object
     replay = start(REPLAY, bag=bag, start_paused=True, await_recorder=True, delay=0.0)
     assert call(SetBool, '/asi_replay/pause', SetBool.Request(data=False)).success
     return recorder, replay
+
+
+def recorded(topic: str, bag: Path) -> int:
+    """Return how many messages of a topic a bag holds that is being written."""
+    try:
+        topics = read_contents(bag, lambda name: name == topic).topics
+    except InputError:  # nothing is written yet
+        return 0
+    return len(topics[topic].data) if topic in topics else 0
 
 
 def digest(bag: Path) -> str:
@@ -117,20 +126,30 @@ def test_a_fault_in_lockstep_is_in_the_bag_with_its_time_and_reason_the_same_eac
 
 def test_a_killed_recorder_loses_less_than_a_second(
         start_node: Start, call: Call, ros_node: Any, tmp_path: Path) -> None:
-    """At a low rate, where a chunk takes long to fill."""
+    """At a low rate, where a chunk takes long to fill; once it has taken what has come."""
     run = a_bag(tmp_path / 'played', 6000, 100.0)
-    heard: list[WrenchStamped] = []
-    ros_node.create_subscription(WrenchStamped, '/force', heard.append, 1000)
+    forces = Listener(ros_node, WrenchStamped, '/force')
     recorder, replay = record_replay(start_node, call, tmp_path / 'played',
                                      output=tmp_path / 'bag')
-    wait_until(lambda: len(heard) > 250, 'two and a half seconds')
-    last = heard[-1].header.stamp
+    forces.wait(250)
+    assert call(SetBool, '/asi_replay/pause', SetBool.Request(data=True)).success
+    wait_for_silence('the replay', forces.messages)
+    last = forces.messages[-1].header.stamp
+
+    def all_but_a_second_is_there() -> bool:
+        try:
+            with pytest.warns(InputWarning):
+                # The first stamp is one period, the first time 0.
+                return read_bag(tmp_path / 'bag').time_s[-1] > (
+                    last.sec + last.nanosec * 1e-9 - 0.01 - 1.0)
+        except InputError:  # nothing is written yet
+            return False
+
+    wait_until(all_but_a_second_is_there, 'all but a second on the disk')
     recorder.kill()
     replay.stop()
     with pytest.warns(InputWarning, match='was not ended properly'):
         part = read_bag(tmp_path / 'bag')
-    # The first stamp is one period, the first time 0.
-    assert part.time_s[-1] > last.sec + last.nanosec * 1e-9 - 0.01 - 1.0
     np.testing.assert_array_equal(part.force_n, run[:len(part)].force_n)
 
 
@@ -156,13 +175,9 @@ def test_real_time_hears_best_effort_publishers_and_logs_the_receipt(
     recorder = start_node(RECORDER, output=tmp_path / 'bag', topics='[force, /extra]')
     extra = ros_node.create_publisher(WrenchStamped, '/extra', 10)
 
-    def heard() -> bool:
-        return ros_node.count_subscribers('/extra') > 0 and any(
-            info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            for info in ros_node.get_subscriptions_info_by_topic('/force'))
-
-    wait_until(heard, 'a subscription that takes best effort')
-    time.sleep(1.0)
+    # One that asks for more than best effort is no match.
+    wait_until(lambda: publisher.get_subscription_count() and extra.get_subscription_count(),
+               'a subscription that takes best effort')
     message = WrenchStamped()
     for k in range(20):
         message.header.stamp = ros_node.get_clock().now().to_msg()
@@ -170,6 +185,9 @@ def test_real_time_hears_best_effort_publishers_and_logs_the_receipt(
         publisher.publish(message)
         extra.publish(message)
         time.sleep(0.01)
+    # Nothing acknowledges them; what comes after them takes them to the disk.
+    wait_until(lambda: extra.publish(message) or recorded('/force', tmp_path / 'bag') == 20,
+               'all in the bag')
     assert recorder.stop() == 0
     contents = read_contents(tmp_path / 'bag', lambda _: True)
     assert set(contents.topics) == {'/force', '/extra'}

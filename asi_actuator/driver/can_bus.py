@@ -24,8 +24,8 @@ RETRY_S: Final = 0.5
 MOST_FRAMES: Final = 64
 # States in a row that may say "not enabled" after the valve was enabled: the way there and back.
 ENABLE_STATES: Final = 20
-# Without a state for so many periods the counter says nothing any more: it has gone round.
-FORGET_PERIODS: Final = COUNTER // 4
+# Without a state for so many commands the counter says nothing any more: it has gone round.
+FORGET_AFTER: Final = COUNTER // 4
 
 
 class SlcanBus(slcanBus):
@@ -108,11 +108,11 @@ class CanActuator:
                                  'one of ' + ', '.join(sorted(can.VALID_INTERFACES)))
         self._channel, self._bitrate = str(values['can.channel']), int(values['can.bitrate'])
         self._frames = Frames(str(values['can.dbc']))
-        self._period_s = period_s
         self._bus: can.BusABC | None = None
         self._retry_at = 0.0
         self._problem = ''
-        self._sent = 0
+        # The counter of the newest command; how many were sent since the newest state came.
+        self._sent = self._unanswered = 0
         self._received: int | None = None
         self._received_at = -math.inf
         self._force: dict[str, float] = {}
@@ -185,6 +185,7 @@ class CanActuator:
 
     def _send(self, bus: can.BusABC, command_n: float, enabled: bool) -> None:
         self._sent = (self._sent + 1) % COUNTER
+        self._unanswered += 1
         data = self._frames.encode('COMMAND', {
             'valve_command': command_n, 'enable': enabled, 'counter': self._sent})
         bus.send(can.Message(arbitration_id=self._frames.identifiers['COMMAND'], data=data,
@@ -219,6 +220,7 @@ class CanActuator:
                 or not self._is_new(int(values['counter']))):
             return None
         self._received_at = time.monotonic()
+        self._unanswered = 0
         self._saturated = bool(self._force['saturated'])
         follows = self._force['enabled'] or not self._enabled
         self._not_following = 0 if follows else self._not_following + 1
@@ -227,9 +229,9 @@ class CanActuator:
 
     def _is_new(self, counter: int) -> bool:
         """Return whether a state is newer than the last; count what is missing in between."""
-        if time.monotonic() - self._received_at > FORGET_PERIODS * self._period_s:
+        if self._unanswered > FORGET_AFTER:
             self._received = None
-        if (self._sent - counter) % COUNTER > FORGET_PERIODS:
+        if (self._sent - counter) % COUNTER > FORGET_AFTER:
             self._bad_frames += 1  # answers no command of late: a frame from the past
             return False
         if self._received is not None:
