@@ -145,7 +145,9 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
             nuisance.append(Free(field, 0.0, 3.0 * max(value, TYPICAL * typical[field]), (value,)))
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
-    nuisance.append(Free('load_offset', -1.0, 1.0, (start,), 'force'))
+    # Of a wheel that spins the damping takes the mean of the force, which may be taken off.
+    most = max(1.0, 2.0 * abs(start))
+    nuisance.append(Free('load_offset', -most, most, (start,), 'force'))
     period = max(recording.period_s for recording in recordings)
     if not sensed:   # a held command acts half a sample late; a stamp may be off as much
         nuisance.append(Free('drive_hold', 0.0, period, (0.0,)))
