@@ -1,5 +1,6 @@
 """What `asi analyze` says of a run: step, bandwidth and oscillation, as one plain dictionary."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -67,3 +68,33 @@ def analyze_bag(path: Path) -> dict[str, Any]:
     """Read a bag and return what `asi analyze --json` prints. Raises InputError."""
     from asi_analysis.bag import read_bag
     return analyze(read_bag(path))
+
+
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return what could be measured as a table; the notes say why the rest could not."""
+    rows = [(name, f'{document[key] * scale:.3g} {unit}') for name, key, unit, scale in (
+        ('rise time 10-90 %', 'rise_time_s', 'ms', 1e3),
+        ('overshoot', 'overshoot_percent', '%', 1.0),
+        ('settling time 2 %', 'settling_time_2_s', 'ms', 1e3),
+        ('settling time 5 %', 'settling_time_5_s', 'ms', 1e3),
+        ('steady-state error', 'steady_state_error_n', 'N', 1.0),
+        ('bandwidth', 'bandwidth_hz', 'Hz', 1.0),
+        ('bandwidth of the actuator', 'actuator_bandwidth_hz', 'Hz', 1.0),
+        ('delay, from the phase', 'delay_s', 'ms', 1e3),
+        ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3))
+        if document[key] is not None]
+    rows.append(('oscillation', oscillation_as_text(document['oscillation'])))
+    width = max(len(name) for name, _ in rows)
+    return '\n'.join([
+        f'{document["source"]}: {document["samples"]} samples, {document["duration_s"]:.6g} s '
+        f'at {document["rate_hz"]:g} Hz',
+        *(f'{name:{width}}  {value}' for name, value in rows),
+        *(f'note: {note}' for note in document['notes'])])
+
+
+def oscillation_as_text(swing: Mapping[str, Any]) -> str:
+    """Return the oscillation of a document in a few words."""
+    if swing['frequency_hz'] is None:
+        return 'none' if swing['sustained'] is False else 'cannot be told'
+    return (f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} N, '
+            + ('sustained' if swing['sustained'] else 'dying out'))

@@ -28,11 +28,11 @@ from asi_analysis.facts.conditions import Conditions, StepTest
 from asi_analysis.facts.measures import Measured
 from asi_analysis.facts.table import FACTS, FITTED, Fact
 from asi_analysis.parallel import each
+from asi_analysis.terminal import Progress, silent
 from asi_controller.compensator import OWN_GAIN
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 Array = npt.NDArray[np.float64]
-Report = Callable[[str, float | None], None]
 
 
 class Free(NamedTuple):
@@ -332,7 +332,7 @@ class Search:
             self.best_cost, self.best = found, np.clip(point, 0.0, 1.0)
 
     def polish(self, rounds: int, apply: Callable[..., Any] = map,
-               report: Report = lambda text, share: None) -> None:
+               report: Progress = silent) -> None:
         """
         Go on from the best point by successive linear programs.
 
@@ -442,11 +442,14 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     """
     Return a search from a start.
 
-    only: the names of the quantities that are to vary (all that the structure leaves free, if
-    empty). Raises InputError for a name that FREE does not hold.
+    spread: of the first generation, a share of the range of each; only: the names of the
+    quantities that are to vary (all that the structure leaves free, if empty). Raises InputError
+    for a spread that is none, or a name that FREE does not hold.
     """
+    if not 0.0 < spread <= 1.0:
+        raise InputError(f'spread = {spread:g} is not allowed: above 0, at most 1')
     names = [free.name for free in FREE]
-    for name in only:
+    for name in (*only, *structure.fixed):
         if name not in names:
             raise InputError(f'{name} is not free; there are {", ".join(names)}')
     free = tuple(k for k, name in enumerate(names)
@@ -457,7 +460,7 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
 
 
 def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
-              report: Report = lambda text, share: None) -> Search:
+              report: Progress = silent) -> Search:
     """Search until so many evaluations are made, then polish; the state is kept in a file."""
     def apply(function: Callable[..., Any], jobs: Iterable[Any]) -> Iterable[Any]:
         return each(function, ((job,) for job in jobs))
@@ -517,14 +520,13 @@ def quantities(one: Candidate) -> dict[str, float]:
 
 
 def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spread: float,
-        start: Path | None, only: Sequence[str], report: Report) -> dict[str, Any]:
+        start: Path | None, only: Sequence[str], report: Progress) -> dict[str, Any]:
     """
     Do what `asi calibrate` is asked to; return its document.
 
-    Raises InputError for a structure, a start, a state or a name that is not there.
+    structure: a name of STRUCTURES. Raises InputError for a start, a state or a name that is not
+    there.
     """
-    if structure not in STRUCTURES:
-        raise InputError(f'{structure} is no structure; there are {", ".join(STRUCTURES)}')
     out.mkdir(parents=True, exist_ok=True)
     state = out / 'state.pickle'
     if state.exists():
@@ -544,13 +546,13 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
             'not_met': [fact.value for fact in AIMS if not fact.met(measured[fact.value])]}
 
 
-def show(document: Mapping[str, Any]) -> None:
-    """Print what came out."""
-    print(f'{document["evaluations"]} evaluations and {document["polish_evaluations"]} of the '
-          f'polish, cost {document["cost"]:.4g}; {document["met"]} of {document["total"]} rows '
-          'that were aimed at are met')
-    print('measured by stage: ' + ', '.join(f'{name} {count}' for name, count
-                                            in document['stages'].items()))
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return what came out, for people."""
+    lines = [f'{document["evaluations"]} evaluations and {document["polish_evaluations"]} of the '
+             f'polish, cost {document["cost"]:.4g}; {document["met"]} of {document["total"]} rows '
+             'that were aimed at are met',
+             'measured by stage: ' + ', '.join(f'{name} {count}' for name, count
+                                               in document['stages'].items())]
     if document['not_met']:
-        print('not met: ' + ', '.join(document['not_met']))
-    print(f'best: {document["best"]}')
+        lines.append('not met: ' + ', '.join(document['not_met']))
+    return '\n'.join([*lines, f'best: {document["best"]}'])

@@ -5,19 +5,21 @@ What is run is here; the report (`report.py`) only shows it.
 """
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from asi_analysis.analysis import analyze
+from asi_analysis.analysis import analyze, oscillation_as_text
 from asi_analysis.bag import read_bag
 from asi_analysis.errors import InputError
-from asi_analysis.experiment import Experiment, Progress, checked, run_experiment
+from asi_analysis.experiment import Experiment, checked, run_experiment
 from asi_analysis.facts.bench import step_experiment
 from asi_analysis.facts.conditions import Conditions, StepTest
 from asi_analysis.oscillation import fit_sine
 from asi_analysis.run import Run
+from asi_analysis.terminal import Progress, silent, table
 
 
 class Published(NamedTuple):
@@ -141,7 +143,7 @@ def hysteresis_loop(recorded: Recorded) -> Loop:
                 float(crossings[0] - crossings[1]), float(lag_n))
 
 
-def run_demo(out: Path, progress: Progress = lambda *_: None) -> dict[str, Any]:
+def run_demo(out: Path, progress: Progress = silent) -> dict[str, Any]:
     """
     Run all experiments into `out`, write report.html and its pictures; return what --json prints.
 
@@ -168,6 +170,21 @@ def run_demo(out: Path, progress: Progress = lambda *_: None) -> dict[str, Any]:
                      'simulated': scaled(each.analysis, entry)}
                     for each in recorded for entry in each.plan.published],
     }
+
+
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return Table 1, the oscillations that last and the place of the report for people."""
+    def simulated(row: Mapping[str, Any]) -> str:
+        return '-' if row['simulated'] is None else f'{row["simulated"]:.3g} {row["unit"]}'
+
+    swings = {each['name']: each['analysis']['oscillation'] for each in document['runs']}
+    return '\n'.join([
+        table(('Table 1', 'published', 'simulated'),
+              [(f'{row["compensator"]}: {row["quantity"]}', f'{row["published"]} {row["unit"]}',
+                simulated(row)) for row in document['table_1']]),
+        *(f'{name}: {oscillation_as_text(swing)}' for name, swing in swings.items()
+          if swing['sustained']),
+        f'report: {document["report"]}'])
 
 
 def scaled(analysis: dict[str, Any], entry: Published) -> float | None:

@@ -8,7 +8,7 @@ meet as many rows and differ clearly from all that were kept before.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -27,12 +27,13 @@ from asi_analysis.calibration import (
     position,
     quantities,
 )
+from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
 from asi_analysis.parallel import each
+from asi_analysis.terminal import Progress, silent
 
 Array = npt.NDArray[np.float64]
-Report = Callable[[str, float | None], None]
 
 SLOPE_STEP: Final = 0.02
 # Members differ from each other by at least this share of the range of some parameter.
@@ -85,7 +86,7 @@ def _met(measured: Measured) -> int:
     return sum(fact.met(measured[fact.value]) for fact in AIMS)
 
 
-def slopes(problem: Problem, report: Report = lambda text, share: None) -> Array:
+def slopes(problem: Problem, report: Progress = silent) -> Array:
     """Return the slope of each row's position over the unit cube: rows x free quantities."""
     point = problem.start[list(problem.free)]
     moved = [np.clip(point + step * unit, 0.0, 1.0)
@@ -111,7 +112,7 @@ def sensitivity(problem: Problem, found: Array) -> Sensitivity:
 
 
 def members(problem: Problem, found: Array, count: int, seed: int, most: int,
-            report: Report = lambda text, share: None) -> tuple[list[Member], int]:
+            report: Progress = silent) -> tuple[list[Member], int]:
     """
     Return so many members (fewer, if `most` evaluations do not find them), and the evaluations.
 
@@ -198,18 +199,21 @@ def best_as_member(best: Candidate) -> Member:
     return Member({FREE[k].name: known[FREE[k].name] for k in PHYSICAL}, _met(measured))
 
 
-def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Report
+def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Progress
         ) -> dict[str, Any]:
     """
     Do what `asi ensemble` is asked to, about the defaults; return its document.
 
     out: directory of the members; pictures: directory of the pictures and the sensitivity table.
+    Raises InputError if there is no member.
     """
     from asi_analysis import ensemble_figures, figures
     best = Candidate({}, Conditions())
     problem = problem_of(best)
     found = slopes(problem, report)
     kept, tried = members(problem, found, count, seed, most, report)
+    if not kept:
+        raise InputError(f'none of {tried} candidates is a member: try more')
     write_members(kept, out)
     pictures.mkdir(parents=True, exist_ok=True)
     (pictures / 'sensitivity.md').write_text(sensitivity_table(sensitivity(problem, found)))
@@ -221,8 +225,8 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Rep
             'met': [member.met for member in kept], 'total': len(AIMS)}
 
 
-def show(document: Mapping[str, Any]) -> None:
-    """Print what came out."""
-    print(f'{document["members"]} members of {document["evaluations"]} tried, in '
-          f'{document["out"]}: they meet {min(document["met"], default=0)} to '
-          f'{max(document["met"], default=0)} of {document["total"]} rows')
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return what came out, for people."""
+    return (f'{document["members"]} members of {document["evaluations"]} tried, in '
+            f'{document["out"]}: they meet {min(document["met"], default=0)} to '
+            f'{max(document["met"], default=0)} of {document["total"]} rows')

@@ -34,6 +34,7 @@ from asi_actuator.parameters import (
     completed,
 )
 from asi_analysis.errors import InputError
+from asi_analysis.terminal import Progress, silent
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
     CONTROLLER_NODE_PARAMETERS,
@@ -57,8 +58,6 @@ POLL_S: Final = 0.1
 # Loaded here, not between fork and exec, where a lock of another thread may be held.
 LIBC: Final = ctypes.CDLL(None)
 
-# progress(what is going on, share done or None)
-Progress = Callable[[str, float | None], None]
 
 
 class RunFailedError(RuntimeError):
@@ -236,8 +235,7 @@ def information(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def run_experiment(experiment: Experiment, out: Path, progress: Progress = lambda *_: None
-                   ) -> Path:
+def run_experiment(experiment: Experiment, out: Path, progress: Progress = silent) -> Path:
     """
     Run an experiment over ROS and return its bag.
 
@@ -441,6 +439,13 @@ def run_as_dict(experiment: Experiment, bag: Path) -> dict[str, Any]:
     from asi_analysis.analysis import analyze_bag
     return {'bag': str(bag), 'mode': experiment.mode, 'ticks': experiment.ticks,
             'compensator': experiment.controller['compensator'], **analyze_bag(bag)}
+
+
+def run_as_text(document: Mapping[str, Any]) -> str:
+    """Return what `asi run` says of a finished run for people."""
+    from asi_analysis.analysis import as_text
+    return (f'{document["compensator"]}, {document["mode"]}, {document["ticks"]} ticks\n'
+            + as_text(document))
 
 
 def free_directory(parent: Path, name: str) -> Path:

@@ -5,7 +5,7 @@ The front between a quantity and all rows together: for each of its values every
 polished again, beginning with the result for the value before, so that neighbours can be compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,8 +26,7 @@ from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
 from asi_analysis.facts.table import Fact
 from asi_analysis.figures import BLUE, WIDTH_IN, style
-
-Report = Callable[[str, float | None], None]
+from asi_analysis.terminal import Progress, silent
 
 
 class Held(NamedTuple):
@@ -54,7 +53,7 @@ def parsed(text: str) -> tuple[str, list[float]]:
 
 
 def front(name: str, values: Sequence[float], start: Candidate, rounds: int,
-          report: Report = lambda text, share: None) -> list[Held]:
+          report: Progress = silent) -> list[Held]:
     """Return the best with a quantity at each value. Raises InputError for an unknown name."""
     held = []
     for done, value in enumerate(values):
@@ -92,7 +91,7 @@ def picture(name: str, held: Sequence[Held]) -> Figure:
     return figure
 
 
-def run(text: str, start: Path | None, rounds: int, out: Path, report: Report) -> dict[str, Any]:
+def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress) -> dict[str, Any]:
     """
     Do what `asi calibrate --front` is asked to; return its document.
 
@@ -110,9 +109,9 @@ def run(text: str, start: Path | None, rounds: int, out: Path, report: Report) -
                        'not_met': [fact.value for fact in each.not_met]} for each in held]}
 
 
-def show(document: dict[str, Any]) -> None:
-    """Print what came out."""
-    for each in document['front']:
-        print(f'{document["quantity"]} = {each["value"]:g}: cost {each["cost"]:.3g}, '
-              f'{len(each["not_met"])} rows not met')
-    print(f'table and picture: {document["out"]}')
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return what came out, for people."""
+    return '\n'.join([
+        *(f'{document["quantity"]} = {each["value"]:g}: cost {each["cost"]:.3g}, '
+          f'{len(each["not_met"])} rows not met' for each in document['front']),
+        f'table and picture: {document["out"]}'])

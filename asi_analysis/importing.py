@@ -76,6 +76,8 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     seconds from the start. Raises InputError.
     """
     path = Path(path)
+    if not zero_s >= 0.0:
+        raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
     table = read_table(path, skip_lines, delimiter, columns)
     mappings = [parse_mapping(text) for text in mapping or own_mapping(table)]
     signals = {each.signal: evaluate(each, table, path) for each in mappings}
@@ -321,6 +323,8 @@ def _read_text(path: Path, skip_lines: int, delimiter: str | None,
              if line.strip()]
     if not lines:
         raise InputError(f'{path} is empty' + (f' after {skip_lines} lines' if skip_lines else ''))
+    if delimiter is not None and len(delimiter) != 1:
+        raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
     delimiter = delimiter or _delimiter(lines[len(lines) // 2])
     rows = list(_cells(lines, delimiter))
     start = _first_of_data(rows)

@@ -1,7 +1,7 @@
 """`asi reproduce`: every published fact beside what the simulator says."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.stated import stated
 from asi_analysis.facts.table import FACTS, Fact, Measured, closed_loop_groups, measure
 from asi_analysis.run import SIGNALS
+from asi_analysis.terminal import Progress, silent, table
 
 Values = Mapping[str, Value]
 
@@ -29,8 +30,7 @@ class Reproduction(NamedTuple):
 
 
 def reproduce(actuator: Values, conditions: Conditions | None = None,
-              report: Callable[[str, float | None], None] = lambda text, share: None
-              ) -> Reproduction:
+              report: Progress = silent) -> Reproduction:
     """
     Measure every fact on the simulator.
 
@@ -53,8 +53,7 @@ class Comparison(NamedTuple):
 
 
 def over_ros(result: Reproduction, out: Path,
-             report: Callable[[str, float | None], None] = lambda text, share: None
-             ) -> list[Comparison]:
+             report: Progress = silent) -> list[Comparison]:
     """
     Make the closed-loop rows again with the real nodes in lock-step, one bag each in `out`.
 
@@ -107,27 +106,23 @@ def as_document(result: Reproduction) -> dict[str, Any]:
             'report': None}
 
 
-def show(document: Mapping[str, Any]) -> None:
-    """Print the table in the terminal."""
-    from rich.console import Console
-    from rich.table import Table
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    for column in ('fact', 'quantity', 'paper', 'published', 'simulated', 'met if', ''):
-        table.add_column(column, justify='right' if column in ('published', 'simulated')
-                         else 'left')
-    last = None
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return the table for people."""
+    rows, last = [], None
     for fact in document['facts']:
         simulated = '-' if fact['simulated'] is None else f'{fact["simulated"]:.4g}'
-        table.add_row(fact['id'] if fact['id'] != last else '', fact['quantity'],
-                      fact['section'], f'{fact["published"]:.4g}', f'{simulated} {fact["unit"]}',
-                      fact['tolerance'], '[green]met[/]' if fact['met'] else '[red]not met[/]')
+        rows.append((fact['id'] if fact['id'] != last else '', fact['quantity'], fact['section'],
+                     f'{fact["published"]:.4g}', f'{simulated} {fact["unit"]}',
+                     fact['tolerance'], '[green]met[/]' if fact['met'] else '[red]not met[/]'))
         last = fact['id']
-    Console().print(table)
-    print(f'{document["met"]} of {document["total"]} rows met; '
-          f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole')
+    lines = [table(('fact', 'quantity', 'paper', 'published', 'simulated', 'met if', ''), rows,
+                   right=('published', 'simulated')),
+             f'{document["met"]} of {document["total"]} rows met; '
+             f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole']
     if document['over_ros']:
         different = [each['value'] for each in document['over_ros'] if not each['equal']]
-        print(f'{len(document["over_ros"])} values measured over ROS as well: '
-              + (f'DIFFERENT: {", ".join(different)}' if different else 'all the same'))
+        lines.append(f'{len(document["over_ros"])} values measured over ROS as well: '
+                     + (f'DIFFERENT: {", ".join(different)}' if different else 'all the same'))
     if document['report']:
-        print(f'report: {document["report"]}')
+        lines.append(f'report: {document["report"]}')
+    return '\n'.join(lines)

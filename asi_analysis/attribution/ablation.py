@@ -7,7 +7,7 @@ orders in which they could be added, of what each adds (Shapley 1953).
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, Final, NamedTuple
 
@@ -25,6 +25,7 @@ from asi_analysis.prediction.simulation import (
     step_runs,
     sustained,
 )
+from asi_analysis.terminal import Progress, silent
 
 NONLINEARITIES: Final = ('valve_hysteresis', 'valve_characteristic', 'hydraulic_damping',
                          'friction')
@@ -32,7 +33,6 @@ NONLINEARITIES: Final = ('valve_hysteresis', 'valve_characteristic', 'hydraulic_
 ABOVE_ONSET: Final = 1.12
 HARMONICS: Final = 7
 
-Report = Callable[[str, float | None], None]
 
 
 class Cycles(NamedTuple):
@@ -94,7 +94,7 @@ def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: f
 
 
 def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float | None = None,
-              report: Report = lambda *_: None) -> dict[str, Any]:
+              report: Progress = silent) -> dict[str, Any]:
     """
     Return all that `asi attribute --json` prints of a configuration.
 

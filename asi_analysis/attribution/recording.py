@@ -1,7 +1,6 @@
 """`asi attribute BAG`: the cause of a recorded oscillation, by its shape and by its model."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,8 +12,7 @@ from asi_analysis.attribution.shape import FEWEST_CYCLES, Shape, shape
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.verdict import Segment, judge_run, response_of
 from asi_analysis.run import Run
-
-Report = Callable[[str, float | None], None]
+from asi_analysis.terminal import Progress, silent
 
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
 # Below this probability the most likely cause is not named as the cause.
@@ -92,7 +90,7 @@ def shape_probabilities(found: Shape) -> dict[str, float]:
     return dict(sorted(chances.items(), key=lambda item: -item[1]))
 
 
-def attribute_run(run: Run, signal: str | None = None, report: Report = lambda *_: None
+def attribute_run(run: Run, signal: str | None = None, report: Progress = silent
                   ) -> dict[str, Any]:
     """
     Return all that `asi attribute BAG --json` prints.
@@ -153,7 +151,7 @@ def _words(cause: str) -> str:
         cause, cause)
 
 
-def _by_model(run: Run, segment: Segment, report: Report) -> dict[str, Any]:
+def _by_model(run: Run, segment: Segment, report: Progress) -> dict[str, Any]:
     """Return the causes of a cycle of this package's actuator, each with its predicted cycle."""
     information = run.information
     controller = information['controller']

@@ -8,6 +8,7 @@ from asi_analysis.facts import measures
 from asi_analysis.facts.bench import Runner, Values, in_process
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured, onset_name
+from asi_analysis.terminal import Progress, silent
 
 GIVEN, FITTED, HELD_OUT = 'given', 'fitted', 'held out'
 
@@ -151,7 +152,6 @@ FACTS: Final[tuple[Fact, ...]] = (
          '2.2, Table 1', 6.0, 'N', 4.8, 12.0),
 )
 
-Report = Callable[[str, float | None], None]
 
 
 def closed_loop_groups(actuator: Values, conditions: Conditions, gains: Measured,
@@ -176,7 +176,7 @@ def closed_loop_groups(actuator: Values, conditions: Conditions, gains: Measured
 
 
 def measure(actuator: Values, conditions: Conditions | None = None,
-            report: Report = lambda text, share: None) -> Measured:
+            report: Progress = silent) -> Measured:
     """
     Return every value of the table, measured on the simulator.
 

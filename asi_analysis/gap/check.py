@@ -229,19 +229,20 @@ def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: 
                              [b['cases'] for b in bars]).savefig(out / 'reliability.png')
 
 
-def show(result: Mapping[str, Any]) -> None:
-    """Print the figures of a check beside those to reach."""
+def as_text(result: Mapping[str, Any]) -> str:
+    """Return the figures of a check beside those to reach, for people."""
     reach = {'block_accuracy': '0.97', 'effect_accuracy': '0.95', 'ambiguity_coverage': '0.97',
              'mean_ambiguity_size': 'at most 1.5', 'false_alarm_rate': 'at most 0.03',
              'unknown_rate': '0.90', 'pair_rate': '0.85', 'pair_one_rate': '0.99',
              'confidently_wrong_rate': 'at most 0.02', 'calibration_error': 'at most 0.05',
              'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99',
              'size_coverage': ''}
-    print(f'{result["cases"]} cases: ' + ', '.join(
-        f'{count} {kind}' for kind, count in result['by_kind'].items()))
+    lines = [f'{result["cases"]} cases: ' + ', '.join(
+        f'{count} {kind}' for kind, count in result['by_kind'].items())]
     for key in (*reach, 'small_wrong_rate', 'median_seconds', 'refused'):
         value = result[key]
-        print(f'{key:<26}{"-" if value is None else f"{value:.3f}":>8}   {reach.get(key, "")}')
-    for row in result['wrong']:
-        print(f'wrong: {row["bag"]}: {row["truth"]} was called {row["verdict"]} '
-              f'({100 * row["probability"]:.0f} %)')
+        lines.append(f'{key:<26}{"-" if value is None else f"{value:.3f}":>8}   '
+                     + reach.get(key, ''))
+    lines += [f'wrong: {row["bag"]}: {row["truth"]} was called {row["verdict"]} '
+              f'({100 * row["probability"]:.0f} %)' for row in result['wrong']]
+    return '\n'.join(lines)

@@ -3,11 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from asi_analysis.gap.diagnose import sentences
 from asi_analysis.gap.effects import NO_GAP
+from asi_analysis.terminal import table
 
 
 def figure(value: float | None) -> str:
@@ -21,11 +19,9 @@ def sizes(row: Mapping[str, Any]) -> list[str]:
             f'{row["parameters_high"][name]:.4g}]' for name, value in row['parameters'].items()]
 
 
-def show(document: Mapping[str, Any]) -> None:
-    """Print the verdict in three sentences, then the tables."""
-    console = Console()
-    for sentence in sentences(document):
-        print(sentence)
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return the verdict in three sentences, then the tables."""
+    lines = [*sentences(document)]
     for title, columns, rows in (
             ('where', ('block', 'share'),
              [(row['block'], f'{100 * row["share"]:.0f} %') for row in document['where']
@@ -46,13 +42,8 @@ def show(document: Mapping[str, Any]) -> None:
                  f' ({figure(row["improved_low"])} to {figure(row["improved_high"])})'),
                figure(row['measured'])) for row in document['consequences']])):
         if rows:
-            table = Table(title=title, title_justify='left', box=None, pad_edge=False)
-            for column in columns:
-                table.add_column(column)
-            for row in rows:
-                table.add_row(*row)
-            console.print(table)
-    for note in document['notes']:
-        print('note: ' + note)
-    if document.get('report'):
-        print('report: ' + document['report'])
+            lines.append(table(columns, rows, title))
+    lines += [f'note: {note}' for note in document['notes']]
+    if document['report']:
+        lines.append(f'report: {document["report"]}')
+    return '\n'.join(lines)

@@ -16,10 +16,10 @@ from scipy.integrate import solve_ivp
 from asi_analysis.limit_cycle.sinusoid import fit
 from asi_analysis.limit_cycle.verdict import judge_run
 from asi_analysis.run import Run
+from asi_analysis.terminal import Progress
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
-Report = Callable[[str, float | None], None]
 
 
 def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: float,
@@ -220,7 +220,7 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
             'false_limit_cycles': false_cycles, 'verdicts': dict(verdicts)}
 
 
-def check(count: int, seed: int, report: Report) -> dict[str, Any]:
+def check(count: int, seed: int, report: Progress) -> dict[str, Any]:
     """Return both tables: `count` signals a row."""
     grid = [(cycles, samples, snr) for cycles in (3.0, 10.0, 100.0, 300.0)
             for samples in (5.0, 12.0, 40.0) for snr in (10.0, 25.0, 40.0)]

@@ -6,7 +6,6 @@ force that ends by itself, slower than the cycle, since the actuator cannot be d
 its cycle at the cycle's own frequency.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,16 +14,14 @@ from asi_actuator.parameters import Value
 from asi_analysis.bag import read_bag
 from asi_analysis.experiment import Experiment, checked, run_experiment
 from asi_analysis.limit_cycle.answer import limit_cycle
-
-Progress = Callable[[str, float | None], None]
+from asi_analysis.terminal import Progress, silent
 
 DRIVEN_N: Final = 900.0
 DRIVEN_HZ: Final = 60.0
 DRIVEN_S: Final = 0.3
 
 
-def isolation(experiment: Experiment, out: Path, report: Progress = lambda *_: None
-              ) -> dict[str, Any]:
+def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> dict[str, Any]:
     """
     Return the bags of both runs and the segments of both, judged together.
 

@@ -1,11 +1,12 @@
 """`asi predict`: predicted cycles over a range of gains, beside the simulated ones."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from asi_analysis.closed_loop import LoopRun
+from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.sinusoid import Oscillation
 from asi_analysis.prediction import harmonic_balance as hb
 from asi_analysis.prediction.floquet import multipliers
@@ -24,8 +25,7 @@ from asi_analysis.prediction.simulation import (
     step_runs,
     sustained,
 )
-
-Report = Callable[[str, float | None], None]
+from asi_analysis.terminal import Progress, silent
 
 # The gain is raised by this share until the loop cycles, up to MOST times the first.
 RAISE: Final = 1.06
@@ -113,13 +113,15 @@ def branch(actuator: Values, controller: Values, rate_hz: float, first: float,
 
 
 def predict(actuator: Values, controller: Values, rate_hz: float, first_gain: float,
-            steps_n: Sequence[float] = (), report: Report = lambda *_: None) -> dict[str, Any]:
+            steps_n: Sequence[float] = (), report: Progress = silent) -> dict[str, Any]:
     """
     Return all that `asi predict --json` prints: cycles by each method, and how they agree.
 
     first_gain: below the onset; the search begins there. steps_n: sizes of step (N) for which the
-    onset is wanted too.
+    onset is wanted too. Raises InputError for a gain from which no search can begin.
     """
+    if not first_gain > 0.0:
+        raise InputError(f'gain = {first_gain:g} is not allowed: the search begins there, above 0')
     report('describing function of the hysteresis', 0.0)
     loop = loop_of(actuator, with_gain(controller, first_gain), rate_hz)
     unit = _user_gain(controller, loop)
@@ -172,7 +174,7 @@ def _from_locus(locus: Locus, points: list[hb.Balance]) -> list[dict[str, Any]]:
 
 
 def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_gain: float,
-                  steps_n: Sequence[float], report: Report = lambda *_: None
+                  steps_n: Sequence[float], report: Progress = silent
                   ) -> list[dict[str, float | None]]:
     """
     Return onset gain and frequency by the size of the step, predicted and simulated (Fig. 7).
@@ -199,7 +201,7 @@ def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_ga
 
 
 def _compared(actuator: Values, controller: Values, rate_hz: float, points: list[hb.Balance],
-              report: Report, document: dict[str, Any]) -> list[dict[str, Any]]:
+              report: Progress, document: dict[str, Any]) -> list[dict[str, Any]]:
     """Return balanced and simulated cycles; the largest errors go into the document."""
     lowest = int(np.argmin([point.gain for point in points]))
     cycles, errors = [], []

@@ -1,7 +1,7 @@
 """What `asi quench` says of a compensator, as one plain dictionary."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,15 +10,14 @@ from asi_analysis.quench.attack import Trial, search
 from asi_analysis.quench.design import design
 from asi_analysis.quench.dither import dither
 from asi_analysis.quench.margin import margin
-
-Report = Callable[[str, float | None], None]
+from asi_analysis.terminal import Progress, silent
 
 WORST: Final = 5
 
 
 def quench(actuator: Values, controller: Values, rates_hz: Sequence[float], count: int,
            seed: int, designs: int = 0, replayed: tuple[int, Path] | None = None,
-           report: Report = lambda *_: None) -> dict[str, Any]:
+           report: Progress = silent) -> dict[str, Any]:
     """
     Return all that `asi quench --json` prints.
 

@@ -7,7 +7,7 @@ on after that is sustained. A condition is nothing but parameters, so that it ca
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,9 +18,8 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value
 from asi_analysis.closed_loop import close_many, loops_of
 from asi_analysis.parallel import each
 from asi_analysis.prediction.simulation import Values
+from asi_analysis.terminal import Progress, silent
 from asi_controller.parameters import REFERENCE_PARAMETERS
-
-Report = Callable[[str, float | None], None]
 
 EXCITED_S: Final = 0.25
 LEFT_ALONE_S: Final = 0.45
@@ -169,7 +168,7 @@ def _threat(trial: Trial) -> float:
 
 
 def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], count: int,
-           seed: int, report: Report = lambda *_: None) -> list[Trial]:
+           seed: int, report: Progress = silent) -> list[Trial]:
     """Return `count` trials, the most threatening first."""
     random = np.random.default_rng(seed)
     trials: list[Trial] = []

@@ -8,7 +8,6 @@ searches it from the rival on; every candidate is judged by the step of Table 1 
 and by its limit-cycle margin.
 """
 
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy import optimize
 
 from asi_actuator.parameters import as_record, defaults
 from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.prediction.simulation import Values, loop_of
 from asi_analysis.quench.margin import (
@@ -27,10 +27,9 @@ from asi_analysis.quench.margin import (
 )
 from asi_analysis.run import Run
 from asi_analysis.step_response import headline, step_responses
+from asi_analysis.terminal import Progress, silent
 from asi_controller.compensator import OWN_GAIN, frequency_response
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
-
-Report = Callable[[str, float | None], None]
 
 # Table 1's conditions for the fourth-order lead: its load, its step, its settings.
 TABLE_1: Final = Conditions().lead4
@@ -172,19 +171,19 @@ def worse_by(found: Candidate, rival: Candidate, noise_limit: float) -> float:
 
 
 def design(actuator: Values, rival_controller: Values, rate_hz: float, count: int, seed: int,
-           report: Report = lambda *_: None) -> dict[str, Any]:
+           report: Progress = silent) -> dict[str, Any]:
     """
     Return the best design found in about `count` candidates, its rival, and the trade-off curve.
 
     rival_controller: the compensator to beat, at the same margin; a lead4 has the settings of
-    Table 1 unless it says otherwise.
+    Table 1 unless it says otherwise. Raises InputError if it does not answer a step.
     """
     if rival_controller.get('compensator') == 'lead4':
         rival_controller = {**TABLE_1.controller, **rival_controller}
     judge = Judge(actuator, rate_hz)
     rival = judge.candidate(rival_controller)
     if rival is None:
-        raise ValueError('the rival makes no step')
+        raise InputError('--designs: the compensator to beat does not answer a step')
     noise_limit = NOISE * rival.noise_gain
     found: list[tuple[float, Candidate]] = []
     tried = 0

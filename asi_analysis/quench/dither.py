@@ -1,7 +1,7 @@
 """Dither, the classic cure: how much of which frequency quenches the cycle, and what it costs."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -10,9 +10,8 @@ from asi_actuator.model.actuator import advance, measure, prepare, rest
 from asi_actuator.model.jit import jit
 from asi_actuator.parameters import as_record
 from asi_analysis.prediction.simulation import Values, loop_of
+from asi_analysis.terminal import Progress, silent
 from asi_controller.compensator import compensate
-
-Report = Callable[[str, float | None], None]
 
 FREQUENCIES_HZ: Final = (300.0, 500.0, 800.0, 1200.0, 1700.0)
 MOST_N: Final = 4000.0
@@ -53,7 +52,7 @@ def _slow_swing(force: np.ndarray, rate_hz: float) -> float:
 
 
 def dither(actuator: Values, controller: Values, rate_hz: float,
-           frequencies_hz: Sequence[float] = FREQUENCIES_HZ, report: Report = lambda *_: None
+           frequencies_hz: Sequence[float] = FREQUENCIES_HZ, report: Progress = silent
            ) -> list[dict[str, Any]]:
     """
     Return for each frequency the least dither (N of command) that quenches the cycle.

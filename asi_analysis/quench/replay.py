@@ -8,7 +8,6 @@ from typing import Any
 from asi_analysis.bag import read_bag
 from asi_analysis.experiment import (
     Experiment,
-    Progress,
     RunFailedError,
     checked,
     run_experiment,
@@ -16,13 +15,14 @@ from asi_analysis.experiment import (
 from asi_analysis.limit_cycle.verdict import judge_run
 from asi_analysis.prediction.simulation import Values
 from asi_analysis.quench.attack import EXCITED_S, Trial
+from asi_analysis.terminal import Progress, silent
 
 # After the excitation the loop is left alone for so long.
 LEFT_ALONE_S = 0.75
 
 
 def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
-           rates_hz: tuple[float, ...], out: Path, report: Progress = lambda *_: None
+           rates_hz: tuple[float, ...], out: Path, report: Progress = silent
            ) -> list[dict[str, Any]]:
     """
     Return bag and verdict of each trial, under the same condition: the same parameters.
