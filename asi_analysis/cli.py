@@ -237,9 +237,9 @@ def reproduce(
         result = reproduction.reproduce(values, conditions, told)
         document = reproduction.as_document(result)
         if report:
-            from asi_analysis.reproduction_report import write_report
+            from asi_analysis.reproduction_report import write_reproduction_report
             told('report', None)
-            document['report'] = str(write_report(result, report))
+            document['report'] = str(write_reproduction_report(result, report))
         if over_ros:
             document['over_ros'] = [reproduction.as_dict(each) for each
                                     in reproduction.over_ros(result, over_ros, told)]
@@ -278,8 +278,9 @@ def limit_cycle(
         document = limit_cycle_answer.limit_cycle(runs, signal)
         if report:
             from asi_analysis.limit_cycle.figure import drawn
-            _write_report(report, 'Limit cycles', limit_cycle_answer.as_text(document),
-                          drawn(runs, document))
+            from asi_analysis.report import write_pictures
+            write_pictures(report, 'Limit cycles', limit_cycle_answer.as_text(document),
+                           drawn(runs, document))
     answer(document, as_json, limit_cycle_answer.as_text)
 
 
@@ -310,11 +311,12 @@ def predict(
                                       sizes, told)
         if report:
             from asi_analysis.prediction.figures import drawn
+            from asi_analysis.report import write_pictures
             at = document['onset_gain'] or gain
             loop = prediction.loop_of(values['actuator'],
                                       prediction.with_gain(values['controller'], 1.2 * at), rate)
-            _write_report(report, 'Predicted limit cycles', prediction.as_text(document),
-                          drawn(loop, document))
+            write_pictures(report, 'Predicted limit cycles', prediction.as_text(document),
+                           drawn(loop, document))
     answer(document, as_json, prediction.as_text)
 
 
@@ -346,11 +348,12 @@ def attribute(
             document = recording.attribute_run(run, signal, told)
             if report:
                 from asi_analysis.attribution import figure
+                from asi_analysis.report import write_pictures
                 # A bag of this actuator is judged by its model.
                 drawn = (figure.model(document) if document['causes'][0]['share'] is not None else
                          figure.recorded(run, document, signal))
-                _write_report(report, 'What makes it swing', recording.as_text(document),
-                              {'attribution': (drawn, document['verdict'])})
+                write_pictures(report, 'What makes it swing', recording.as_text(document),
+                               {'attribution': (drawn, document['verdict'])})
         answer(document, as_json, recording.as_text)
         return
     values = _configured(set_, compensator, gain, step, rate)
@@ -359,8 +362,9 @@ def attribute(
         document = ablation.attribute(values['actuator'], values['controller'], rate, gain, told)
         if report:
             from asi_analysis.attribution import figure
-            _write_report(report, 'Which nonlinearity', ablation.as_text(document),
-                          {'attribution': (figure.model(document), document['verdict'])})
+            from asi_analysis.report import write_pictures
+            write_pictures(report, 'Which nonlinearity', ablation.as_text(document),
+                           {'attribution': (figure.model(document), document['verdict'])})
     answer(document, as_json, ablation.as_text)
 
 
@@ -401,17 +405,13 @@ def quench(
                                         (replay, out) if replay else None, told)
         if report:
             from asi_analysis.quench.figure import draw
-            _write_report(report, 'Limit cycles quenched', quench_answer.as_text(document), {
+            from asi_analysis.report import write_pictures
+            write_pictures(report, 'Limit cycles quenched', quench_answer.as_text(document), {
                 'quench': (draw(values['actuator'], values['controller'], document),
                            'Loop and -1/N where the margin is least; the trade-off of designs')})
     answer(document, as_json, quench_answer.as_text)
     if document['sustained_found']:
         raise typer.Exit(1)
-
-
-def _write_report(directory: Path, title: str, text: str, drawn: dict[str, Any]) -> None:
-    from asi_analysis.cycle_report import write_report
-    write_report(directory, title, text, drawn)
 
 
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
@@ -582,8 +582,10 @@ def main() -> int:
     except RuntimeError as error:
         return _fail(str(error), 1)
     except click_exception as error:
+        said = error.format_message().rstrip('.')
         where = error.ctx.command_path if getattr(error, 'ctx', None) else 'asi'
-        return _fail(f'{error.format_message().rstrip(".")} (see {where} --help)', 2)
+        # Called without anything, a command has shown its help already.
+        return _fail(f'{said} (see {where} --help)', 2) if said else 2
 
 
 def _fail(text: str, status: int) -> int:

@@ -160,7 +160,7 @@ def run_demo(out: Path, progress: Progress = silent) -> dict[str, Any]:
         run = read_bag(bag)
         recorded.append(Recorded(plan, checked(plan.experiment), bag, run, analyze(run)))
     progress('writing the report', len(RUNS) / (len(RUNS) + 1))
-    from asi_analysis.report import write_demo_report
+    from asi_analysis.demo_report import write_demo_report
     return {
         'report': str(write_demo_report(recorded, out)),
         'runs': [{'name': each.plan.name, 'bag': str(each.bag), 'analysis': each.analysis}

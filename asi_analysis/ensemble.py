@@ -219,8 +219,7 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Pro
     (pictures / 'sensitivity.md').write_text(sensitivity_table(sensitivity(problem, found)))
     for name, draw in (('ensemble_spread', ensemble_figures.spread),
                        ('ensemble_pairs', ensemble_figures.pairs)):
-        with figures.style():
-            draw(kept, best_as_member(best)).savefig(pictures / f'{name}.png', dpi=110.0)
+        figures.save(draw(kept, best_as_member(best)), pictures / f'{name}.png', 110.0)
     return {'members': len(kept), 'evaluations': tried, 'out': str(out),
             'met': [member.met for member in kept], 'total': len(AIMS)}
 

@@ -8,6 +8,7 @@ import html
 import io
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any, Final
 
 import matplotlib
@@ -40,6 +41,12 @@ def style() -> AbstractContextManager[None]:
 
 def _figure(height_in: float) -> Figure:
     return Figure(figsize=(WIDTH_IN, height_in), layout='constrained')
+
+
+def save(figure: Figure, path: Path, dpi: float = STYLE['savefig.dpi']) -> None:
+    """Write a figure to a file."""
+    with style():
+        figure.savefig(path, dpi=dpi)
 
 
 def svg(figure: Figure, description: str) -> str:
@@ -132,7 +139,9 @@ def spectrum(frequency: Array, amplitude: Array, harmonics: Sequence[tuple[float
         for number, (place, level) in enumerate(harmonics, 1):
             if place <= end_hz and level > 1e-4 * top:
                 text = f'{place:.1f} Hz\n{level:.0f} N' if number == 1 else f'{number}×'
-                axes.annotate(text, (place, level), xytext=(7 if number == 1 else 0, 3),
+                # The window's main lobe may stand a little higher than the sine that was fitted.
+                peak = max(level, float(np.interp(place, frequency, amplitude)))
+                axes.annotate(text, (place, peak), xytext=(7 if number == 1 else 0, 3),
                               textcoords='offset points', ha='left' if number == 1 else 'center',
                               va='center' if number == 1 else 'bottom', color=ORANGE)
         return figure

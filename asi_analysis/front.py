@@ -25,7 +25,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
 from asi_analysis.facts.table import Fact
-from asi_analysis.figures import BLUE, WIDTH_IN, style
+from asi_analysis.figures import BLUE, WIDTH_IN, save, style
 from asi_analysis.terminal import Progress, silent
 
 
@@ -102,8 +102,7 @@ def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress)
                  report)
     out.mkdir(parents=True, exist_ok=True)
     (out / 'front.md').write_text(table(name, held))
-    with style():
-        picture(name, held).savefig(out / 'front.png', dpi=110.0)
+    save(picture(name, held), out / 'front.png', 110.0)
     return {'quantity': name, 'out': str(out),
             'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,
                        'not_met': [fact.value for fact in each.not_met]} for each in held]}

@@ -1,4 +1,4 @@
-"""The report of `asi reproduce`: one HTML file with Figs. 3 to 12 as we see them, and PNGs."""
+"""The report of `asi reproduce`: the facts, and Figs. 3 to 12 as we see them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,40 +6,31 @@ from typing import Any
 
 import numpy as np
 
-from asi_analysis import figures
-from asi_analysis.experiment import versions
 from asi_analysis.facts.linear import linear_model
 from asi_analysis.facts.stated import stated
-from asi_analysis.report import environment
+from asi_analysis.report import write_report
 from asi_analysis.reproduction import Reproduction, as_document
 from asi_analysis.reproduction_figures import paper_figures
+
+
+def write_reproduction_report(result: Reproduction, out: Path) -> Path:
+    """Write report.html and a PNG of each figure into `out`; return the path of report.html."""
+    document = as_document(result)
+    held_out = [fact for fact in document['facts'] if fact['role'] == 'held out']
+    drawn = paper_figures(result.actuator, result.conditions, result.measured)
+    page = write_report(
+        out, 'reproduction.html', {name: (figure, name) for name, figure in drawn.items()},
+        document=document, stated=stated(result.actuator, result.conditions),
+        held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
+        linear=linear_model(result.actuator), roots=_roots)
+    (out / 'table.md').write_text(_table(document))
+    return page
 
 
 def _roots(values: np.ndarray) -> str:
     """Return roots in words, conjugate pairs as one."""
     return ', '.join(f'{root.real:.4g}' + (f' ± {root.imag:.4g}i' if root.imag > 0.0 else '')
                      for root in values if root.imag >= 0.0)
-
-
-def write_report(result: Reproduction, out: Path) -> Path:
-    """Write report.html and a PNG of each figure into `out`; return the path of report.html."""
-    out.mkdir(parents=True, exist_ok=True)
-    drawn = paper_figures(result.actuator, result.conditions, result.measured)
-    for name, figure in drawn.items():
-        with figures.style():
-            figure.savefig(out / f'{name}.png')
-    document = as_document(result)
-    held_out = [fact for fact in document['facts'] if fact['role'] == 'held out']
-    templates = environment()
-    templates.filters['roots'] = _roots
-    page = out / 'report.html'
-    page.write_text(templates.get_template('reproduction.html').render(
-        document=document, stated=stated(result.actuator, result.conditions),
-        held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
-        linear=linear_model(result.actuator), versions=versions(),
-        figures=[figures.svg(figure, name) for name, figure in drawn.items()]))
-    (out / 'table.md').write_text(_table(document))
-    return page
 
 
 def _table(document: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from asi_analysis.attribution import figure, recording, valves
 from asi_analysis.attribution.ablation import NONLINEARITIES, attribute, shapley
 from asi_analysis.attribution.calibration import WEIGHTS, examples, judged
 from asi_analysis.attribution.loops import (
-    WORLDS,
+    VALVES,
     Plant,
     Valve,
     Weather,
@@ -25,9 +25,9 @@ from asi_analysis.attribution.loops import (
 from asi_analysis.attribution.recording import attribute_run
 from asi_analysis.attribution.shape import FEATURES, shape
 from asi_analysis.closed_loop import simulate_loop
-from asi_analysis.cycle_report import write_report
 from asi_analysis.errors import InputError
 from asi_analysis.experiment import Experiment, checked, information
+from asi_analysis.report import write_pictures
 from asi_analysis.run import Run
 
 
@@ -100,7 +100,7 @@ def _loop(cause: str, seed: int, world: str = 'learn') -> Run:
     return run
 
 
-@pytest.mark.parametrize('world', WORLDS)
+@pytest.mark.parametrize('world', VALVES)
 def test_fault_is_the_cause_of_the_simulated_swing(world):
     # What `loop` leaves out for want of a cycle: a valve without fault in a loop that is stable.
     random = np.random.default_rng(3)
@@ -115,8 +115,8 @@ def test_document_and_picture_of_a_foreign_loop(tmp_path):
     found = attribute_run(run)
     assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
     assert sum(cause['probability'] for cause in found['causes']) == pytest.approx(1.0)
-    page = write_report(tmp_path, 'title', recording.as_text(found),
-                        {'attribution': (figure.recorded(run, found), found['verdict'])})
+    page = write_pictures(tmp_path, 'title', recording.as_text(found),
+                          {'attribution': (figure.recorded(run, found), found['verdict'])})
     assert (tmp_path / 'attribution.png').read_bytes().startswith(b'\x89PNG')
     assert '<svg' in page.read_text() and found['verdict'].split(':')[0] in page.read_text()
 

@@ -8,8 +8,8 @@ import pytest
 from asi_analysis.analysis import analyze
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.demo import RUNS, Published, Recorded, hysteresis_loop, limit_cycle
+from asi_analysis.demo_report import compare, write_demo_report
 from asi_analysis.experiment import Experiment, checked
-from asi_analysis.report import compare, write_demo_report
 from asi_analysis.run import Run
 
 

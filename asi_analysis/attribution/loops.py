@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.jit import jit
+from asi_actuator.model.valve_hysteresis import play as play_step
 from asi_analysis.attribution.shape import standing_frequency
+from asi_analysis.attribution.valves import Stem, stick_step
 from asi_analysis.run import Run
 
 Array = npt.NDArray[np.float64]
@@ -28,13 +30,13 @@ CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuni
                  'disturbance')
 # Faults of the valve: when they cannot be told apart, the valve still can be blamed.
 VALVE_FAULTS: Final = CAUSES[:3]
-WORLDS: Final = ('learn', 'judge')
 # A swing that others find at its own frequency, within this factor, can be seen.
 VISIBLE: Final = 1.5
 # Share of the loops whose set point another loop moves.
 SLAVES: Final = 0.35
-# Steps of the simulation for one of the controller.
+# Steps of the simulation for one of the controller, and the least lag that they see.
 SUBSTEPS: Final = 4
+LEAST_LAG: Final = 1e-3
 # Numbers by which the compiled loop knows a valve.
 LINEAR, KANO, PLAY, PLAYS, HE, SOFT_PLAY, DUHEM, SHORT, SOFT_END = range(9)
 VALVES: Final = {
@@ -76,105 +78,102 @@ class Valve(NamedTuple):
 
 
 @jit
-def _moved(kind, u, before, state, band, leap):
-    """Return the valve's position; state: position, stopped at, direction, stuck, plays."""
-    if kind == 1:
-        lag = 0.5 * (band - leap)
-        if state[3] == 0.0 and state[2] * (u - before) <= 0.0:
-            state[3], state[1] = 1.0, before
-        if state[3] > 0.0:
-            push = state[2] * (u - state[1])
-            if push < -band:
-                state[2], state[3] = -state[2], 0.0
-            elif push > leap:
-                state[3] = 0.0
-        if state[3] == 0.0:
-            state[0] = u - state[2] * lag
-    elif kind == 2:
-        state[0] = min(max(state[0], u - 0.5 * band), u + 0.5 * band)
-    elif kind == 3:
+def _moved(kind, u, before, stem, plays, band, leap):
+    """Return a valve after a command of `u` that was `before`; plays: positions, in place."""
+    position = stem.position
+    push = u - position
+    if kind == KANO:
+        return stick_step(stem, u, before, band, leap)
+    if kind == PLAY:
+        position = play_step(position, u, 0.5 * band)
+    elif kind == PLAYS:
         total = 0.0
-        for i in range(6):
-            half = 0.5 * band * (i + 0.5) / 3.0
-            state[4 + i] = min(max(state[4 + i], u - half), u + half)
-            total += state[4 + i]
-        state[0] = total / 6.0
-    elif kind == 4:
-        push = u - state[0]
+        for i in range(plays.size):
+            plays[i] = play_step(plays[i], u, 0.5 * band * (i + 0.5) / 3.0)
+            total += plays[i]
+        position = total / plays.size
+    elif kind == HE:
         if abs(push) > 0.5 * (band + leap):
-            state[0] = u - np.sign(push) * 0.5 * (band - leap)
-    elif kind == 5:
-        push = u - state[0]
+            position = u - np.sign(push) * 0.5 * (band - leap)
+    elif kind == SOFT_PLAY:
         beyond = abs(push) - 0.5 * band
         if beyond > 0.0:
-            state[0] += 0.6 * np.sign(push) * beyond
-    elif kind == 6:
-        du = u - before
-        state[0] += 2.0 / band * abs(du) * (u - state[0]) + 0.1 * du
-    elif kind == 7:
-        state[0] = min(max(u, -band), band)
-    elif kind == 8:
-        state[0] = band * np.tanh(u / band)
+            position += 0.6 * np.sign(push) * beyond
+    elif kind == DUHEM:
+        position += 2.0 / band * abs(u - before) * push + 0.1 * (u - before)
+    elif kind == SHORT:
+        position = min(max(u, -band), band)
+    elif kind == SOFT_END:
+        position = band * np.tanh(u / band)
     else:
-        state[0] = u
-    return state[0]
+        position = u
+    return Stem(position, stem.direction, stem.stopped_at, stem.stuck)
+
+
+class Lags(NamedTuple):
+    """State of a process: its three lags, in the order of the signal's way."""
+
+    first: float
+    second: float
+    third: float
 
 
 @jit
-def _loop(kind, band, leap, scatter, stem, lags, delay, integrating, inverse, gain, integral,
-          derivative, filtering, tank, tank_gain, tank_integral, limit, start, reference, load,
-          noise, luck, command, output):
+def _after(lags, entered, keep, plant):
+    """Return the process a step after `entered` came into it; keep: what a step leaves of each."""
+    x0, x1, x2 = lags
+    if plant.integrating:
+        # The first is the integrator, at the end of the way.
+        x2 = keep[2] * x2 + (1.0 - keep[2]) * entered
+        x1 = keep[1] * x1 + (1.0 - keep[1]) * x2
+        x0 += 1.0 / SUBSTEPS / plant.lags[0] * (x1 - plant.inverse * (x2 - x1) / plant.lags[1])
+    else:
+        x0 = keep[0] * x0 + (1.0 - keep[0]) * entered
+        x1 = keep[1] * x1 + (1.0 - keep[1]) * x0
+        x2 = keep[2] * x2 + (1.0 - keep[2]) * x1
+    return Lags(x0, x1, x2)
+
+
+@jit
+def _run(plant, valve, limit, start, weather, command, output):
     """Fill command and output, one value a period of the controller."""
-    step = 1.0 / 4
-    keep0, keep1, keep2 = np.exp(-step / lags[0]), np.exp(-step / lags[1]), np.exp(-step / lags[2])
-    smooth, stem_keep = np.exp(-1.0 / filtering), np.exp(-step / stem)
-    ring = np.zeros(delay + 1)
-    state = np.zeros(10)
-    state[2] = 1.0
+    keep = np.exp(-1.0 / SUBSTEPS / np.array(plant.lags))
+    stem_keep = np.exp(-1.0 / SUBSTEPS / max(valve.lag, LEAST_LAG))
+    smooth = np.exp(-1.0 / max(plant.filter, LEAST_LAG))
+    ring = np.zeros(max(int(plant.delay * SUBSTEPS), 1) + 1)
     at = 0
-    x0, x1, x2, position, total = start, start, start, 0.0, 0.0
-    if integrating:
-        x1, x2 = 0.0, 0.0
-    filtered = before_error = 0.0
-    before = level = level_total = 0.0
-    now = band
+    lags = Lags(start, 0.0, 0.0) if plant.integrating else Lags(start, start, start)
+    stem, plays = Stem(0.0, 1.0, 0.0, False), np.zeros(6)
+    position = total = filtered = error_before = before = level = level_total = 0.0
+    direction, band = 1.0, valve.band
     for k in range(command.size):
-        measured = (x0 if integrating else x2 - inverse * (x1 - x2) / lags[2])
-        measured += noise[k]
+        measured = weather.noise[k] + (
+            lags.first if plant.integrating
+            else lags.third - plant.inverse * (lags.second - lags.third) / plant.lags[2])
         filtered = smooth * filtered + (1.0 - smooth) * measured
-        wanted = reference[k]
-        if tank > 0.0:
-            level += measured / tank
-            level_total -= tank_gain / tank_integral * level
-            wanted += level_total - tank_gain * level
+        wanted = weather.reference[k]
+        if plant.tank > 0.0:
+            level += measured / plant.tank
+            level_total -= plant.tank_gain / plant.tank_integral * level
+            wanted += level_total - plant.tank_gain * level
         error = wanted - filtered
-        slope = error - before_error
-        before_error = error
-        total += gain / integral * error
-        u = gain * (error + derivative * slope) + total
+        total += plant.gain / plant.integral * error
+        u = plant.gain * (error + plant.derivative * (error - error_before)) + total
+        error_before = error
         if abs(u) > limit:
-            total -= gain / integral * error
+            total -= plant.gain / plant.integral * error
             u = min(max(u, -limit), limit)
-        if scatter > 0.0 and np.sign(u - before) != state[2]:
-            state[2] = np.sign(u - before)
-            now = band * max(1.0 + scatter * luck[k], 0.3)
-        for _ in range(4):
-            position = (stem_keep * position
-                        + (1.0 - stem_keep) * _moved(kind, u, before, state, now, leap))
+        if valve.scatter > 0.0 and np.sign(u - before) != direction:
+            direction = np.sign(u - before)
+            band = valve.band * max(1.0 + valve.scatter * weather.luck[k], 0.3)
+        for _ in range(SUBSTEPS):
+            stem = _moved(valve.kind, u, before, stem, plays, band, valve.leap)
+            position = stem_keep * position + (1.0 - stem_keep) * stem.position
             before = u
-            ring[at % (delay + 1)] = position + load[k]
+            ring[at % ring.size] = position + weather.load[k]
             at += 1
-            late = ring[at % (delay + 1)]
-            if integrating:
-                x2 = keep2 * x2 + (1.0 - keep2) * late
-                x1 = keep1 * x1 + (1.0 - keep1) * x2
-                x0 += step / lags[0] * (x1 - inverse * (x2 - x1) / lags[1])
-            else:
-                x0 = keep0 * x0 + (1.0 - keep0) * late
-                x1 = keep1 * x1 + (1.0 - keep1) * x0
-                x2 = keep2 * x2 + (1.0 - keep2) * x1
-        command[k] = u
-        output[k] = measured
+            lags = _after(lags, ring[at % ring.size], keep, plant)
+        command[k], output[k] = u, measured
 
 
 class Weather(NamedTuple):
@@ -189,13 +188,8 @@ class Weather(NamedTuple):
 def run_loop(plant: Plant, valve: Valve, limit: float, weather: Weather, start: float = 3.0
              ) -> tuple[Array, Array]:
     """Return command and output of a loop, one sample a period of the controller."""
-    load = weather.load
-    command, output = np.empty(len(load)), np.empty(len(load))
-    _loop(valve.kind, valve.band, valve.leap, valve.scatter, max(valve.lag, 1e-3),
-          np.array(plant.lags), max(int(plant.delay * SUBSTEPS), 1), plant.integrating,
-          plant.inverse, plant.gain, plant.integral, plant.derivative, max(plant.filter, 1e-3),
-          plant.tank, plant.tank_gain, plant.tank_integral, limit, start, *weather, command,
-          output)
+    command, output = np.empty(len(weather.load)), np.empty(len(weather.load))
+    _run(plant, valve, limit, start, weather, command, output)
     return command, output
 
 

@@ -1,40 +1,58 @@
 """What a valve may do to its command: the operators that the shape of a cycle is tested on."""
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.jit import jit
+from asi_actuator.model.valve_hysteresis import play as play_step
 
 Array = npt.NDArray[np.float64]
 
 
+class Stem(NamedTuple):
+    """A valve that sticks: position; direction (1, -1) of its last move; where it stopped."""
+
+    position: float
+    direction: float
+    stopped_at: float    # the command then
+    stuck: bool
+
+
+@jit
+def stick_step(stem, command, before, band, jump):
+    """Return a valve that sticks after the command went from `before` to `command`."""
+    position, direction, stopped_at, stuck = stem
+    if not stuck and direction * (command - before) <= 0.0:
+        stuck, stopped_at = True, before
+    if stuck:
+        push = direction * (command - stopped_at)
+        if push < -band:
+            direction, stuck = -direction, False
+        elif push > jump:
+            stuck = False
+    if not stuck:
+        position = command - direction * (0.5 * (band - jump))
+    return Stem(position, direction, stopped_at, stuck)
+
+
 @jit
 def _play(command, start, half, out):
+    out[:start] = command[start] - half
     position = command[start] - half
-    out[:start] = position
     for k in range(start, command.size):
-        position = min(max(position, command[k] - half), command[k] + half)
+        position = play_step(position, command[k], half)
         out[k] = position
 
 
 @jit
 def _stick(command, start, band, jump, out):
-    lag = 0.5 * (band - jump)
-    position, direction = command[start] - lag, 1.0
-    stopped_at, stuck = command[start], False
-    out[:start] = position
-    for k in range(start, command.size):
-        if not stuck and direction * (command[k] - command[k - 1]) <= 0.0 and k > start:
-            stuck, stopped_at = True, command[k - 1]
-        if stuck:
-            push = direction * (command[k] - stopped_at)
-            if push < -band:
-                direction, stuck = -direction, False
-            elif push > jump:
-                stuck = False
-        if not stuck:
-            position = command[k] - direction * lag
-        out[k] = position
+    stem = Stem(command[start] - 0.5 * (band - jump), 1.0, command[start], False)
+    out[:start + 1] = stem.position
+    for k in range(start + 1, command.size):
+        stem = stick_step(stem, command[k], command[k - 1], band, jump)
+        out[k] = stem.position
 
 
 def _begin(command: Array, first: int) -> int:

@@ -68,8 +68,8 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
             answer['next_experiment']['command'] += f' --actuator {model}'
     answer['report'] = None
     if report is not None:
-        from asi_analysis.gap.report import write_report
+        from asi_analysis.gap.report import write_gap_report
         told('report', None)
-        answer['report'] = str(write_report(diagnosis, answer, report,
-                                            values if plant == 'actuator' else None))
+        answer['report'] = str(write_gap_report(diagnosis, answer, report,
+                                                values if plant == 'actuator' else None))
     return answer

@@ -9,29 +9,32 @@ import numpy as np
 from scipy.signal import welch
 
 from asi_actuator.parameters import Value
-from asi_analysis import figures
-from asi_analysis.experiment import versions
 from asi_analysis.gap import pictures
 from asi_analysis.gap.diagnose import Diagnosis, sentences, told
 from asi_analysis.gap.model_file import improved_model, write_model
 from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
 from asi_analysis.gap.verdict import Weighed
-from asi_analysis.report import environment
+from asi_analysis.report import write_report
 
 STRETCH_S = 2.0     # of the overlay
+CAPTIONS = {
+    'overlay': 'Real, nominal and improved, and what each model leaves',
+    'ranking': 'What each hypothesis leaves on held-out data',
+    'plane': 'What the model leaves, before and after, in the plane of the effect',
+    'spectrum': 'Spectrum of the signal and of what each model leaves of it',
+    'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
 LABELS = {'valve': 'valve position (m)', 'force': 'force (N)', 'load': 'force (N)'}
 
 
-def write_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
-                 model: Mapping[str, Value] | None = None) -> Path:
+def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
+                     model: Mapping[str, Value] | None = None) -> Path:
     """
     Write report.html and its pictures into `out`; with a model, improved.yaml too.
 
     answer: the document of the diagnosis; model: nominal parameters of the actuator.
     Returns the path of report.html.
     """
-    out.mkdir(parents=True, exist_ok=True)
     channel = answer['gap']['channel']
     weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
     drawn = {'overlay': _overlay(diagnosis, weighed, channel),
@@ -39,26 +42,15 @@ def write_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
              'plane': _plane(diagnosis, weighed, channel),
              'spectrum': _spectrum(diagnosis, weighed, channel),
              'regimes': pictures.regimes(answer['regimes'])}
-    described = {
-        'overlay': 'Real, nominal and improved, and what each model leaves',
-        'ranking': 'What each hypothesis leaves on held-out data',
-        'plane': 'What the model leaves, before and after, in the plane of the effect',
-        'spectrum': 'Spectrum of the signal and of what each model leaves of it',
-        'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
-    for name, figure in drawn.items():
-        with figures.style():
-            figure.savefig(out / f'{name}.png')
     missing = None
     if model is not None and diagnosis.verdict:
         values, missing = improved_model(model, [diagnosis.best(w).fitted.record
                                                  for w in diagnosis.groups])
+        out.mkdir(parents=True, exist_ok=True)
         write_model(out / 'improved.yaml', values)
-    page = out / 'report.html'
-    page.write_text(environment().get_template('gap.html').render(
-        answer=answer, sentences=sentences(answer), versions=versions(), missing=missing,
-        described=described,
-        figures={name: figures.svg(figure, described[name]) for name, figure in drawn.items()}))
-    return page
+    return write_report(
+        out, 'gap.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
+        answer=answer, sentences=sentences(answer), missing=missing)
 
 
 def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
