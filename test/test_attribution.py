@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from documented import problems
 from study import STUDY, STUDY_CONTROLLER
 
-from asi_analysis import json_keys
 from asi_analysis.attribution import figure, recording, valves
 from asi_analysis.attribution.ablation import NONLINEARITIES, attribute, shapley
 from asi_analysis.attribution.calibration import WEIGHTS, examples, judged
@@ -70,7 +70,7 @@ def test_balance_meets_each_simulated_cycle_of_the_table(table):
             assert cause[f'{prefix}_predicted_amplitude_n'] == pytest.approx(
                 cause[f'{prefix}_amplitude_n'], rel=0.05)
     assert compared == 4
-    assert json_keys.problems(table, json_keys.DOCUMENTS['asi attribute']) == []
+    assert problems(table, 'asi attribute') == []
 
 
 def test_linear_instability_is_not_blamed_on_a_nonlinearity():
@@ -113,7 +113,7 @@ def test_fault_is_the_cause_of_the_simulated_swing(world):
 def test_document_and_picture_of_a_foreign_loop(tmp_path):
     run = _loop('stiction', 77)
     found = attribute_run(run)
-    assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
+    assert problems(found, 'asi attribute BAG') == []
     assert sum(cause['probability'] for cause in found['causes']) == pytest.approx(1.0)
     page = write_pictures(tmp_path, 'title', recording.as_text(found),
                           {'attribution': (figure.recorded(run, found), found['verdict'])})
@@ -162,7 +162,7 @@ def test_bag_of_this_actuator_is_judged_by_its_model():
     best = max(found['causes'], key=lambda cause: cause['probability'])
     assert best['nonlinearity'] == 'valve_hysteresis' and best['probability'] > 0.9
     assert 'valve hysteresis causes the cycle' in found['verdict']
-    assert json_keys.problems(found, json_keys.DOCUMENTS['asi attribute BAG']) == []
+    assert problems(found, 'asi attribute BAG') == []
 
 
 def test_output_without_command_is_refused():

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from documented import problems
 
 import asi_analysis.gap
 from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
-from asi_analysis import json_keys
 from asi_analysis.errors import InputError
 from asi_analysis.gap import check, quality
 from asi_analysis.gap.check import score
@@ -60,7 +60,7 @@ def test_errors_within_the_tolerance_are_no_gap():
     # Refitting alone mends it.
     assert answer['gap']['after_nrmse'] < 1.2 * answer['gap']['refitted_nrmse']
     answer['report'] = None
-    assert json_keys.problems(answer, json_keys.DOCUMENTS['asi gap']) == []
+    assert problems(answer, 'asi gap') == []
 
 
 @pytest.mark.parametrize('hidden', [

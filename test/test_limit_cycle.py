@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
+from documented import problems
 
-from asi_analysis import json_keys
 from asi_analysis.bag import write_bag
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.errors import InputError
@@ -179,7 +179,7 @@ def test_command_prints_what_is_documented(tmp_path):
         capture_output=True, text=True, timeout=100)
     assert result.returncode == 0, result.stderr
     document = json.loads(result.stdout)
-    assert json_keys.problems(document, json_keys.DOCUMENTS['asi limit-cycle']) == []
+    assert problems(document, 'asi limit-cycle') == []
     assert document['segments'][-1]['verdict'] == 'limit_cycle'
     assert (tmp_path / 'cycle_1.png').read_bytes().startswith(b'\x89PNG')
 
@@ -192,8 +192,7 @@ def test_isolation_experiment_shows_the_orbit_from_both_sides(tmp_path, ros_envi
         capture_output=True, text=True, timeout=170)
     assert result.returncode == 0, result.stderr
     document = json.loads(result.stdout)
-    assert json_keys.problems(
-        document, json_keys.DOCUMENTS['asi run --experiment isolation']) == []
+    assert problems(document, 'asi run --experiment isolation') == []
     cycles = [s for s in document['segments'] if s['verdict'] == 'limit_cycle']
     assert {s['came_from'].split()[0] for s in cycles} == {'inside', 'outside'}
     assert all(s['isolated'] for s in cycles)

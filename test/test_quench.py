@@ -6,9 +6,9 @@ import sys
 
 import numpy as np
 import pytest
+from documented import problems
 from study import STUDY, STUDY_CONTROLLER
 
-from asi_analysis import json_keys
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.prediction.predict import simulated_onset
 from asi_analysis.quench.attack import (
@@ -110,6 +110,6 @@ def test_command_prints_what_is_documented_and_fails_when_it_finds_a_cycle(tmp_p
          '--report', str(tmp_path), '--json'],
         capture_output=True, text=True, timeout=100)
     document = json.loads(result.stdout)
-    assert json_keys.problems(document, json_keys.DOCUMENTS['asi quench']) == []
+    assert problems(document, 'asi quench') == []
     assert document['sustained_found'] and result.returncode == 1
     assert (tmp_path / 'quench.png').read_bytes().startswith(b'\x89PNG')
