@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from asi_actuator.can_actuator import Firmware, physical_values
 from asi_actuator.driver import frames as frames_module
 from asi_actuator.driver.can_bus import CanActuator, close_bus, open_bus, received
-from asi_actuator.driver.frames import SIGNALS, Frames, checksum, longest_bits
+from asi_actuator.driver.frames import COUNTER, SIGNALS, Frames, checksum, longest_bits
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.model.actuator import Measurement
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
@@ -247,6 +247,17 @@ def test_driver_counts_lost_states_and_takes_each_only_once(bus: Bus) -> None:
     assert bus.driver.health.lost_states == 5
     assert bus.take(first) is None                      # from the past
     assert bus.driver.health.bad_frames == 1
+
+
+def test_driver_forgets_a_counter_that_has_gone_round(bus: Bus) -> None:
+    assert bus.take(bus.answers()) is not None
+    for _ in range(COUNTER // 2):
+        bus.driver.exchange(0.0, False, 1)
+        assert list(received(bus.bus))                  # nobody answers
+    bus.now += 1.0
+    bus.firmware.watch(bus.now)
+    assert bus.take(bus.answers()) is not None
+    assert bus.driver.health.lost_states == bus.driver.health.bad_frames == 0
 
 
 def test_driver_takes_no_half_or_damaged_state(bus: Bus) -> None:

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from std_srvs.srv import SetBool
 
+from asi_analysis import recorder_node
 from asi_analysis.analysis import analyze
 from asi_analysis.bag import read_bag, write_bag
 from asi_analysis.bag_file import read_contents
@@ -195,6 +197,30 @@ def test_real_time_hears_best_effort_publishers_and_logs_the_receipt(
     now_ns = time.time_ns()
     assert all(now_ns - 60 * 10**9 < time_ns < now_ns for time_ns in
                contents.topics['/force'].log_ns)
+
+
+def test_standing_still_is_no_silence(
+        ros_node: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes with the second look is there, though the machine stood still until the first."""
+    monkeypatch.chdir(tmp_path)
+    recorder = recorder_node.Recorder()
+    publisher = ros_node.create_publisher(WrenchStamped, 'force', 10)
+    wait_until(publisher.get_subscription_count, 'the recorder')
+    stood_still_s = 0.0
+    looks = iter([lambda: None, lambda: publisher.publish(WrenchStamped())])
+
+    def sleep(seconds: float) -> None:
+        nonlocal stood_still_s
+        stood_still_s += 1.0
+        time.sleep(seconds)
+        next(looks, lambda: None)()
+
+    monkeypatch.setattr(recorder_node, 'time', SimpleNamespace(
+        monotonic=lambda: time.monotonic() + stood_still_s, sleep=sleep, time_ns=time.time_ns))
+    recorder.destroy_node()
+    bag, = tmp_path.iterdir()
+    with Reader(bag) as reader:
+        assert reader.message_count == 1
 
 
 def test_lost_messages_are_told_and_the_exit_status_is_1(

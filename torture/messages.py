@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from asi_actuator.topics import set_time
-from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive
+from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive, until
 
 NUMBERS: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e5, 0.0, -0.0, 5e-324)
 BURST: Final = 50
@@ -70,8 +70,15 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
         problem = next((f'a node has ended: {node.text[-500:]}' for node in nodes
                         if not is_alive(node)), '') or rig.tracebacks()
         if not problem:
-            rig.enable()
-            rig.await_running('asi_actuator')
+            until(lambda: _runs(rig), 'the actuator to say that it runs')
         tally.count(publisher.topic_name, problem, BURST)
         if problem or tally.failures:
             return
+
+
+def _runs(rig: Rig) -> bool:
+    """Reset and enable the actuator; return whether it runs by what it says next."""
+    rig.enable()
+    since = time.monotonic()
+    until(lambda: rig.diagnostics['asi_actuator']['at'] > since, 'the actuator to say how it is')
+    return bool(rig.diagnostics['asi_actuator']['text'] == 'running')

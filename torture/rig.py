@@ -30,6 +30,9 @@ ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_
 RECORDER, PEER = 'asi_analysis.recorder_node', 'asi_actuator.can_actuator'
 # How long a busy machine may take to start a process or to answer a service.
 PATIENCE_S: Final = 60.0
+# A thread that sleeps for so long and wakes so much later has seen the machine stand still, s.
+NAP_S: Final = 0.01
+LATE_S: Final = 0.05
 
 
 class NotThere(Exception):  # noqa: N818
@@ -83,15 +86,20 @@ class Rig:
         self.diagnostics: dict[str, Any] = defaultdict(
             lambda: {'at': -math.inf, 'text': '', 'state': ''})
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
-        self._thread = threading.Thread(target=self._executor.spin)
-        self._thread.start()
+        # How long this machine has stood still so far, s.
+        self.stood_still_s = 0.0
+        self._threads = [threading.Thread(target=self._executor.spin),
+                         threading.Thread(target=self._watch_machine)]
+        for thread in self._threads:
+            thread.start()
 
     def close(self) -> None:
         """End everything."""
         for process in self._started:
             process.kill()
         self._executor.stopped = True
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown()
@@ -157,6 +165,14 @@ class Rig:
     def states(self, topic: str = 'joint_states') -> list[Any]:
         """Return a list that gets the messages of joint_states."""
         return self.listen(JointState, topic)
+
+    def _watch_machine(self) -> None:
+        before = time.monotonic()
+        while not self._executor.stopped:
+            time.sleep(NAP_S)
+            now = time.monotonic()
+            late_s, before = now - before - NAP_S, now
+            self.stood_still_s += late_s if late_s > LATE_S else 0.0
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         status = message.status[0]

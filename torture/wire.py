@@ -78,7 +78,10 @@ class Wire:
         """Note what a genuine frame says."""
         if line[:1] != b't':
             return
-        decoded = self._frames.decode(int(line[1:4], 16), bytes.fromhex(line[5:].decode()))
+        try:
+            decoded = self._frames.decode(int(line[1:4], 16), bytes.fromhex(line[5:].decode()))
+        except ValueError:
+            return  # cut by a terminal that was full, as nobody had read for a second
         since = time.monotonic() - self.marked
         if decoded is None:
             return
