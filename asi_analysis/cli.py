@@ -226,18 +226,18 @@ def reproduce(
 
     Exit status 0, whether all are met or not: the table says so.
     """
-    from asi_analysis import reproduction
     from asi_analysis.experiment import read_parameters
+    from asi_analysis.reproduction import answer as reproduction
     values: Mapping[str, Any] = read_parameters(actuator, 'actuator') if actuator else {}
     conditions = None
     if candidate:
-        from asi_analysis.calibration import read_best
+        from asi_analysis.calibration.quantities import read_best
         values, conditions = read_best(candidate)
     with bar() as told:
         result = reproduction.reproduce(values, conditions, told)
         document = reproduction.as_document(result)
         if report:
-            from asi_analysis.reproduction_report import write_reproduction_report
+            from asi_analysis.reproduction.report import write_reproduction_report
             told('report', None)
             document['report'] = str(write_reproduction_report(result, report))
         if over_ros:
@@ -530,12 +530,12 @@ def calibrate(
 ) -> None:
     """Fit the model's free parameters to the facts that the paper publishes."""
     if front:
-        from asi_analysis import front as front_
+        from asi_analysis.calibration import front as front_
         with bar() as told:
             document = front_.run(front, start, polish, out, told)
         answer(document, as_json, front_.as_text)
         return
-    from asi_analysis import calibration
+    from asi_analysis.calibration import answer as calibration
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as told:
         document = calibration.run(out, structure, evaluations, polish, seed, spread, start,
@@ -556,7 +556,7 @@ def ensemble(
     as_json: Json = False,
 ) -> None:
     """Find parameter sets about the defaults that meet the paper's facts about equally well."""
-    from asi_analysis import ensemble as ensemble_
+    from asi_analysis.calibration import ensemble as ensemble_
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as told:
         document = ensemble_.run(out, pictures, count, most, seed, told)

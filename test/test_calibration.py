@@ -6,29 +6,24 @@ import numpy as np
 import pytest
 from study import STUDY
 
-from asi_analysis import calibration
-from asi_analysis.calibration import (
+from asi_analysis.calibration import search
+from asi_analysis.calibration.cost import AIMS, INNER, cost, misses
+from asi_analysis.calibration.front import front
+from asi_analysis.calibration.quantities import (
     FREE,
-    INNER,
-    LINES,
     STRUCTURES,
     Candidate,
-    calibrate,
-    cost,
+    candidate,
     decode,
     encode,
-    load,
-    misses,
-    new_search,
     quantities,
     read_best,
-    result,
     write_best,
 )
+from asi_analysis.calibration.search import LINES, calibrate, load, new_search, result
 from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import SPRING, Conditions, StepTest
 from asi_analysis.facts.measures import step_test
-from asi_analysis.front import front
 
 SOME = ('valve_flexure.coil_frequency', 'conditions.lead_lag.gain')
 
@@ -41,12 +36,12 @@ def small_search():
 def test_points_of_the_cube_are_their_quantities():
     point = np.linspace(0.05, 0.95, len(FREE))
     assert encode(decode(point)) == pytest.approx(point)
-    one = calibration.candidate(decode(point), {}, Conditions())
+    one = candidate(decode(point), {}, Conditions())
     assert quantities(one) == pytest.approx(decode(point))
 
 
 def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibration, 'RACE', (4, 3, 2, 2, 2))
+    monkeypatch.setattr(search, 'RACE', (4, 3, 2, 2, 2))
     whole = calibrate(small_search(), 8, 1, tmp_path / 'whole')
     calibrate(small_search(), 4, 0, tmp_path / 'part')
     resumed = calibrate(load(tmp_path / 'part'), 8, 1, tmp_path / 'part')
@@ -63,22 +58,22 @@ def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
 def test_polish_steps_to_the_limits_and_not_through_others():
     """Two rows, two quantities: the first row is missed, the second would be by going too far."""
     here, slopes = np.full(len(LINES), -5.0), np.zeros((len(LINES), 2))
-    here[calibration.TWO_SIDED] = 0.0
-    two_sided = np.flatnonzero(calibration.TWO_SIDED)[:2]
+    here[search.TWO_SIDED] = 0.0
+    two_sided = np.flatnonzero(search.TWO_SIDED)[:2]
     here[two_sided[0]] = 2.0
     slopes[two_sided[0]] = -10.0, -10.0
     slopes[two_sided[1]] = 20.0, 0.0
-    after = calibration._step(np.array([0.5, 0.5]), here, slopes, 0.2) - 0.5
+    after = search._step(np.array([0.5, 0.5]), here, slopes, 0.2) - 0.5
     rows = here + slopes @ after
     assert np.all(np.abs(rows[two_sided]) < INNER)
     assert np.all(np.abs(after) <= 0.2)
     # Too short a reach: as far as it goes.
-    assert calibration._step(np.array([0.5, 0.5]), here, slopes, 0.01) == pytest.approx(0.51)
+    assert search._step(np.array([0.5, 0.5]), here, slopes, 0.01) == pytest.approx(0.51)
 
 
 def test_structures_hold_what_they_say():
-    search = new_search(Candidate({}, Conditions()), STRUCTURES['cylinder'], 1, 0.1)
-    assert result(search).actuator['force_sensor.mass_share'] == 0.0
+    cylinder = new_search(Candidate({}, Conditions()), STRUCTURES['cylinder'], 1, 0.1)
+    assert result(cylinder).actuator['force_sensor.mass_share'] == 0.0
     one = result(new_search(Candidate({}, Conditions()), STRUCTURES['one-load'], 1, 0.1))
     assert one.conditions.lead4.load == one.conditions.proportional.load
 
@@ -91,10 +86,10 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
         found = decode(problem.whole(point))
         seen.append(found['valve_hysteresis.radius'])
         middle = {fact.value: 0.5 * (fact.low + fact.high) if math.isfinite(fact.high)
-                  else 2.0 * fact.low + 1.0 for fact in calibration.AIMS}
+                  else 2.0 * fact.low + 1.0 for fact in AIMS}
         return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
 
-    monkeypatch.setattr(calibration.Problem, 'measure', measured)
+    monkeypatch.setattr(search.Problem, 'measure', measured)
     held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()), 8)
     assert [each.value for each in held] == pytest.approx(sorted(set(seen), reverse=True))
     assert [each.cost for each in held] == [0.0, 0.0]

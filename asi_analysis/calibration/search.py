@@ -1,16 +1,11 @@
 """
-`asi calibrate`: the parameters that bring the simulator closest to the published facts.
+The search for the parameters that bring the simulator closest to the published facts.
 
-What may vary is FREE; what is aimed at are the rows of `facts.table` with the role 'fitted'. A row
-costs nothing inside the inner part of its limits, so that no row is bettered at the expense of
-another that is met; outside, the cost grows like a pseudo-Huber loss, so that a row that cannot be
-met does not bend all the others. A waveform with a spike, a dip or a creep pays as well as a row
-that is missed. First CMA-ES (Hansen, "The CMA evolution strategy: a tutorial", 2016) over the
-whole box, each candidate given up as soon as it costs more than the better half of the last
-generation; then damped least squares from its best.
+First CMA-ES (Hansen, "The CMA evolution strategy: a tutorial", 2016) over the whole box, where
+only the best points of a generation are measured in full; then successive linear programs from
+its best.
 """
 
-import json
 import math
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,82 +15,31 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, completed, defaults
+from asi_analysis.calibration.cost import AIMS, INNER, bounded, cost, misses, one_sided
+from asi_analysis.calibration.quantities import (
+    FREE,
+    TESTS,
+    Candidate,
+    Structure,
+    candidate,
+    decode,
+    encode,
+    quantities,
+)
 from asi_analysis.errors import InputError
 from asi_analysis.facts import measures
 from asi_analysis.facts.bench import Values
-from asi_analysis.facts.conditions import Conditions, StepTest
+from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
-from asi_analysis.facts.table import FACTS, FITTED, Fact
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
-from asi_controller.compensator import OWN_GAIN
-from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 Array = npt.NDArray[np.float64]
 
-
-class Free(NamedTuple):
-    """A free quantity: a parameter of the actuator, or 'conditions.TEST.NAME' of Table 1."""
-
-    name: str
-    low: float
-    high: float
-    logarithmic: bool = True
-
-
-FREE: Final = (
-    Free('valve_flexure.coil_frequency', 14.0, 40.0),
-    Free('valve_flexure.natural_frequency', 150.0, 2500.0),
-    Free('valve_flexure.damping_ratio', 0.2, 2.0, False),
-    Free('valve_flexure.delay', 5e-5, 2.5e-3),
-    Free('force_sensor.natural_frequency', 200.0, 2500.0),
-    Free('force_sensor.card_frequency', 200.0, 5000.0),
-    Free('force_sensor.delay', 5e-5, 1.5e-3),
-    Free('force_sensor.mass_share', 0.0, 1.0, False),
-    Free('valve_hysteresis.radius', 8.0, 30.0, False),
-    Free('valve_hysteresis.lag_time', 2e-4, 4e-3),
-    Free('valve_hysteresis.rate_exponent', 0.0, 1.0, False),
-    Free('valve_hysteresis.rate_filter', 60.0, 10000.0),
-    Free('valve_hysteresis.saturation', 900.0, 8000.0),
-    Free('hydraulic_damping.centre_share', 0.02, 1.0),
-    Free('hydraulic_damping.saturation_velocity', 0.01, 0.8),
-    Free('hydraulic_damping.saturation_shift', -0.7, 0.7, False),
-    Free('hydraulic_damping.saturation_narrowing', -0.7, 0.7, False),
-    Free('hydraulic_damping.velocity_width', 0.01, 0.4),
-    Free('hydraulic_damping.width_growth', 0.0, 3.0, False),
-    Free('hydraulic_damping.viscous', 5.0, 5000.0),
-    Free('friction.presliding_stiffness', 3e4, 2e6),
-    Free('friction.presliding_damping', 5.0, 3000.0),
-    Free('load.mass', 0.2, 5.0),
-    Free('load.locked_stiffness', 1e5, 2e7),
-    Free('load.locked_damping', 10.0, 10000.0),
-    Free('conditions.proportional.amplitude_n', 100.0, 850.0),
-    Free('conditions.proportional.load.mass', 0.2, 6.0),
-    Free('conditions.proportional.load.stiffness', 4e3, 5e5),
-    Free('conditions.proportional.load.damping', 1.0, 1500.0),
-    Free('conditions.lead_lag.gain', 3.0, 45.0),
-    Free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, False),
-    Free('conditions.lead_lag.amplitude_n', 50.0, 750.0),
-    Free('conditions.lead4.gain', 0.5, 30.0),
-    Free('conditions.lead4.lead4.zero_frequency', 60.0, 800.0),
-    Free('conditions.lead4.lead4.ratio', 1.2, 14.0),
-    Free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0),
-    Free('conditions.lead4.amplitude_n', 50.0, 750.0),
-)
 # For the search only: coarse, as long as every row moves by less than a tenth of its limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.0015
-# Share of a row's half width, from the middle, that costs nothing.
-INNER: Final = 0.85
-# Half widths beyond which a row only costs this share more: it shall not bend all the others.
-FAR: Final = 1.0
-FAR_SHARE: Final = 0.3
-# Half widths of a row that does not exist: the force does not settle, there is no cycle.
-WORST: Final = 9.0
-# Cost of a waveform that is not one rise.
-WRONG_SHAPE: Final = 1.5
 # So many of the points of a generation are measured in each stage: a race.
 RACE: Final = (64, 16, 8, 6, 4)
 # Sorts a point that left the race behind every point that went on.
@@ -106,118 +50,6 @@ LEAST_REACH: Final = 0.003
 MOST_REACH: Final = 0.25
 SHARES: Final = (2.0, 1.0, 0.4, 0.15)
 STEEPEST: Final = 80.0
-
-
-class Structure(NamedTuple):
-    """A structure of the model to search: what it says, and the quantities that it holds fixed."""
-
-    words: str
-    fixed: Mapping[str, float] = {}
-    one_load: bool = False        # all three controllers of Table 1 on the load of the first
-
-
-STRUCTURES: Final[Mapping[str, Structure]] = {
-    'side': Structure('the sensor feels any share of the inertia of the mass'),
-    'cylinder': Structure('the sensor between cylinder and piston: it feels all of the inertia',
-                          {'force_sensor.mass_share': 0.0}),
-    'one-load': Structure('as side, with one load for all of Table 1', one_load=True),
-}
-TESTS: Final = ('proportional', 'lead_lag', 'lead4')
-
-
-class Candidate(NamedTuple):
-    """A point of the search as what it stands for."""
-
-    actuator: Values
-    conditions: Conditions
-
-
-def decode(point: Array) -> dict[str, float]:
-    """Return the quantities that belong to a point of the unit cube."""
-    found = {}
-    for free, share in zip(FREE, np.clip(point, 0.0, 1.0), strict=True):
-        found[free.name] = float(free.low * (free.high / free.low) ** share if free.logarithmic
-                                 else free.low + (free.high - free.low) * share)
-    return found
-
-
-def encode(quantities: Mapping[str, float]) -> Array:
-    """Return the point of the unit cube that belongs to quantities, limited to the cube."""
-    return np.clip([
-        math.log(quantities[free.name] / free.low) / math.log(free.high / free.low)
-        if free.logarithmic else (quantities[free.name] - free.low) / (free.high - free.low)
-        for free in FREE], 0.0, 1.0)
-
-
-def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions,
-              one_load: bool = False) -> Candidate:
-    """Return actuator and conditions: those of `fixed` and `base`, changed by `quantities`."""
-    actuator: dict[str, Value] = dict(fixed)
-    tests: dict[str, StepTest] = {name: getattr(base, name) for name in TESTS}
-    for name, value in quantities.items():
-        kind, _, rest = name.partition('.')
-        if kind != 'conditions':
-            actuator[name] = value
-            continue
-        which, _, parameter = rest.partition('.')
-        test = tests[which]
-        if parameter == 'amplitude_n':
-            tests[which] = test._replace(amplitude_n=value)
-        elif parameter.startswith('load.'):
-            tests[which] = test._replace(load={**test.load, parameter: value})
-        else:
-            tests[which] = test._replace(controller={**test.controller, parameter: value})
-    if one_load:
-        tests = {name: test._replace(load=tests['proportional'].load)
-                 for name, test in tests.items()}
-    return Candidate(actuator, base._replace(
-        proportional=tests['proportional'], lead_lag=tests['lead_lag'], lead4=tests['lead4']))
-
-
-def one_sided(fact: Fact) -> bool:
-    """Return whether a fact only has a limit: at least, or at most from a published 0."""
-    return math.isinf(fact.high) or fact.low == 0.0
-
-
-def position(fact: Fact, value: float) -> float:
-    """
-    Return where a value is: beyond -1 to 1 it misses the fact; above 1 if the limit is one-sided.
-
-    In half widths of the limits from their middle; of a single limit, in fifths of it (as it is,
-    if it is 0), 1 at the limit.
-    """
-    if not one_sided(fact):
-        return (value - 0.5 * (fact.low + fact.high)) / (0.5 * (fact.high - fact.low))
-    limit = fact.low if math.isinf(fact.high) else fact.high
-    beyond = limit - value if math.isinf(fact.high) else value - limit
-    return 1.0 + beyond / (0.2 * abs(limit) or 1.0)
-
-
-def miss(fact: Fact, value: float) -> float:
-    """Return how far a value is outside the inner part of a fact's limits, in half widths."""
-    if fact.low == fact.high:
-        return 0.0 if value == fact.low else WRONG_SHAPE
-    where = _bounded(fact, value)
-    return max(0.0, (where if one_sided(fact) else abs(where)) - INNER)
-
-
-def _bounded(fact: Fact, value: float) -> float:
-    if not math.isfinite(value):
-        return WORST
-    return min(max(position(fact, value), -WORST), WORST)
-
-
-AIMS: Final = tuple(fact for fact in FACTS if fact.role == FITTED)
-
-
-def cost(misses: Iterable[float]) -> float:
-    """Return the cost of misses."""
-    return float(sum(min(m, FAR + FAR_SHARE * (m - FAR)) for m in misses))
-
-
-def misses(measured: Measured) -> list[float]:
-    """Return the misses of the rows that have been measured so far."""
-    return [miss(fact, measured[fact.value]) for fact in AIMS if fact.value in measured]
 
 
 def stages(one: Candidate, measured: Measured) -> Mapping[str, Callable[[], Measured]]:
@@ -298,8 +130,8 @@ class Search:
         self.problem = problem
         self.counts = [0] * len(RACE)
         self.polished = 0
-        self.best_cost = math.inf
         self.best = problem.start[list(problem.free)]
+        self.best_cost = cost(misses(problem.measure(self.best)))
         self.strategy = cma.CMAEvolutionStrategy(
             self.best, spread, {'seed': seed, 'popsize': RACE[0], 'verbose': -9,
                                 'maxfevals': math.inf})
@@ -400,7 +232,7 @@ TWO_SIDED: Final = np.array([not one_sided(fact) for fact in LINES])
 
 def _bounds(measured: Measured) -> Array:
     """Return where each row that has limits is, in half widths."""
-    return np.array([_bounded(fact, measured[fact.value]) for fact in LINES])
+    return np.array([bounded(fact, measured[fact.value]) for fact in LINES])
 
 
 def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
@@ -430,7 +262,7 @@ def load(path: Path) -> Search:
     """Return a search that was saved. Raises InputError if there is none in the file."""
     try:
         found = pickle.loads(path.read_bytes())
-    except (OSError, pickle.UnpicklingError, EOFError, AttributeError) as error:
+    except (OSError, pickle.UnpicklingError, EOFError, ImportError, AttributeError) as error:
         raise InputError(f'{path} holds no state of a calibration: {error}') from None
     if not isinstance(found, Search):
         raise InputError(f'{path} holds no state of a calibration')
@@ -455,8 +287,9 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     free = tuple(k for k, name in enumerate(names)
                  if name not in structure.fixed and (not only or name in only))
     known = {**quantities(start), **structure.fixed}
-    return Search(Problem({**start.actuator, **SEARCH}, start.conditions, free, encode(known),
-                          structure.one_load), seed, spread)
+    problem = Problem({**start.actuator, **SEARCH}, start.conditions, free, encode(known),
+                      structure.one_load)
+    return Search(problem, seed, spread)
 
 
 def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
@@ -481,78 +314,3 @@ def result(search: Search) -> Candidate:
     best = search.problem.candidate(search.best)
     return best._replace(actuator={name: value for name, value in best.actuator.items()
                                    if name not in SEARCH})
-
-
-def write_best(one: Candidate, path: Path) -> None:
-    """Write a candidate as JSON: parameters of the actuator, and the tests of Table 1."""
-    tests = {name: getattr(one.conditions, name)._asdict() for name in TESTS}
-    path.write_text(json.dumps({'actuator': one.actuator, 'table_1': tests}, indent=2) + '\n')
-
-
-def read_best(path: Path) -> Candidate:
-    """Return a candidate that `write_best` wrote. Raises InputError if the file holds none."""
-    try:
-        document = json.loads(path.read_text())
-        tests = {name: StepTest(**document['table_1'][name]) for name in TESTS}
-        return Candidate(document['actuator'], Conditions(
-            proportional=tests['proportional'], lead_lag=tests['lead_lag'],
-            lead4=tests['lead4']))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f'{path} holds no result of a calibration: {error}') from None
-
-
-def quantities(one: Candidate) -> dict[str, float]:
-    """Return the quantities of FREE that belong to a candidate, by name."""
-    actuator = completed(one.actuator, ACTUATOR_PARAMETERS)
-    controller = defaults(COMPENSATOR_PARAMETERS)
-    found = {}
-    for free in FREE:
-        kind, _, rest = free.name.partition('.')
-        if kind != 'conditions':
-            found[free.name] = float(actuator[free.name])
-            continue
-        which, _, parameter = rest.partition('.')
-        test: StepTest = getattr(one.conditions, which)
-        own = {**actuator, **controller, 'gain': OWN_GAIN[which], **test.controller, **test.load,
-               'amplitude_n': test.amplitude_n}
-        found[free.name] = float(own[parameter])
-    return found
-
-
-def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spread: float,
-        start: Path | None, only: Sequence[str], report: Progress) -> dict[str, Any]:
-    """
-    Do what `asi calibrate` is asked to; return its document.
-
-    structure: a name of STRUCTURES. Raises InputError for a start, a state or a name that is not
-    there.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    state = out / 'state.pickle'
-    if state.exists():
-        search = load(state)
-    else:
-        search = new_search(read_best(start) if start else Candidate({}, Conditions()),
-                            STRUCTURES[structure], seed, spread, only)
-    calibrate(search, evaluations, rounds, state, report)
-    write_best(result(search), out / 'best.json')
-    measured = search.problem.measure(search.best)
-    names = stages(result(search), {})
-    return {'evaluations': search.evaluations,
-            'stages': dict(zip(names, search.counts, strict=True)),
-            'polish_evaluations': search.polished, 'cost': cost(misses(measured)),
-            'best': str(out / 'best.json'),
-            'met': sum(fact.met(measured[fact.value]) for fact in AIMS), 'total': len(AIMS),
-            'not_met': [fact.value for fact in AIMS if not fact.met(measured[fact.value])]}
-
-
-def as_text(document: Mapping[str, Any]) -> str:
-    """Return what came out, for people."""
-    lines = [f'{document["evaluations"]} evaluations and {document["polish_evaluations"]} of the '
-             f'polish, cost {document["cost"]:.4g}; {document["met"]} of {document["total"]} rows '
-             'that were aimed at are met',
-             'measured by stage: ' + ', '.join(f'{name} {count}' for name, count
-                                               in document['stages'].items())]
-    if document['not_met']:
-        lines.append('not met: ' + ', '.join(document['not_met']))
-    return '\n'.join([*lines, f'best: {document["best"]}'])

@@ -15,18 +15,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.calibration import (
-    AIMS,
-    FREE,
-    SEARCH,
-    Candidate,
-    Problem,
-    decode,
-    encode,
-    one_sided,
-    position,
-    quantities,
-)
+from asi_analysis.calibration.cost import AIMS, one_sided, position
+from asi_analysis.calibration.quantities import FREE, Candidate, decode, encode, quantities
+from asi_analysis.calibration.search import SEARCH, Problem
 from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured
@@ -207,7 +198,8 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Pro
     out: directory of the members; pictures: directory of the pictures and the sensitivity table.
     Raises InputError if there is no member.
     """
-    from asi_analysis import ensemble_figures, figures
+    from asi_analysis import figures
+    from asi_analysis.calibration import ensemble_figures
     best = Candidate({}, Conditions())
     problem = problem_of(best)
     found = slopes(problem, report)

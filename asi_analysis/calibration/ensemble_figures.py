@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from asi_analysis.calibration import FREE
-from asi_analysis.ensemble import PHYSICAL, Member
+from asi_analysis.calibration.ensemble import PHYSICAL, Member
+from asi_analysis.calibration.quantities import FREE
 from asi_analysis.figures import BLUE, ORANGE, WIDTH_IN, style
 
 MOST_PAIRED = 8

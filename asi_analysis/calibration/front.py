@@ -11,16 +11,9 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from asi_analysis.calibration import (
-    AIMS,
-    Candidate,
-    Structure,
-    cost,
-    misses,
-    new_search,
-    read_best,
-    result,
-)
+from asi_analysis.calibration.cost import AIMS, cost, misses
+from asi_analysis.calibration.quantities import Candidate, Structure, read_best
+from asi_analysis.calibration.search import new_search, result
 from asi_analysis.errors import InputError
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.measures import Measured

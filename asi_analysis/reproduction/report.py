@@ -9,8 +9,8 @@ import numpy as np
 from asi_analysis.facts.linear import linear_model
 from asi_analysis.facts.stated import stated
 from asi_analysis.report import write_report
-from asi_analysis.reproduction import Reproduction, as_document
-from asi_analysis.reproduction_figures import paper_figures
+from asi_analysis.reproduction.answer import Reproduction, as_document
+from asi_analysis.reproduction.figures import paper_figures
 
 
 def write_reproduction_report(result: Reproduction, out: Path) -> Path:

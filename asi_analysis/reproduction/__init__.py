@@ -1,0 +1,1 @@
+"""Every published fact beside what the simulator says."""
