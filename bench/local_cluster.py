@@ -27,7 +27,7 @@ def cluster(workers: int, folder: Path) -> Iterator[str]:
                 stderr=log))
             stack.callback(process.terminate)
         from distributed import Client
-        with Client(scheduler_file=str(file), timeout=30.0, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=30.0)
+        with Client(scheduler_file=str(file), timeout=120.0, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=120.0)
             address = client.scheduler.address
         yield address

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 # Domains whose ports stay below those that Linux gives to clients.
 DOMAINS = range(30, 100)
 # Generous: a process starts in two seconds, but a busy machine takes far longer.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 # Looks in a row that find nothing new are silence: a machine that stands still takes only one.
 SILENT_LOOKS = 20
 LOOK_S = 0.05
@@ -36,13 +36,12 @@ settings.load_profile('suite')
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S,
-               evidence: Callable[[], str] = str) -> Any:
+def wait_until(condition: Callable[[], Any], what: str, evidence: Callable[[], str] = str) -> Any:
     """Return condition() once it is true; fail, naming `what` with its evidence(), if never."""
-    end = time.monotonic() + timeout_s
+    end = time.monotonic() + PATIENCE_S
     while not (result := condition()):
         if time.monotonic() > end:
-            pytest.fail(f'not within {timeout_s:g} s: {what} {evidence()}')
+            pytest.fail(f'not within {PATIENCE_S:g} s: {what} {evidence()}')
         time.sleep(0.01)
     return result
 
@@ -115,12 +114,12 @@ class NodeProcess:
         """Send it a signal."""
         self._process.send_signal(number)
 
-    def exit_status(self, timeout_s: float = PATIENCE_S) -> int:
+    def exit_status(self) -> int:
         """Wait until it ends by itself and return its exit status."""
         try:
-            return self._process.wait(timeout_s)
+            return self._process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
-            pytest.fail(f'has not ended within {timeout_s:g} s: {self.text}')
+            pytest.fail(f'has not ended within {PATIENCE_S:g} s: {self.text}')
 
     def stop(self) -> int:
         """End it as a user does, by SIGINT, and return its exit status."""

@@ -26,7 +26,7 @@ def asi(*arguments, **options):
     """Run the command in a process of its own, as a user does."""
     return subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', *arguments], capture_output=True, text=True,
-        timeout=100, env={**os.environ, 'PYTHONPATH': str(ROOT)}, **options)
+        env={**os.environ, 'PYTHONPATH': str(ROOT)}, **options)
 
 
 @pytest.mark.parametrize('command', ['run', 'analyze', 'import', 'export', 'reproduce', 'demo',
@@ -43,7 +43,7 @@ def test_help_loads_nothing_heavy():
             'heavy = {"rclpy", "numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)\n'
             'sys.exit(f"loaded: {heavy}" if heavy else 0)')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            timeout=PATIENCE_S, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert result.returncode == 0, result.stderr
 
 
@@ -292,7 +292,7 @@ def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(tmp_path / 'run'),
          '--duration', '0.2', '--set', 'actuator.force_sensor.offset=3000'],
-        env=ros_environment, capture_output=True, text=True, timeout=100)
+        env=ros_environment, capture_output=True, text=True)
     assert result.returncode == 1
     assert 'limit.force = 2500 N' in result.stderr and 'Traceback' not in result.stderr
     assert str(tmp_path / 'run' / 'bag') in result.stderr.replace('\n', '')

@@ -58,7 +58,6 @@ def test_line_is_the_experiment_that_was_imagined(experiment: Experiment) -> Non
         settings(experiment, 300.0), CONTROLLER_PARAMETERS)
 
 
-@pytest.mark.timeout(600)
 def test_experiment_that_would_not_move_the_nominal_actuator_is_left_out(monkeypatch: Any) -> None:
     group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][0]
     late = group.nominal.copy()

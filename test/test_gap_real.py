@@ -35,7 +35,6 @@ def press(name: str) -> Run:
 
 
 @needs_data
-@pytest.mark.timeout(600)
 def test_joint_with_coulomb_friction():
     runs = [emps('DATA_EMPS.mat'), emps('DATA_EMPS_PULSES.mat')]
     diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])
@@ -54,7 +53,6 @@ def test_joint_with_coulomb_friction():
 
 
 @needs_data
-@pytest.mark.timeout(600)
 def test_press_with_lag_and_dead_time():
     runs = [press(f'actuator_chirp_damper_{current}.txt.gz') for current in ('0A', '1A')]
     answer = document(diagnose(runs, {}, 'joint', held_out=[False, True]))

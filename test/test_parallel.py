@@ -21,7 +21,6 @@ def peak(gain: float, folder: Path) -> tuple[float, int]:
     return float(run.force_n.max()), os.getpid()
 
 
-@pytest.mark.timeout(300)
 def test_processes_and_a_cluster_that_loses_a_worker_return_the_same(tmp_path: Path) -> None:
     pytest.importorskip('distributed', reason='the extra `cluster` is not installed')
     from bench.local_cluster import cluster

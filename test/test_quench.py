@@ -108,7 +108,7 @@ def test_command_prints_what_is_documented_and_fails_when_it_finds_a_cycle(tmp_p
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'quench', '--gain', '10', '--conditions', '8',
          '--report', str(tmp_path), '--json'],
-        capture_output=True, text=True, timeout=100)
+        capture_output=True, text=True)
     document = json.loads(result.stdout)
     assert problems(document, 'asi quench') == []
     assert document['sustained_found'] and result.returncode == 1

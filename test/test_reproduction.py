@@ -80,7 +80,7 @@ def test_bandwidth_of_a_first_order_lag():
 
 def test_reproduce_prints_the_documented_json():
     answer = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', 'reproduce', '--json'],
-                            capture_output=True, text=True, timeout=300, check=True)
+                            capture_output=True, text=True, check=True)
     document = json.loads(answer.stdout)
     assert problems(document, 'asi reproduce') == []
     assert {fact['id'] for fact in document['facts']} == {f'F{k}' for k in range(1, 19)}
