@@ -42,6 +42,7 @@ EFFECT_FIELDS = (
     'command_delay',            # s
     'command_quantum',          # N
     'command_phase',            # of its steps: 0 has a step's middle at zero, 0.5 an edge
+    'command_truncated',        # 1: cut off towards zero, as a cast to integers does
     'command_bias',             # N
     'loop_width',               # N, largest half width of the plays
     'loop_share',               # share of the command that goes through the plays
@@ -195,8 +196,10 @@ def valve(command, p, e, period, count, out):
             u = held_command(command, k + j / count - wait, 1.0 / count)
             u = min(max(u, -p.command_limit), p.command_limit)
             if e.command_quantum > 0.0:
-                u = e.command_quantum * (math.floor(u / e.command_quantum + 0.5 - e.command_phase)
-                                         + e.command_phase)
+                steps = u / e.command_quantum
+                u = e.command_quantum * (
+                    float(int(steps)) if e.command_truncated > 0.5 else
+                    math.floor(steps + 0.5 - e.command_phase) + e.command_phase)
             u += e.command_bias
             filtered = u + (filtered - u) * decay
             flux_before = flux

@@ -95,9 +95,10 @@ EFFECTS: tuple[Effect, ...] = (
                 needs=('valve_flexure_model', 'valve_flexure_delay')),
     )),
     Effect('command_quantisation', COMMAND_PATH, 'the command comes in steps', (
-        *(Variant((Free('command_quantum', 0.97, 1.03, (1.0,), seen, 'N'),), VALVE_SIDE,
-                  (('command_phase', phase),))
-          for phase, seen in ((0.0, 'residual_step'), (0.5, 'residual_step_edge'))),
+        *(Variant((Free('command_quantum', 0.97, 1.03, (1.0,), seen, 'N'),), VALVE_SIDE, fixed)
+          for seen, fixed in (('residual_step', (('command_phase', 0.0),)),
+                              ('residual_step_edge', (('command_phase', 0.5),)),
+                              ('residual_step_zero', (('command_truncated', 1.0),)))),
     )),
     Effect('valve_hysteresis', VALVE, 'the valve lags behind a turning command', (
         Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),

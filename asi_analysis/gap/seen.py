@@ -6,6 +6,7 @@ are fitted already could do as well is taken away first, so that it hides nothin
 """
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +38,8 @@ def seen(fitted: Fitted) -> Values:
     Return where a fit's first recording shows effects that are narrow places.
 
     residual_frequency: of the strongest wave in the load, Hz; residual_start, residual_end: of
-    its strongest pulse, s; residual_step, residual_step_edge: of the command (N) with a step's
-    middle at zero, with an edge there.
+    its strongest pulse, s; residual_step, residual_step_edge, residual_step_zero: of the command
+    (N) with a step's middle at zero, with an edge there, cut off towards zero.
     """
     group = fitted.problem.group
     found: Values = {}
@@ -142,7 +143,7 @@ def _pulse(left: Array, known: Array, period: float) -> Values:
 
 
 def _steps(fitted: Fitted, channel: str) -> Values:
-    """Return the steps of the command that explain most, both ways that they may lie."""
+    """Return the steps of the command that explain most, in each way that they may lie."""
     recording = fitted.problem.group.recordings[0]
     command = recording.command
     assert command is not None
@@ -151,18 +152,21 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     response = _response(recording, fitted.record, count)
     largest = float(np.abs(command).max())
 
-    def explained(step: float, phase: float) -> float:
-        change = step * (np.floor(command / step + 0.5 - phase) + phase) - command
+    def explained(step: float, steps: Callable[[Array], Array]) -> float:
+        change = step * steps(command / step) - command
         moved = np.fft.irfft(response * np.fft.rfft(change, count), count)[:command.size]
         size = float(moved @ moved) - float(np.sum((known.T @ moved) ** 2))
         return max(float(moved @ left), 0.0) ** 2 / max(size, 1e-300)
 
     found = {}
-    for name, phase in (('residual_step', 0.0), ('residual_step_edge', 0.5)):
+    ways: dict[str, Callable[[Array], Array]] = {
+        'residual_step': np.round, 'residual_step_edge': lambda u: np.floor(u) + 0.5,
+        'residual_step_zero': np.trunc}
+    for name, steps in ways.items():
         best = 0.0
         for tried in (STEPS, NEARBY):
-            steps = best + tried
-            best = float(steps[np.argmax([explained(largest / n, phase) for n in steps])])
+            counts = best + tried
+            best = float(counts[np.argmax([explained(largest / n, steps) for n in counts])])
         found[name] = largest / best
     return found
 
