@@ -298,9 +298,10 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             for name, signal in zip('ufzxv', clean, strict=True)}
     size |= {'z': size['z'] / true['full_opening'], 'k': true['stiffness'],
              'full': true['full_opening']}
-    if world == 'foreign':
-        for name in other.choice(TRIFLING, TRIFLES, replace=False):
-            true |= trifling(draw_effect(str(name), other, size, 'textbook'))
+    trifles = tuple(map(str, other.choice(TRIFLING, TRIFLES, replace=False)
+                        if world == 'foreign' else ()))
+    for name in trifles:
+        true |= trifling(draw_effect(name, other, size, 'textbook'))
     without = plant(true)
 
     for _ in range(30):
@@ -333,6 +334,8 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             break
         if kind == 'small' and 0.0 <= seen <= INVISIBLE or kind != 'small' and seen >= VISIBLE:
             break
+    if trifles and kind in ('none', 'small'):   # to see one of them after all is no false alarm
+        kind, chosen = 'small', (*chosen, *trifles)
     truth = plant(values)
     recording = simulate(truth, reference, bench, seed)
     return Case(seed, world, excitation, load, chosen, kind, seen, nominal, truth, without,

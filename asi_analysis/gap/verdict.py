@@ -66,6 +66,7 @@ class Constants(NamedTuple):
 CONSTANTS = Constants()
 NEAR_NOISE = 0.1   # of the noise's mean square: by less no two hypotheses are told apart
 LEAST = 0.01       # of the floor: less is never seen
+BELOW_FLOOR = math.log(4.0)   # log odds of an effect where the nominal model leaves no more
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
@@ -306,9 +307,7 @@ def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
 
     Above the floor, and above what the formulation of the effects before is not trusted with.
     """
-    # Errors of a model go on through a recording, so twice the length does not tell twice as much.
-    samples = c.samples * math.sqrt(e.held_out_s / USUAL_S)
-    gain = 0.0
+    samples, gain = _samples(e, c), 0.0
     for channel, floor in e.floor.items():
         first, second = e.left[before][channel], e.left[after][channel]
         explained = max(e.left[()][channel] - first, 0.0)
@@ -317,6 +316,22 @@ def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
         level = floor ** (1.0 - c.seen) * least ** c.seen + c.formulation ** 2 * explained
         gain += 0.5 * samples * math.log((first + level) / (second + level))
     return gain
+
+
+def _samples(e: Evidence, c: Constants) -> float:
+    # Errors of a model go on through a recording, so twice the length does not tell twice as much.
+    return c.samples * math.sqrt(e.held_out_s / USUAL_S)
+
+
+def _at_most(e: Evidence, c: Constants) -> float:
+    """
+    Return the most log evidence against the nominal model that a recording may hold.
+
+    What leaves no more than the floor, which any model may leave, is hardly wrong, whatever else
+    leaves less.
+    """
+    return BELOW_FLOOR + 0.5 * _samples(e, c) * sum(
+        max(math.log(e.left[()][channel] / floor), 0.0) for channel, floor in e.floor.items())
 
 
 def doubt(e: Evidence, best: Names, c: Constants) -> float:
@@ -350,6 +365,7 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
         score[count] = (score[count - 1] - (c.second if count > 1 else c.price)
                         + _worth(e, c, best[count - 1], best[count]))
     highest = max(score.values())
+    score[0] = max(0.0, highest - _at_most(e, c))
     weight = {count: math.exp(value - highest) for count, value in score.items()}
     chance = {}
     for names, value in which.items():
