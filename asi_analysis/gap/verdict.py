@@ -66,7 +66,7 @@ class Constants(NamedTuple):
 CONSTANTS = Constants()
 NEAR_NOISE = 0.1   # of the noise's mean square: by less no two hypotheses are told apart
 LEAST = 0.01       # of the floor: less is never seen
-BELOW_FLOOR = math.log(4.0)   # log odds of an effect where the nominal model leaves no more
+BELOW_FLOOR = -0.7   # log odds of an effect where the nominal model leaves no more
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
