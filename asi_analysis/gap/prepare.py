@@ -35,6 +35,7 @@ RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
 REPEATED = 1e-6         # of its range: how far commands that are the same may differ
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
+UNSEEN = 0.01           # share of the held-out samples beyond what the fitted parts reach
 SHARED = 0.3            # a signal with fewer values than this share of its samples comes in steps
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 ALIKE = 0.25            # size of a velocity over that of its position's derivative, or its inverse
@@ -306,6 +307,20 @@ def split(count: int, period: float) -> tuple[Mask, Mask]:
     return usable & (part % 2 == 0), usable & (part % 2 == 1)
 
 
+def _falls_short(driving: Array, fit: Mask, held: Mask) -> bool:
+    """
+    Return whether the parts to fit on miss the largest of what drives a joint, the others less so.
+
+    What they have not seen is not judged: a drive that saturates there would have no gap.
+    """
+    size = np.abs(driving)
+
+    def beyond(some: Mask, others: Mask) -> float:
+        return float(np.mean(size[some] > size[others].max()))
+
+    return bool(fit.any() and held.any() and beyond(held, fit) > max(UNSEEN, beyond(fit, held)))
+
+
 def _ends(count: int, period: float) -> Mask:
     """Return the samples at both ends of a recording in which a high-pass still rings."""
     time = period * np.arange(count)
@@ -374,6 +389,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         for name in MEASURED & moving.keys():   # what is cut off was not measured
             sound = ~clipped(moving[name])
             fit, held = fit & sound, held & sound
+        if drive != 'valve' and _falls_short(next(iter(moving.values())), fit, held):
+            fit, held = held, fit
         if held_out is not None and held_out[number]:
             fit, held = np.zeros_like(fit), fit | held
         recordings.append(Recording(
