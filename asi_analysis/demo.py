@@ -1,7 +1,7 @@
 """
 `asi demo`: the paper's experiments over ROS, one after the other, and the report of them.
 
-What is run is here; the report (`report.py`) only shows it.
+What is run is here; the report (`demo_report.py`) only shows it.
 """
 
 import shutil

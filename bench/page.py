@@ -60,24 +60,29 @@ def cost_against_size(measured: Measured) -> Figure:
     picture = Figure(figsize=(4.4 * len(chosen), 3.2), layout='constrained')
     axes = picture.subplots(1, len(chosen), squeeze=False)
     for name, ax in zip(chosen, axes[0], strict=True):
+        sizes: set[float] = set()
         for points in curves(results_of(measured[name])).values():
-            ax.loglog([p.at for p in points], [p.value for p in points], 'o-',
-                      label=points[0].what)
+            ax.semilogx([p.at for p in points], [p.value for p in points], 'o-',
+                        label=points[0].what)
+            sizes |= {p.at for p in points if p.at is not None}
             ax.set_ylabel(points[0].unit)
         ax.set_xlabel(SIZES[name])
+        ax.set_xticks(sorted(sizes), [f'{size:g}' for size in sorted(sizes)], minor=False)
+        ax.set_xticks([], minor=True)
+        ax.set_ylim(bottom=0.0)
         ax.legend(fontsize=7)
     return picture
 
 
 def error_against_time(measured: Measured) -> Figure:
     """Draw the error of each solver against the time that it takes."""
-    picture = Figure(figsize=(5.6, 3.6), layout='constrained')
+    picture = Figure(figsize=(5.6, 4.0), layout='constrained')
     ax = picture.subplots()
     for points in curves(results_of(measured['rivals'])).values():
         ax.loglog([p.value for p in points], [p.at for p in points], 'o-', label=points[0].what)
     ax.set_xlabel('time for a simulated second, s')
     ax.set_ylabel('largest error of the force, share of its size')
-    ax.legend(fontsize=7)
+    picture.legend(fontsize=7, ncols=3, loc='outside upper center')
     return picture
 
 

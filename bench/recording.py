@@ -31,8 +31,6 @@ ROOT: Final = Path(__file__).parents[1]
 TICKS: Final = 20_000
 RATES_HZ: Final = (1000, 2000, 3000, 4000, 5000)
 TOPICS: Final = 6
-# The head of a message in MCAP: 9 bytes of record, 22 of message.
-HEAD_BYTES: Final = 31
 
 
 def a_run(ticks: int) -> Run:

@@ -23,13 +23,11 @@ RATE_HZ = 5000.0
 
 
 @pytest.mark.parametrize('amplitude', [15.0, 20.0, 100.0, 1000.0])
-def test_play_is_its_closed_form_and_python_controls(amplitude):
+def test_play_is_python_controls(amplitude):
     p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
-    closed = describing.play_closed_form(amplitude, 14.0)
+    # Its backlash: b is the whole width. One amplitude at a time: it forgets.
+    closed = control.friction_backlash_nonlinearity(28.0).describing_function(amplitude)
     assert describing.hysteresis(amplitude, 50.0, 0.0, p) == pytest.approx(closed, abs=2e-3)
-    # python-control's backlash: b is the whole width. One amplitude at a time: it forgets.
-    assert control.friction_backlash_nonlinearity(28.0).describing_function(
-        amplitude) == pytest.approx(closed, abs=1e-9)
 
 
 def test_play_passes_nothing_of_a_sine_within_it():
@@ -50,7 +48,7 @@ def test_characteristic_is_its_closed_form(amplitude, bias):
 def test_fast_sliding_is_coulomb_friction():
     p = as_record({'friction.presliding_stiffness': 1e8, 'friction.presliding_damping': 0.0})
     assert describing.seal_friction(5.0, 10.0, p).real == pytest.approx(
-        describing.coulomb_closed_form(5.0, 7.0), rel=0.02)
+        4.0 * 7.0 / (np.pi * 5.0), rel=0.02)   # 4 F / (pi A)
 
 
 def test_damping_of_a_small_motion_is_its_slope():

@@ -1,7 +1,7 @@
 """
 Sustained oscillations, measured fast enough for searches: frequency, amplitude, distortion, onset.
 
-`asi_analysis.oscillation` measures the same on recordings with noise; test_facts.py compares.
+`asi_analysis.oscillation` measures the same on recordings with noise; a test compares them.
 """
 
 import math

@@ -90,24 +90,9 @@ def seal_friction(amplitude_m_s: float, frequency_hz: float, p: np.void) -> comp
     return complex(_friction(amplitude_m_s, frequency_hz, p))
 
 
-def play_closed_form(amplitude: float, half_width: float) -> complex:
-    """Return N of a play of constant half width, 0 if the sine does not take up the play."""
-    if amplitude <= half_width:
-        return 0j
-    x = 1.0 - 2.0 * half_width / amplitude
-    real = (math.pi / 2.0 + math.asin(x) + x * math.sqrt(1.0 - x * x)) / math.pi
-    imaginary = -4.0 * half_width / (math.pi * amplitude) * (1.0 - half_width / amplitude)
-    return complex(real, imaginary)
-
-
 def saturation_closed_form(amplitude: float, limit: float, bias: float = 0.0) -> float:
     """Return N of a unit slope that saturates at ± limit, for bias + A sin."""
     def share(x: float) -> float:
         x = min(max(x, -1.0), 1.0)
         return (math.asin(x) + x * math.sqrt(1.0 - x * x)) / math.pi
     return share((limit - bias) / amplitude) + share((limit + bias) / amplitude)
-
-
-def coulomb_closed_form(amplitude: float, force: float) -> float:
-    """Return N of a force of constant size against the motion: 4 F / (pi A)."""
-    return 4.0 * force / (math.pi * amplitude)
