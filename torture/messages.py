@@ -15,6 +15,7 @@ from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive, until
 
 NUMBERS: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e5, 0.0, -0.0, 5e-324)
 BURST: Final = 50
+RUNS: Final = 'the actuator to say that it runs'
 
 
 def _stamp(random: Random) -> Time:
@@ -61,7 +62,7 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
     publishers = [(rig.node.create_publisher(kind, topic, 10), make)
                   for kind, topic, make in KINDS]
     # A stray state before the first of the actuator would end the controller, as it says.
-    rig.await_running('asi_actuator')
+    until(lambda: _runs(rig), RUNS)
     while time.monotonic() < end or not tally.tried:
         publisher, make = rig.random.choice(publishers)
         for _ in range(BURST):
@@ -70,7 +71,7 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
         problem = next((f'a node has ended: {node.text[-500:]}' for node in nodes
                         if not is_alive(node)), '') or rig.tracebacks()
         if not problem:
-            until(lambda: _runs(rig), 'the actuator to say that it runs')
+            until(lambda: _runs(rig), RUNS)
         tally.count(publisher.topic_name, problem, BURST)
         if problem or tally.failures:
             return
