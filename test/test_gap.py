@@ -164,6 +164,17 @@ def test_what_is_no_parameter_of_the_model_is_said(tmp_path):
         assert nominal_model(tmp_path / 'model.yaml') == {'load.mass': 2.0}
 
 
+def test_inertia_of_a_joint_may_be_small(tmp_path):
+    model = tmp_path / 'model.yaml'
+    model.write_text('asi_actuator: {ros__parameters: {load: {mass: 2.0e-5}}}')
+    with pytest.raises(InputError, match='from 0.001'):
+        nominal_model(model)
+    assert nominal_model(model, 'joint') == {'load.mass': 2e-5}
+    model.write_text('asi_actuator: {ros__parameters: {load: {mass: 0.0}}}')
+    with pytest.raises(InputError, match='load.mass = 0.0 is not allowed'):
+        nominal_model(model, 'joint')
+
+
 def test_velocity_in_another_unit_is_said():
     run = recorded()
     with pytest.warns(UserWarning, match='velocity is not the derivative of position'):

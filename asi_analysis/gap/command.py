@@ -1,5 +1,6 @@
 """What `asi gap` does: bags and a model file in, the document out."""
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
@@ -16,15 +17,17 @@ from asi_analysis.bag import read_bag
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiment import TABLES, read_parameters
 from asi_analysis.gap.diagnose import diagnose, document, plain
+from asi_analysis.gap.joint import OF_ANY_SIZE
 
 PLANTS = ('actuator', 'joint')
 DRIVES = (None, 'force', 'position')
 
 
-def nominal_model(path: Path | None) -> dict[str, Value]:
+def nominal_model(path: Path | None, plant: str = 'actuator') -> dict[str, Value]:
     """
-    Return the actuator's parameters of a model file; {} without one.
+    Return the actuator's parameters of a model file, in their ranges; {} without one.
 
+    Mass and damping of a joint may be of any size above zero.
     Warns of what is none; under /** there may be the controller's. Raises InputError.
     """
     if path is None:
@@ -36,8 +39,12 @@ def nominal_model(path: Path | None) -> dict[str, Value]:
         warnings.warn(f'{path}: {name} is no parameter of the actuator, and left out'
                       + (f': did you mean {near[0]}?' if near else ''), InputWarning, stacklevel=2)
     values = {name: value for name, value in found.items() if name in known}
+    ranged = dict(values)
+    for name in OF_ANY_SIZE & values.keys() if plant == 'joint' else ():
+        if not 0.0 < float(ranged.pop(name)) < math.inf:
+            raise InputError(f'{path}: {name} = {values[name]} is not allowed: above zero')
     try:
-        completed(values, ACTUATOR_PARAMETERS)
+        completed(ranged, ACTUATOR_PARAMETERS)
     except ParameterError as error:
         raise InputError(f'{path}: {error}') from None
     return values
@@ -55,7 +62,7 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
         raise InputError(f'--tolerance {tolerance:g} is not allowed: above 0, below 1')
     told('reading', None)
     runs = [read_bag(path) for path in (*bags, *held_out)]
-    values = nominal_model(model)
+    values = nominal_model(model, plant)
     diagnosis = diagnose(runs, values, plant, tolerance,
                          [False] * len(bags) + [True] * len(held_out), drive, told)
     answer = plain(document(diagnosis))

@@ -28,6 +28,8 @@ OFF = {f'{block}.model': 'off' for block in (
 IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_limit': 1e5,
                            'valve_characteristic.maximum_force': 1.0,
                            'valve_characteristic.full_opening': 0.01}
+# What a joint has another range of than the actuator: its inertia may be a millionth.
+OF_ANY_SIZE = frozenset(('load.mass', 'load.damping'))
 SERVO_SHARE = 0.1   # of the motion: a servo that follows better is not where the gap is
 # Share of a signal that a rigid model of a machine with gears, belts and cables does not explain.
 RIGID_ERROR = 0.02
@@ -131,8 +133,11 @@ def _gain(recordings: Sequence[Recording]) -> float:
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
                sensed: bool) -> Group:
     """Return the group that compares the force with what the motion takes."""
+    rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
-                            'load.stiffness': 0.0, **given})
+                            'load.stiffness': 0.0, **rest})
+    for name in OF_ANY_SIZE & given.keys():
+        nominal[name.replace('.', '_')] = given[name]
     identified, typical = _identified(recordings)
     nuisance = []
     for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping')):

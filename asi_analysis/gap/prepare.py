@@ -292,33 +292,38 @@ def judged(values: Array, motion: Motion) -> Array:
     return np.fft.irfft(spectrum, count)[motion.pad:motion.pad + values.size]
 
 
-def split(count: int, period: float) -> tuple[Mask, Mask]:
+def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     """
     Return which samples to fit on and which to judge on.
 
     Parts that take turns, so that both see the whole run; short gaps between them, so that one
     part does not know its neighbour.
     """
-    part = np.arange(count) * PARTS // count
-    edge = np.arange(count) - np.ceil(part * count / PARTS)
+    part = np.arange(count) * parts // count
+    edge = np.arange(count) - np.ceil(part * count / parts)
     gap = (edge < 0.02 / period) & (part > 0)
     end = (np.arange(count)[::-1] * period >= BURN_OUT_S)
     usable = (np.arange(count) * period >= BURN_IN_S) & end & ~gap
     return usable & (part % 2 == 0), usable & (part % 2 == 1)
 
 
-def _falls_short(driving: Array, fit: Mask, held: Mask) -> bool:
+def _fairly_split(driving: Array, period: float) -> tuple[Mask, Mask]:
     """
-    Return whether the parts to fit on miss the largest of what drives a joint, the others less so.
+    Return a split in which both parts see alike what drives a joint.
 
-    What they have not seen is not judged: a drive that saturates there would have no gap.
+    What the fit has not seen is not judged, and what is held out may hardly move: a drive that
+    saturates at a few peaks would have no gap, nor a joint that is pushed at a few reversals.
     """
     size = np.abs(driving)
 
-    def beyond(some: Mask, others: Mask) -> float:
-        return float(np.mean(size[some] > size[others].max()))
+    def unfair(fit: Mask, held: Mask) -> float:
+        beyond = float(np.mean(size[held] > size[fit].max())) / UNSEEN
+        ratio = np.mean(size[held] ** 2) / max(np.mean(size[fit] ** 2), 1e-300)
+        return max(beyond, abs(math.log2(max(ratio, 1e-300))) / 2.0, 1.0)
 
-    return bool(fit.any() and held.any() and beyond(held, fit) > max(UNSEEN, beyond(fit, held)))
+    splits = [split(driving.size, period, parts) for parts in (PARTS, 2 * PARTS, 4 * PARTS)]
+    return min((each for fit, held in splits for each in ((fit, held), (held, fit))),
+               key=lambda each: unfair(*each))   # the first that is fair
 
 
 def _ends(count: int, period: float) -> Mask:
@@ -380,7 +385,9 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             band = min([*bands, RIGID_BAND_HZ] if drive == 'force' else bands)
             motion, velocity = _motion(moving.get('position'), velocity, band, period)
         force = moving.get('force')
-        fit, held = split(next(iter(moving.values())).size, period)
+        driving = next(iter(moving.values()))
+        fit, held = (split(driving.size, period) if drive == 'valve' else
+                     _fairly_split(driving, period))
         recorded = _recorded(run, drive, period, fit.size)
         fit, held = fit & recorded, held & recorded
         if motion is not None and not motion.measured:
@@ -389,8 +396,6 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         for name in MEASURED & moving.keys():   # what is cut off was not measured
             sound = ~clipped(moving[name])
             fit, held = fit & sound, held & sound
-        if drive != 'valve' and _falls_short(next(iter(moving.values())), fit, held):
-            fit, held = held, fit
         if held_out is not None and held_out[number]:
             fit, held = np.zeros_like(fit), fit | held
         recordings.append(Recording(
