@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, PercentFormatter
 
@@ -15,8 +16,14 @@ def _new(height_in: float) -> Figure:
     return Figure(figsize=(WIDTH_IN, height_in), layout='constrained')
 
 
+def _legend(figure: Figure, axes: Axes, **options: Any) -> None:
+    """Put the legend above, where it covers nothing."""
+    figure.legend(*axes.get_legend_handles_labels(), loc='outside upper center', ncols=4,
+                  **options)
+
+
 def overlay(time: Array, real: Array, nominal: Array, improved: Array, held_out: Mask,
-            label: str) -> Figure:
+            label: str, unit: str) -> Figure:
     """Draw a stretch of recording, nominal model and improved model, and what each leaves."""
     with style():
         figure = _new(3.4)
@@ -24,14 +31,14 @@ def overlay(time: Array, real: Array, nominal: Array, improved: Array, held_out:
         above.plot(time, real, color=GREY, linewidth=2.6, label='real')
         above.plot(time, nominal, color=ORANGE, label='nominal')
         above.plot(time, improved, color=BLUE, label='improved')
-        above.set_ylabel(label)
-        above.legend(ncols=3, loc='upper right')
+        above.set_ylabel(f'{label} ({unit})')
+        _legend(figure, above)
         below.plot(time, real - nominal, color=ORANGE)
         below.plot(time, real - improved, color=BLUE)
         for axes in (above, below):
             axes.fill_between(time, 0, 1, where=held_out, transform=axes.get_xaxis_transform(),
                               color='#f0f3f5', zorder=0, linewidth=0)
-        below.set_ylabel('real - model')
+        below.set_ylabel(f'real - model ({unit})')
         below.set_xlabel('time (s); shaded: held out')
     return figure
 
@@ -49,11 +56,11 @@ def ranking(names: Sequence[str], errors: Sequence[float], nominal: float, noise
         axes.set_xscale('log')
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel('left on held-out data, share of the signal')
-        axes.legend(loc='lower right')
+        _legend(figure, axes)
     return figure
 
 
-def plane(x: Array, before: Array, after: Array, x_label: str) -> Figure:
+def plane(x: Array, before: Array, after: Array, x_label: str, unit: str) -> Figure:
     """Draw what the model leaves over the quantity that the effect depends on."""
     with style():
         figure = _new(2.6)
@@ -62,8 +69,8 @@ def plane(x: Array, before: Array, after: Array, x_label: str) -> Figure:
         axes.plot(x[kept], before[kept], '.', color=ORANGE, markersize=1.5, label='before')
         axes.plot(x[kept], after[kept], '.', color=BLUE, markersize=1.5, label='after')
         axes.set_xlabel(x_label)
-        axes.set_ylabel('real - model')
-        axes.legend(markerscale=6)
+        axes.set_ylabel(f'real - model ({unit})')
+        _legend(figure, axes, markerscale=6)
     return figure
 
 
@@ -79,11 +86,11 @@ def regimes(rows: Sequence[Mapping[str, Any]]) -> Figure:
         axes.set_yticks(place, [f'{row["kind"]}: {row["regime"]}' for row in rows])
         axes.axvline(1.0, color=GREY)
         axes.set_xlabel('rms of the gap there, over that of all')
-        axes.legend(loc='upper right')
+        _legend(figure, axes)
     return figure
 
 
-def spectrum(frequency: Array, powers: Mapping[str, Array], unit: str) -> Figure:
+def spectrum(frequency: Array, powers: Mapping[str, Array], label: str, unit: str) -> Figure:
     """Draw the spectral density of a signal, and of what is left of it by each model."""
     with style():
         figure = _new(2.8)
@@ -93,8 +100,8 @@ def spectrum(frequency: Array, powers: Mapping[str, Array], unit: str) -> Figure
             axes.loglog(frequency[1:], np.sqrt(power[1:]), color=colours[name],
                         label=name if name == 'real' else f'real - {name}')
         axes.set_xlabel('frequency (Hz)')
-        axes.set_ylabel(f'{unit} per root Hz')
-        axes.legend()
+        axes.set_ylabel(f'{label} ({unit} per root Hz)')
+        _legend(figure, axes)
     return figure
 
 

@@ -24,7 +24,8 @@ CAPTIONS = {
     'plane': 'What the model leaves, before and after, in the plane of the effect',
     'spectrum': 'Spectrum of the signal and of what each model leaves of it',
     'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
-LABELS = {'valve': 'valve position (m)', 'force': 'force (N)', 'load': 'force (N)'}
+# Name and unit of each channel.
+LABELS = {'valve': ('valve position', 'm'), 'force': ('force', 'N'), 'load': ('force', 'N')}
 
 
 def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
@@ -64,7 +65,7 @@ def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
     middle = int(np.argmax(power))
     chosen = slice(max(0, middle - count // 2), middle + count // 2)
     return pictures.overlay(recording.time_s[chosen], real[chosen], nominal[chosen],
-                            improved[chosen], recording.held_out[chosen], LABELS[channel])
+                            improved[chosen], recording.held_out[chosen], *LABELS[channel])
 
 
 def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
@@ -77,7 +78,7 @@ def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
     frequency, _ = welch(real[kept], 1.0 / recording.period_s, nperseg=_window(real))
     powers = {name: welch(values[kept], 1.0 / recording.period_s, nperseg=_window(real))[1]
               for name, values in left.items()}
-    return pictures.spectrum(frequency, powers, LABELS[channel])
+    return pictures.spectrum(frequency, powers, *LABELS[channel])
 
 
 def _window(values: Any) -> int:
@@ -110,4 +111,4 @@ def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
     kept = recording.held_out
     before = real - predict(recording, channel, weighed.candidates[()].fitted.record)
     after = real - predict(recording, channel, diagnosis.best(weighed).fitted.record)
-    return pictures.plane(x[kept], before[kept], after[kept], label)
+    return pictures.plane(x[kept], before[kept], after[kept], label, LABELS[channel][1])

@@ -40,7 +40,8 @@ def as_text(document: Mapping[str, Any]) -> str:
              [(row['quantity'], figure(row['nominal']), figure(row['improved']) + (
                  '' if row['improved_low'] is None else
                  f' ({figure(row["improved_low"])} to {figure(row["improved_high"])})'),
-               figure(row['measured'])) for row in document['consequences']])):
+               figure(row['measured'])) for row in document['consequences']
+              if (row['nominal'], row['improved'], row['measured']) != (None, None, None)])):
         if rows:
             lines.append(table(columns, rows, title))
     lines += [f'note: {note}' for note in document['notes']]

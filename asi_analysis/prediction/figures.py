@@ -18,8 +18,9 @@ MARKED_N = (100, 2000, 8000)
 
 def _mark(axes: Axes, points: np.ndarray, texts: list[str], colour: str, side: int) -> None:
     axes.plot(points.real, points.imag, '.', color=colour, markersize=5)
-    for point, text in zip(points, texts, strict=True):
-        axes.annotate(text, (point.real, point.imag), xytext=(5 * side, 4),
+    for number, (point, text) in enumerate(zip(points, texts, strict=True)):
+        # Above and below in turn: neighbours may be close.
+        axes.annotate(text, (point.real, point.imag), xytext=(5 * side, (4, -9)[number % 2]),
                       textcoords='offset points', fontsize=7, color=colour,
                       ha='left' if side > 0 else 'right')
 
@@ -30,47 +31,50 @@ def nyquist(loop: Loop, frequency_hz: float) -> Figure:
 
     frequency_hz: at which N is drawn, for it depends on the frequency too.
     """
-    gain, p = float(loop.compensator['gain']), loop.plant
     with style():
         figure = Figure(figsize=(WIDTH_IN, 7.0), layout='constrained')
-        hysteresis, damping = figure.subplots(2, 1)
-        f = np.geomspace(30.0, 400.0, 400)
-        line = gain * one_harmonic.per_gain(f, loop)
-        hysteresis.plot(line.real, line.imag, color=BLUE, label='K L(jw)')
-        _mark(hysteresis, gain * one_harmonic.per_gain(MARKED_HZ, loop),
-              [f'{each} Hz' for each in MARKED_HZ], BLUE, 1)
-        limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
-
-        def inverse(amplitudes: np.ndarray) -> np.ndarray:
-            return np.array([-1.0 / describing.hysteresis(a, frequency_hz, 0.0, p, limit)
-                             for a in amplitudes])
-
-        smallest = 1.1 * p['valve_hysteresis_radius']
-        locus = inverse(np.geomspace(max(3.0 * smallest, 60.0), COMMANDS_N[-1], 80))
-        hysteresis.plot(locus.real, locus.imag, color=ORANGE,
-                        label=f'-1/N(A), hysteresis with the limit of the command, '
-                              f'{frequency_hz:.0f} Hz')
-        _mark(hysteresis, inverse(np.array(MARKED_N)), [f'{each} N' for each in MARKED_N],
-              ORANGE, -1)
-        hysteresis.set(xlim=(-4.0, 1.5), ylim=(-3.0, 2.0), title=f'hysteresis, K = {gain:.3g}')
-        for friction, colour, name in ((False, BLUE, 'W(jw), damping'),
-                                       (True, GREEN, 'W(jw), friction')):
-            f = np.geomspace(30.0, 400.0, 4000)
-            seen = 1e3 * one_harmonic.seen_by_damping(f, loop, friction)
-            damping.plot(seen.real, seen.imag, color=colour, label=name)
-        velocities = np.geomspace(0.01, 2.0, 60)
-        inverse_damping = -1e3 / np.array([describing.damping(v, 0.0, p).real
-                                           for v in velocities])
-        damping.plot(inverse_damping, np.zeros_like(velocities), color=ORANGE, linewidth=3,
-                     label='-1/D(A), damping, 0.01 to 2 m/s')
-        damping.set(title='damping and friction: on the real axis',
-                    xlabel='real part ((m/s)/kN)', ylabel='imaginary part')
-        hysteresis.set(xlabel='real part', ylabel='imaginary part')
-        for axes in (hysteresis, damping):
+        above, below = figure.subplots(2, 1)
+        _of_hysteresis(above, loop, frequency_hz)
+        _of_damping(below, loop)
+        for axes in (above, below):
             axes.axhline(0.0, color='#777777', linewidth=0.6)
             axes.axvline(0.0, color='#777777', linewidth=0.6)
             axes.legend(loc='best')
         return figure
+
+
+def _of_hysteresis(axes: Axes, loop: Loop, frequency_hz: float) -> None:
+    gain, p = float(loop.compensator['gain']), loop.plant
+    limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
+
+    def inverse(amplitudes: np.ndarray) -> np.ndarray:
+        return np.array([-1.0 / describing.hysteresis(a, frequency_hz, 0.0, p, limit)
+                         for a in amplitudes])
+
+    line = gain * one_harmonic.per_gain(np.geomspace(30.0, 400.0, 400), loop)
+    axes.plot(line.real, line.imag, color=BLUE, label='K L(jw)')
+    _mark(axes, gain * one_harmonic.per_gain(MARKED_HZ, loop),
+          [f'{each} Hz' for each in MARKED_HZ], BLUE, -1)
+    smallest = 1.1 * p['valve_hysteresis_radius']
+    locus = inverse(np.geomspace(max(3.0 * smallest, 60.0), COMMANDS_N[-1], 80))
+    axes.plot(locus.real, locus.imag, color=ORANGE,
+              label=f'-1/N(A) at {frequency_hz:.0f} Hz')
+    _mark(axes, inverse(np.array(MARKED_N)), [f'{each} N' for each in MARKED_N], ORANGE, 1)
+    axes.set(xlim=(-2.2, 0.6), ylim=(-3.0, 0.8), xlabel='real part', ylabel='imaginary part',
+             title=f'hysteresis and limit of the command, K = {gain:.3g}')
+
+
+def _of_damping(axes: Axes, loop: Loop) -> None:
+    for friction, colour, name in ((False, BLUE, 'W(jw), damping'),
+                                   (True, GREEN, 'W(jw), friction')):
+        seen = 1e3 * one_harmonic.seen_by_damping(np.geomspace(30.0, 400.0, 4000), loop, friction)
+        axes.plot(seen.real, seen.imag, color=colour, label=name)
+    velocities = np.geomspace(0.01, 2.0, 60)
+    inverse = -1e3 / np.array([describing.damping(v, 0.0, loop.plant).real for v in velocities])
+    axes.plot(inverse, np.zeros_like(velocities), color=ORANGE, linewidth=3,
+              label='-1/D(A), damping, 0.01 to 2 m/s')
+    axes.set(title='damping and friction: on the real axis', xlabel='real part ((m/s)/kN)',
+             ylabel='imaginary part ((m/s)/kN)')
 
 
 def branches(document: dict[str, Any]) -> Figure:
