@@ -170,9 +170,12 @@ def test_inertia_of_a_joint_may_be_small(tmp_path):
     with pytest.raises(InputError, match='from 0.001'):
         nominal_model(model)
     assert nominal_model(model, 'joint') == {'load.mass': 2e-5}
-    model.write_text('asi_actuator: {ros__parameters: {load: {mass: 0.0}}}')
-    with pytest.raises(InputError, match='load.mass = 0.0 is not allowed'):
-        nominal_model(model, 'joint')
+    model.write_text('asi_actuator: {ros__parameters: {load: {damping: 0.0}}}')
+    assert nominal_model(model, 'joint') == {'load.damping': 0.0}
+    for mass in ('0.0', 'light'):
+        model.write_text(f'asi_actuator: {{ros__parameters: {{load: {{mass: {mass}}}}}}}')
+        with pytest.raises(InputError, match='load.mass = .* is not allowed'):
+            nominal_model(model, 'joint')
 
 
 def test_velocity_in_another_unit_is_said():

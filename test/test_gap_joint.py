@@ -152,3 +152,8 @@ def test_lag_of_a_slowly_sampled_drive():
     answer = document(diagnose([slow], {}, 'joint', drive='drive'))
     assert answer['verdict'] == 'valve_lag'
     assert answer['which'][0]['parameters']['valve_lag'] == pytest.approx(0.01, rel=0.02)
+
+
+def test_model_that_is_far_too_heavy_is_refused():
+    with pytest.raises(InputError, match='a factor of 0.01.*load.mass'):
+        diagnose([joint()], {'load.mass': 100.0 * INERTIA, 'load.damping': 0.0}, 'joint')

@@ -27,7 +27,7 @@ def nominal_model(path: Path | None, plant: str = 'actuator') -> dict[str, Value
     """
     Return the actuator's parameters of a model file, in their ranges; {} without one.
 
-    Mass and damping of a joint may be of any size above zero.
+    Mass and damping of a joint may be of any size.
     Warns of what is none; under /** there may be the controller's. Raises InputError.
     """
     if path is None:
@@ -41,8 +41,11 @@ def nominal_model(path: Path | None, plant: str = 'actuator') -> dict[str, Value
     values = {name: value for name, value in found.items() if name in known}
     ranged = dict(values)
     for name in OF_ANY_SIZE & values.keys() if plant == 'joint' else ():
-        if not 0.0 < float(ranged.pop(name)) < math.inf:
-            raise InputError(f'{path}: {name} = {values[name]} is not allowed: above zero')
+        value = ranged.pop(name)
+        number = isinstance(value, int | float) and 0.0 <= value < math.inf
+        if not number or (name == 'load.mass' and value == 0.0):
+            raise InputError(f'{path}: {name} = {value!r} is not allowed: it takes a number '
+                             + ('above 0' if name == 'load.mass' else 'from 0'))
     try:
         completed(ranged, ACTUATOR_PARAMETERS)
     except ParameterError as error:

@@ -142,7 +142,8 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     nuisance = []
     for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping')):
         if name in given:
-            nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
+            if nominal[field] > 0.0:   # a share of nothing is nothing
+                nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
         else:
             # What was identified without friction may be far from what is true with it.
             value = identified[field]

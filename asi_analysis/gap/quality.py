@@ -78,6 +78,12 @@ def check_joint(group: Group) -> None:
                 with_acceleration = float(np.corrcoef(
                     real[kept], np.gradient(velocity)[kept])[0, 1])
                 reversed_ = with_velocity < -BRAKED and with_acceleration < BRAKED
+                real_size, model_size = float(np.std(real[kept])), float(np.std(model[kept]))
+                # Friction and gravity take more than the model, not less.
+                if FAR * real_size < model_size:
+                    raise InputError(f'{recording.source}: {what}: a factor of '
+                                     f'{real_size / model_size:.3g}; check the units, or '
+                                     'load.mass and load.damping of the model')
             else:
                 what = 'what the drive did against its command'
                 reversed_ = float(np.corrcoef(real[kept], model[kept])[0, 1]) < -ALIKE
