@@ -103,6 +103,7 @@ def run(
     The later wins: parameter files, then --set, then the options by name.
     """
     from asi_analysis import experiment as ex
+    from asi_analysis import running
     named = {'compensator': compensator, 'gain': gain, 'reference.shape': reference,
              'reference.amplitude': amplitude, 'reference.offset': offset,
              'reference.frequency': frequency, 'reference.end_frequency': end_frequency,
@@ -117,7 +118,7 @@ def run(
                         'controller': named}, duration)
     wanted = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
                                       rate))
-    out = out or ex.free_directory(Path('runs'), str(wanted.controller['compensator']))
+    out = out or running.free_directory(Path('runs'), str(wanted.controller['compensator']))
     if experiment:
         from asi_analysis.limit_cycle import answer as limit_cycle_answer
         from asi_analysis.limit_cycle.experiment import isolation
@@ -127,12 +128,12 @@ def run(
         return
     try:
         with bar() as report:
-            bag = ex.run_experiment(wanted, out, report)
-            document = ex.run_as_dict(wanted, bag)
+            bag = running.run_experiment(wanted, out, report)
+            document = running.run_as_dict(wanted, bag)
     except KeyboardInterrupt:
         raise typer.Exit(_fail(f'interrupted; what was recorded is in {out / "bag"}', 130)
                          ) from None
-    answer(document, as_json, ex.run_as_text)
+    answer(document, as_json, running.run_as_text)
 
 
 @command('analyze', 'asi analyze runs/demo/lead_lag/bag')

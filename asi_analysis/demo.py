@@ -14,11 +14,12 @@ import numpy as np
 from asi_analysis.analysis import analyze, oscillation_as_text
 from asi_analysis.bag import read_bag
 from asi_analysis.errors import InputError
-from asi_analysis.experiment import Experiment, checked, run_experiment
+from asi_analysis.experiment import Experiment, checked
 from asi_analysis.facts.bench import step_experiment
 from asi_analysis.facts.conditions import Conditions, StepTest
 from asi_analysis.oscillation import fit_sine
 from asi_analysis.run import Run
+from asi_analysis.running import run_experiment
 from asi_analysis.terminal import Progress, silent, table
 
 

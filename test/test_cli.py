@@ -13,7 +13,7 @@ from conftest import PATIENCE_S, wait_until
 from documented import problems
 from rosbags.rosbag2 import Reader
 
-from asi_analysis import cli, experiment
+from asi_analysis import cli, running
 from asi_analysis.analysis import analyze
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.errors import InputError
@@ -126,12 +126,12 @@ def test_bad_domain_is_told_in_one_line(monkeypatch, tmp_path):
 def test_two_runs_never_share_a_domain(monkeypatch):
     """The one's controller would answer the other's actuator, and neither would notice."""
     monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
-    with experiment._environment() as first, experiment._environment() as second:
+    with running._environment() as first, running._environment() as second:
         assert first['ROS_DOMAIN_ID'] != second['ROS_DOMAIN_ID']
         monkeypatch.setenv('ROS_DOMAIN_ID', first['ROS_DOMAIN_ID'])
-        with pytest.raises(InputError, match='another asi run'), experiment._environment():
+        with pytest.raises(InputError, match='another asi run'), running._environment():
             pass
-    with experiment._environment() as again:
+    with running._environment() as again:
         assert again['ROS_DOMAIN_ID'] == first['ROS_DOMAIN_ID']
 
 

@@ -12,8 +12,9 @@ from typing import Any, Final
 
 from asi_actuator.parameters import Value
 from asi_analysis.bag import read_bag
-from asi_analysis.experiment import Experiment, checked, run_experiment
+from asi_analysis.experiment import Experiment, checked
 from asi_analysis.limit_cycle.answer import limit_cycle
+from asi_analysis.running import run_experiment
 from asi_analysis.terminal import Progress, silent
 
 DRIVEN_N: Final = 900.0

@@ -6,15 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from asi_analysis.bag import read_bag
-from asi_analysis.experiment import (
-    Experiment,
-    RunFailedError,
-    checked,
-    run_experiment,
-)
+from asi_analysis.experiment import Experiment, checked
 from asi_analysis.limit_cycle.verdict import judge_run
 from asi_analysis.prediction.simulation import Values
 from asi_analysis.quench.attack import EXCITED_S, Trial
+from asi_analysis.running import RunFailedError, run_experiment
 from asi_analysis.terminal import Progress, silent
 
 # After the excitation the loop is left alone for so long.

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 from asi_actuator.parameters import Value
 from asi_analysis.bag import read_bag
 from asi_analysis.closed_loop import LoopRun
-from asi_analysis.experiment import Experiment, RunFailedError, run_experiment
+from asi_analysis.experiment import Experiment
 from asi_analysis.facts.conditions import Conditions
 from asi_analysis.facts.stated import stated
 from asi_analysis.facts.table import FACTS, Fact, Measured, closed_loop_groups, measure
 from asi_analysis.run import SIGNALS
+from asi_analysis.running import RunFailedError, run_experiment
 from asi_analysis.terminal import Progress, silent, table
 
 Values = Mapping[str, Value]
