@@ -5,7 +5,16 @@ from pathlib import Path
 
 import documented
 import pytest
+import yaml
 from conftest import ROOT
+
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_controller.parameters import (
+    COMPENSATOR_PARAMETERS,
+    CONTROLLER_NODE_PARAMETERS,
+    REFERENCE_PARAMETERS,
+)
 
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
 
@@ -39,3 +48,41 @@ def test_every_command_has_its_documented_json() -> None:
 
     known = get_command(app).commands  # type: ignore[attr-defined]
     assert {name.split()[1] for name in documented.commands()} == set(known)
+
+
+NODES = {'asi_actuator': ACTUATOR_NODE_PARAMETERS + ACTUATOR_PARAMETERS,
+         'asi_controller': (CONTROLLER_NODE_PARAMETERS + COMPENSATOR_PARAMETERS
+                            + REFERENCE_PARAMETERS)}
+ELSEWHERE = {'output'}   # of the recorder
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_parameters_that_are_shown_are_allowed(page: Path) -> None:
+    text = page.read_text()
+    shown = [('', name, value) for name, value in re.findall(r'-p ([\w.]+):=([^\s`]+)', text)
+             if name not in ELSEWHERE]
+    shown += re.findall(r'ros2 param set /(\w+) ([\w.]+) ([^\s`]+)', text)
+    for node, name, value in shown:
+        table = {p.name: p for key, each in NODES.items() if node in ('', key) for p in each}
+        assert name in table, name
+        assert table[name].problem(yaml.safe_load(value)) is None, (name, value)
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_options_that_are_shown_exist(page: Path) -> None:
+    from typer.main import get_command
+
+    from asi_analysis.cli import app
+
+    commands = dict(get_command(app).commands)  # type: ignore[attr-defined]
+    commands |= {f'gap {name}': each for name, each in commands['gap'].commands.items()}
+    # A call, up to the end of its line or of the code that it stands in; lines may be continued.
+    for call in re.findall(r'\basi ((?:[^\n`|#]|\\\n)+)', page.read_text()):
+        words = call.replace('\\\n', ' ').split()
+        name = next((n for n in (' '.join(words[:2]), words[0]) if n in commands), None)
+        if name:
+            known = {option for each in (commands[name], *(
+                commands['gap'].commands.values() if name == 'gap' else ()))
+                     for parameter in each.params for option in parameter.opts} | {'--help'}
+            unknown = {word for word in words if re.fullmatch(r'--[a-z][\w-]*', word)} - known
+            assert not unknown, f'asi {name} has no {", ".join(unknown)}'
