@@ -80,7 +80,13 @@ def _close_last(state, p, c, r, period, ticks, out):
 
 
 @jit
-def _close(state, p, c, r, period, out):
+def close_loop(state, p, c, r, period, out):
+    """
+    Close a loop for as many ticks as `out` (6 signals of LoopRun x ticks) holds.
+
+    state, p, c, r: records of the actuator, advanced in place, its parameters, compensator and
+    reference; period: s.
+    """
     _close_last(state, p, c, r, period, out.shape[1], out)
 
 
@@ -150,7 +156,7 @@ def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value]
     """
     check_period(1.0 / rate_hz)
     out = np.empty((6, math.ceil(duration_s * rate_hz - 1e-9)))
-    _close(rest(), *_parts(actuator, controller, rate_hz), 1.0 / rate_hz, out)
+    close_loop(rest(), *_parts(actuator, controller, rate_hz), 1.0 / rate_hz, out)
     return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from asi_actuator.model.actuator import Trajectory, rest, simulate
 from asi_actuator.parameters import Value, as_record
-from asi_analysis.closed_loop import LoopRun, _close, simulate_loop
+from asi_analysis.closed_loop import LoopRun, close_loop, simulate_loop
 from asi_analysis.experiment import Experiment
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
@@ -50,7 +50,7 @@ class Bench:
         self.reference['reference_frequency'] = frequency_hz
         self.plant['load_external_force'] = push_n
         out = np.empty((6, math.ceil(duration_s * RATE_HZ - 1e-9)))
-        _close(self.state, self.plant, self.compensator, self.reference, 1.0 / RATE_HZ, out)
+        close_loop(self.state, self.plant, self.compensator, self.reference, 1.0 / RATE_HZ, out)
         time = (self.samples + np.arange(out.shape[1])) / RATE_HZ
         self.samples += out.shape[1]
         return LoopRun(time, *out)

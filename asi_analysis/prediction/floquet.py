@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from asi_actuator.model.actuator import STATE_DTYPE, rest
 from asi_actuator.parameters import RING, as_record
-from asi_analysis.closed_loop import _close
+from asi_analysis.closed_loop import close_loop
 from asi_analysis.prediction.simulation import Values
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
@@ -47,7 +47,7 @@ class _Clocked:
     def run(self, ticks: int) -> npt.NDArray[np.float64]:
         """Advance by so many ticks; return the measured force."""
         out = np.empty((6, ticks))
-        _close(self.state, self.plant, self.compensator, self.reference, self.period_s, out)
+        close_loop(self.state, self.plant, self.compensator, self.reference, self.period_s, out)
         return out[2]
 
     def _fields(self) -> list[str]:
