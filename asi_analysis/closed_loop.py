@@ -130,15 +130,19 @@ def loops_of(actuators: Sequence[Mapping[str, Value]], controllers: Sequence[Map
 
     Raises ParameterError for one that is not allowed.
     """
-    made = [_parts(actuator, controller, rate_hz)
+    made = [records(actuator, controller, rate_hz)
             for actuator, controller in zip(actuators, controllers, strict=True)]
     plants, compensators, references = (np.array(column) for column in zip(*made, strict=True))
     return Loops(np.zeros(len(made), STATE_DTYPE), plants, compensators, references, 1.0 / rate_hz)
 
 
-def _parts(actuator: Mapping[str, Value], controller: Mapping[str, Value], rate_hz: float
+def records(actuator: Mapping[str, Value], controller: Mapping[str, Value], rate_hz: float
            ) -> tuple[np.void, np.void, np.void]:
-    """Return the records of plant, compensator and reference."""
+    """
+    Return the records of plant, compensator and reference, from parameters by name.
+
+    Raises ParameterError for one that is not allowed.
+    """
     names = {parameter.name for parameter in REFERENCE_PARAMETERS}
     reference = {name: value for name, value in controller.items() if name in names}
     gains = {name: value for name, value in controller.items() if name not in names}
@@ -156,7 +160,7 @@ def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value]
     """
     check_period(1.0 / rate_hz)
     out = np.empty((6, math.ceil(duration_s * rate_hz - 1e-9)))
-    close_loop(rest(), *_parts(actuator, controller, rate_hz), 1.0 / rate_hz, out)
+    close_loop(rest(), *records(actuator, controller, rate_hz), 1.0 / rate_hz, out)
     return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
 
 

@@ -13,11 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.actuator import STATE_DTYPE, rest
-from asi_actuator.parameters import RING, as_record
-from asi_analysis.closed_loop import close_loop
+from asi_actuator.parameters import RING
+from asi_analysis.closed_loop import close_loop, records
 from asi_analysis.prediction.simulation import Values
-from asi_controller.compensator import compensator
-from asi_controller.parameters import REFERENCE_PARAMETERS
 
 SETTLING_S: Final = 1.0
 TURNS: Final = 60
@@ -31,13 +29,8 @@ class _Clocked:
     """The loop at one control period, as a map of its state over ticks."""
 
     def __init__(self, actuator: Values, controller: Values, period_s: float) -> None:
-        names = {parameter.name for parameter in REFERENCE_PARAMETERS}
-        self.plant = as_record(actuator)
-        self.compensator = compensator({name: value for name, value in controller.items()
-                                        if name not in names}, 1.0 / period_s)
-        reference = {name: value for name, value in controller.items() if name in names}
-        self.reference = as_record({**reference, 'reference.shape': 'step',
-                                    'reference.start': 0.0}, REFERENCE_PARAMETERS)
+        step = {**controller, 'reference.shape': 'step', 'reference.start': 0.0}
+        self.plant, self.compensator, self.reference = records(actuator, step, 1.0 / period_s)
         self.period_s = period_s
         self.state = rest()
         substeps = np.ceil(period_s / self.plant['maximum_substep'] * (1.0 - 1e-12))

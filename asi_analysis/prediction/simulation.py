@@ -6,12 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from asi_actuator.parameters import Value, as_record
-from asi_analysis.closed_loop import LoopRun, simulate_loops
+from asi_actuator.parameters import Value
+from asi_analysis.closed_loop import LoopRun, records, simulate_loops
 from asi_analysis.limit_cycle.sinusoid import Oscillation, fit
 from asi_analysis.prediction.harmonic_balance import HARMONICS, Balance, Loop, valve_forces
-from asi_controller.compensator import compensator
-from asi_controller.parameters import REFERENCE_PARAMETERS
 
 Values = Mapping[str, Value]
 # A step is watched so long, again longer until what it leaves has settled or died out, and the
@@ -27,11 +25,9 @@ LEAST_N: Final = 0.5
 
 def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
     """Return what harmonic balance needs, from parameters by name."""
-    names = {parameter.name for parameter in REFERENCE_PARAMETERS}
-    gains = {name: value for name, value in controller.items() if name not in names}
-    reference = (float(controller.get('reference.amplitude', 100.0))
-                 + float(controller.get('reference.offset', 0.0)))
-    return Loop(as_record(actuator), compensator(gains, rate_hz), 1.0 / rate_hz, reference)
+    plant, compensator, reference = records(actuator, controller, rate_hz)
+    held_n = float(reference['reference_amplitude'] + reference['reference_offset'])
+    return Loop(plant, compensator, 1.0 / rate_hz, held_n)
 
 
 def step_run(actuator: Values, controller: Values, rate_hz: float) -> LoopRun:

@@ -19,7 +19,6 @@ from asi_analysis.closed_loop import close_many, loops_of
 from asi_analysis.parallel import each
 from asi_analysis.prediction.simulation import Values
 from asi_analysis.terminal import Progress, silent
-from asi_controller.parameters import REFERENCE_PARAMETERS
 
 EXCITED_S: Final = 0.25
 LEFT_ALONE_S: Final = 0.45
@@ -117,11 +116,9 @@ def attempts(conditions: Sequence[Condition], actuator: Values, controller: Valu
 def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values, rate: float
            ) -> list[tuple[float, bool, float, float]]:
     """Return a trial of each setting: excited, left alone, and watched if it lasts."""
-    names = {parameter.name for parameter in REFERENCE_PARAMETERS}
-    gains = {k: v for k, v in controller.items() if k not in names}
     loops = loops_of(
         [{**actuator, **s['actuator']} for s in settings],
-        [{**gains, **s['reference']} for s in settings], rate)
+        [{**controller, **s['reference']} for s in settings], rate)
     watched = 2 * int(WATCHED_S * rate)
     found = [(*_left(force[-watched:], rate), _rings(force[:watched]))
              for force in close_many(loops, EXCITED_S + LEFT_ALONE_S, LEFT_ALONE_S)[:, 2]]
