@@ -78,7 +78,9 @@ def run_cases(folder: Path, told: Told) -> list[Row]:
     """
     try:
         index = json.loads((folder / 'cases.json').read_text())
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise InputError(f'{folder / "cases.json"} cannot be read: {error.strerror}') from None
+    except ValueError as error:
         raise InputError(f'{folder / "cases.json"} cannot be read: {error}') from None
     kept = folder / 'rows.jsonl'
     lines = kept.read_text().splitlines(keepends=True) if kept.exists() else []

@@ -61,7 +61,6 @@ class Motion:
     smooth: Array
     judge: Array
     noise: Array                 # m2/s2
-    band_hz: float
     pad: int                     # samples before the recording
     measured: bool               # false if the position was found by integration
 
@@ -281,8 +280,8 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     if position is None:   # what an integral adds up at low frequency says nothing
         judge = judge * (1.0 - np.exp(-(frequency / LOWEST_INTEGRATED_HZ) ** 2))
     return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count),
-                  np.fft.irfft(1j * omega * v, count), x, v, smooth, judge, noise, band,
-                  pad, position is not None), fused
+                  np.fft.irfft(1j * omega * v, count), x, v, smooth, judge, noise, pad,
+                  position is not None), fused
 
 
 def judged(values: Array, motion: Motion) -> Array:
