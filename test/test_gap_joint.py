@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from asi_analysis.errors import InputError
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.next_motion import CATALOGUE, choose_motion, imagined
+from asi_analysis.gap.seen import _pulse
 from asi_analysis.run import Run
 
 RATE_HZ, SUB_STEPS = 500.0, 40
@@ -157,3 +158,11 @@ def test_lag_of_a_slowly_sampled_drive():
 def test_model_that_is_far_too_heavy_is_refused():
     with pytest.raises(InputError, match='a factor of 0.01.*load.mass'):
         diagnose([joint()], {'load.mass': 100.0 * INERTIA, 'load.damping': 0.0}, 'joint')
+
+
+def test_push_that_stays_is_seen_from_where_it_begins():
+    push = np.where(np.arange(4000) < 1000, 0.0, 30.0)
+    constant = np.full((push.size, 1), push.size ** -0.5)   # as if it were free
+    left = push - constant @ (constant.T @ push)
+    assert _pulse(left, constant, push, 1e-3) == pytest.approx(
+        {'residual_start': 1.0, 'residual_end': 4.0})

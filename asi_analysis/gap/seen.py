@@ -46,7 +46,9 @@ def seen(fitted: Fitted) -> Values:
     if 'load' in group.channels:
         left, known = _left(fitted, 'load')
         found |= _wave(left, group.recordings[0])
-        found |= _pulse(left, known, group.recordings[0].period_s)
+        plain = measured(group.recordings[0], 'load') - predict(
+            group.recordings[0], 'load', fitted.record)
+        found |= _pulse(left, known, plain, group.recordings[0].period_s)
     for channel in group.channels:
         if channel == 'valve' or channel == 'force' and not group.measures_valve:
             found |= _steps(fitted, channel)
@@ -129,7 +131,7 @@ def _harmonics(lines: list[int]) -> list[int]:
             if 1 < sum(map(abs, each)) <= ORDER]
 
 
-def _pulse(left: Array, known: Array, period: float) -> Values:
+def _pulse(left: Array, known: Array, plain: Array, period: float) -> Values:
     """Return from which corner to which a pulse explains most: its square over its length."""
     corners = np.linspace(0, left.size, CORNERS + 1).astype(int)
     sums = np.concatenate([[0.0], np.cumsum(left)])[corners]
@@ -137,7 +139,11 @@ def _pulse(left: Array, known: Array, period: float) -> Values:
     between = parts[:, None] - parts[None]
     length = np.abs(np.subtract.outer(corners, corners)) - np.sum(between ** 2, axis=2)
     explained = np.triu(np.subtract.outer(sums, sums) ** 2 / np.maximum(length, 1.0), 1)
-    start, end = np.unravel_index(int(np.argmax(explained)), explained.shape)
+    start, end = divmod(int(np.argmax(explained)), CORNERS + 1)
+    # What begins and stays is, but for a constant, what is there until then: plainly it is not.
+    here, then = plain[corners[start]:corners[end]], plain[corners[end]:]
+    if 20 * start < CORNERS and then.size and abs(then.mean()) > abs(here.mean()):
+        start, end = end, CORNERS
     return {'residual_start': max(corners[start], 1) * period,
             'residual_end': corners[end] * period}
 
