@@ -20,7 +20,8 @@ class Free(NamedTuple):
 
     scale: what low, high and starts are multiples of: '' for the plain unit, the name of a signal
     (its range in the recording), what is seen in what the nominal model leaves ('residual_...'),
-    or 'nominal' (the field's own nominal value).
+    'nominal' (the field's own nominal value), or another nominal parameter: the field's own
+    nominal value, as many times as that parameter is its own, so that their ratio is free.
     """
 
     field: str

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.jit import FULL
+from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.gap.bounded import least_step, minimise
 from asi_analysis.gap.effects import Free, Variant
 from asi_analysis.gap.group import Group, Values, shows_in
@@ -27,6 +28,7 @@ ROUNDS = 15          # of the optimiser
 ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth another
 POLISHING = 6        # of those, with all derivatives
 LARGEST = 3.0        # times a start that an effect is taken to be
+NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
 STARTS = 2           # of the best starting points that are followed
 
 
@@ -53,8 +55,16 @@ def _residual(group: Group, channel: str, p: np.void) -> Array:
     return np.concatenate(parts) / math.sqrt(group.floor[channel])
 
 
-def _bounds(free: Free, group: Group) -> tuple[float, float]:
-    unit = float(group.nominal[free.field]) if free.scale == 'nominal' else group.scale[free.scale]
+def _unit(free: Free, group: Group, p: np.void) -> float:
+    """Return what a free parameter's bounds are multiples of, in a record."""
+    own = float(group.nominal[free.field])
+    if free.scale in NOMINAL_FIELDS:
+        return own * float(p[free.scale] / group.nominal[free.scale])
+    return own if free.scale == 'nominal' else group.scale[free.scale]
+
+
+def _bounds(free: Free, group: Group, p: np.void) -> tuple[float, float]:
+    unit = _unit(free, group, p)
     return free.low * unit, free.high * unit
 
 
@@ -84,8 +94,10 @@ def _record(group: Group, free: Sequence[Free], theta: Array,
     p = group.nominal.copy()
     for name, value in fixed:
         p[name] = value
-    for parameter, share in zip(free, theta, strict=True):
-        p[parameter.field] = _value(float(share), *_bounds(parameter, group))
+    ratios_last = sorted(zip(free, theta, strict=True),
+                         key=lambda pair: pair[0].scale in NOMINAL_FIELDS)
+    for parameter, share in ratios_last:
+        p[parameter.field] = _value(float(share), *_bounds(parameter, group, p))
     return p
 
 
@@ -217,24 +229,24 @@ def with_known_gain(group: Group, valve: Fitted, tolerance: float) -> Group:
     Return a group whose valve passes as much as the fit of the valve channel leaves possible.
 
     Command to valve position and valve position to force share the full opening: by itself each
-    may be off by the tolerance of several parameters, together by that of the gain alone. Not so
-    where the valve opens fully: there the thrust tells by itself.
+    may be off by the tolerance of several parameters, together by that of the gain alone. Where
+    the valve opens fully the thrust tells by itself; elsewhere only its ratio to the opening.
     """
-    name = 'valve_characteristic_full_opening'
-    fully = (group.nominal['valve_characteristic_model'] == FULL
-             and group.scale['valve_position'] > (1.0 - tolerance) * group.nominal[name])
-    if fully or not any(free.field == name for free in group.nuisance):
+    opening, thrust = ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force')
+    if not any(free.field == opening for free in group.nuisance):
         return group
     gain = float(valve.record['valve_characteristic_gain']
                  / valve.problem.group.nominal['valve_characteristic_gain'])
     low, high = 1.0 - tolerance, 1.0 + tolerance
-    opening = Free(name, max(gain / high, low / high), min(gain / low, high / low), (gain,),
-                   'nominal')
-    if opening.low >= opening.high:
+    least, most = max(gain / high, low / high), min(gain / low, high / low)
+    if least >= most:
         return group
+    fully = (group.nominal['valve_characteristic_model'] == FULL
+             and group.scale['valve_position'] > low * group.nominal[opening])
+    ratio = Free(opening, least, most, (gain,), thrust if fully else 'nominal')
     return replace(group, nuisance=tuple(
-        opening if free.field == name else free for free in group.nuisance
-        if free.field != 'valve_characteristic_maximum_force'))
+        ratio if free.field == opening else free for free in group.nuisance
+        if fully or free.field != thrust))
 
 
 def fit_null(group: Group) -> Fitted:
@@ -243,7 +255,7 @@ def fit_null(group: Group) -> Fitted:
 
     To the end: a fit that is stuck here would make any effect look like an explanation.
     """
-    theta = np.array([_share(_start(free, group), *_bounds(free, group))
+    theta = np.array([_share(_start(free, group), *_bounds(free, group, group.nominal))
                       for free in group.nuisance])
     return fit(group, group.nuisance, [theta], rounds=3 * ROUNDS)
 
@@ -252,7 +264,8 @@ def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
     """Return a fit, tried again from where richer hypotheses took its parameters."""
     best = fitted
     for other in others:
-        theta = np.array([_share(float(other.record[free.field]), *_bounds(free, group))
+        theta = np.array([_share(float(other.record[free.field]),
+                                 *_bounds(free, group, other.record))
                           for free in fitted.free])
         again = fit(group, fitted.free, [theta], fitted.problem.fixed)
         best = min(best, again, key=lambda each: each.cost)
@@ -260,10 +273,7 @@ def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
 
 
 def _start(free: Free, group: Group, index: int = 0) -> float:
-    low, _ = _bounds(free, group)
-    unit = low / free.low if free.low else (
-        float(group.nominal[free.field]) if free.scale == 'nominal' else group.scale[free.scale])
-    return free.starts[index] * unit
+    return free.starts[index] * _unit(free, group, group.nominal)
 
 
 def _added(group: Group, base: Fitted, variants: Sequence[Variant]
@@ -278,7 +288,8 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
             new[free.field] = free if old is None else free._replace(
                 low=min(free.low, old.low), high=max(free.high, old.high))
     frees = [free for free in base.free if free.field not in new] + list(new.values())
-    warm = {free.field: _share(float(base.record[free.field]), *_bounds(free, group))
+    warm = {free.field: _share(float(base.record[free.field]),
+                               *_bounds(free, group, base.record))
             for free in frees if free.field in known}
     fresh = [free for free in new.values() if free.field not in known]
     starts = []
@@ -288,7 +299,7 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
                 continue
             begin = warm | {
                 other.field: _share(_start(other, group, index if other is free else 0),
-                                    *_bounds(other, group)) for other in fresh}
+                                    *_bounds(other, group, group.nominal)) for other in fresh}
             starts.append(np.array([begin[other.field] for other in frees]))
     if not fresh:
         starts.append(np.array([warm[free.field] for free in frees]))
@@ -338,10 +349,11 @@ class Promise:
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
         """Return the cost that a fit of these variants may be expected to reach."""
         problem, starts = _added(group, self.base, variants)
-        wide = {free.field: _bounds(free, group) for free in problem.free}
+        p = self.base.record
+        wide = {free.field: _bounds(free, group, p) for free in problem.free}
         low, high = -self.base.theta, 1.0 - self.base.theta
         for i, free in enumerate(self.base.free):
-            least, most = _bounds(free, group)
+            least, most = _bounds(free, group, p)
             low[i] += (wide[free.field][0] - least) / (most - least)
             high[i] += (wide[free.field][1] - most) / (most - least)
         return min(self._linear(problem.residual(start) - self._left, low, high)
