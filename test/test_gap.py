@@ -17,7 +17,7 @@ from asi_analysis.gap.check import score
 from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.effects import BY_NAME
-from asi_analysis.gap.fit import Promise, fit_null, fit_variants
+from asi_analysis.gap.fit import Problem, Promise, fit_null, fit_variants, with_known_gain
 from asi_analysis.gap.predict import passed_on
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.uncertainty import Likelihood, end
@@ -82,6 +82,24 @@ def test_nominal_parameter_far_off_is_seen_and_fitted():
     fitted = fit_variants(group, promise, [variant])
     assert fitted.cost < 0.5 * null.cost
     assert fitted.values['friction_coulomb'] == pytest.approx(40.0, rel=0.1)
+
+
+def test_static_gain_keeps_its_tolerance_where_the_valve_opens_fully():
+    nominal = {**TEXTBOOK, 'valve_characteristic.model': 'full',
+               'valve_characteristic.maximum_force': 300.0}
+    groups, _ = actuator_groups([recorded(real=nominal)], nominal, 0.2, [False])
+    valve = fit_null(groups[0])
+    group = with_known_gain(groups[1], valve, 0.2)
+    names = ('valve_characteristic_maximum_force', 'valve_characteristic_full_opening')
+    rng = np.random.default_rng(0)
+    records = [Problem(group, group.nuisance).record(rng.uniform(size=len(group.nuisance)))
+               for _ in range(500)]
+    thrust, opening = (np.array([p[name] / group.nominal[name] for p in records])
+                       for name in names)
+    gain = valve.values['valve_characteristic_gain'] / 0.535 * thrust / opening
+    for free in (gain, thrust):   # each takes all of its tolerance, and no more
+        assert (free.min(), free.max()) == pytest.approx((0.8, 1.2), abs=0.01)
+        assert free.min() > 0.8 - 1e-9 and free.max() < 1.2 + 1e-9
 
 
 def test_effect_behind_a_lag_passes_less_noise_on():
