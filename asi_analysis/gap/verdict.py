@@ -66,7 +66,7 @@ class Constants(NamedTuple):
 CONSTANTS = Constants()
 NEAR_NOISE = 0.1   # of the noise's mean square: by less no two hypotheses are told apart
 LEAST = 0.01       # of the floor: less is never seen
-BELOW_FLOOR = -0.7   # log odds of an effect where the nominal model leaves no more
+BELOW_FLOOR = 0.0    # log odds of an effect, at most, where the nominal model leaves no more
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
@@ -327,8 +327,8 @@ def _at_most(e: Evidence, c: Constants) -> float:
     """
     Return the most log evidence against the nominal model that a recording may hold.
 
-    What leaves no more than the floor, which any model may leave, is hardly wrong, whatever else
-    leaves less.
+    What leaves no more than the floor, which any model may leave, is as likely right as wrong,
+    whatever else leaves less.
     """
     return BELOW_FLOOR + 0.5 * _samples(e, c) * sum(
         max(math.log(e.left[()][channel] / floor), 0.0) for channel, floor in e.floor.items())
