@@ -9,8 +9,8 @@ SHAPES = ('topic', 'step', 'ramp', 'sine', 'triangle', 'chirp', 'multisine', 'pr
 # Searched for the fourth-order row of Table 1 at 100 and 500 N on the locked piston, so that
 # nothing cycles at 2.5 times the gain at 5 kHz and at 1.5 times the gain at 1 kHz with a period
 # of delay, there and on the spring (test/test_default_compensators.py), nor under the worst
-# conditions that `asi quench` had found for faster ones. Between those steps less is met: both
-# overshoot 150 N by 3 % and leave up to 2.3 N; 50 N by 11 and 12 %.
+# conditions that `asi quench` had found for faster ones. Between those steps, and below them, both
+# overshoot more and leave more: see `asi run`.
 TUNED = 'search, on the locked piston and the spring load'
 
 COMPENSATOR_PARAMETERS: tuple[Parameter, ...] = (
