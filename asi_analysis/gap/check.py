@@ -78,10 +78,8 @@ def run_cases(folder: Path, told: Told) -> list[Row]:
     """
     try:
         index = json.loads((folder / 'cases.json').read_text())
-    except OSError as error:
-        raise InputError(f'{folder / "cases.json"} cannot be read: {error.strerror}') from None
-    except ValueError as error:
-        raise InputError(f'{folder / "cases.json"} cannot be read: {error}') from None
+    except (OSError, ValueError) as error:
+        raise InputError(f'{folder / "cases.json"} cannot be read: {_reason(error)}') from None
     kept = folder / 'rows.jsonl'
     lines = kept.read_text().splitlines(keepends=True) if kept.exists() else []
     whole = [line for line in lines if line.endswith('\n')]   # a kill may have torn the last
@@ -195,7 +193,12 @@ def unseal(path: Path) -> dict[str, Any]:
         raw = path.read_bytes()
         return json.loads(raw if raw[:1] == b'{' else zlib.decompress(base64.b85decode(raw)))
     except (OSError, ValueError, zlib.error) as error:
-        raise InputError(f'{path} cannot be read as answers: {error}') from None
+        raise InputError(f'{path} cannot be read as answers: {_reason(error)}') from None
+
+
+def _reason(error: Exception) -> str:
+    """Return what went wrong, without the path that a message has named already."""
+    return getattr(error, 'strerror', None) or str(error)
 
 
 def check(folder: Path, told: Told) -> dict[str, Any]:
