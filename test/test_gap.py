@@ -136,6 +136,13 @@ def test_effect_is_named(changed, effect, field, value):
     assert answer['gap']['shrink_low'] <= answer['gap']['shrink'] <= answer['gap']['shrink_high']
 
 
+def test_sensor_that_warms_up_has_no_offset_besides():
+    run = recorded()
+    warm = 80.0 * (1.0 - np.exp(-run.time_s))
+    diagnosis = diagnose([dataclasses.replace(run, force_n=run.force_n + warm)], TEXTBOOK)
+    assert diagnosis.verdict == ('sensor_drift',)
+
+
 def _late(run: Run, samples: int) -> Run:
     return dataclasses.replace(run, force_n=np.roll(run.force_n, samples))
 

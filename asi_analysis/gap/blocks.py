@@ -96,6 +96,7 @@ EFFECT_FIELDS = (
     'sensor_lag_split',         # share of the second
     'sensor_drift',             # N/s
     'sensor_drift_curve',       # N/s2
+    'sensor_drift_bend',        # N/s3
     'load_offset',              # N, a constant that a joint's nominal model declares
     'drive_hold',               # s, how late a joint's command acts, held as it is: below a sample
     'drive_delay',              # s, more than that
@@ -506,7 +507,17 @@ def supplied(z, v, opened, p, e, keep):
 def reading(sensed, time, p, e):
     """Return what the sensor reads (N) of a sensed force (N) at a time (s)."""
     return (p.force_sensor_gain * (1.0 + e.sensor_gain_error) * sensed + p.force_sensor_offset
-            + e.sensor_offset + e.sensor_drift * time + e.sensor_drift_curve * time * time)
+            + e.sensor_offset + drift(time, e))
+
+
+@jit
+def drift(time, e):
+    """
+    Return the drift (N) of the sensor's zero at a time (s).
+
+    Of third order: of a sensor that warms up in a third of the recording it leaves a hundredth.
+    """
+    return time * (e.sensor_drift + time * (e.sensor_drift_curve + time * e.sensor_drift_bend))
 
 
 @jit

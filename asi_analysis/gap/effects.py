@@ -203,8 +203,9 @@ EFFECTS: tuple[Effect, ...] = (
                  Free('sensor_lag_split', 0.0, 0.5, (0.1,))), BOTH),
     )),
     Effect('sensor_drift', SENSOR, 'the zero of the force sensor wanders', (
-        Variant((Free('sensor_drift', -1.0, 1.0, (0.02, -0.02), 'drift', 'N/s'),
-                 Free('sensor_drift_curve', -1.0, 1.0, (0.0,), 'drift_curve', 'N/s2')), BOTH),
+        Variant((Free('sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
+                 Free('sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2'),
+                 Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'N/s3')), BOTH),
     )),
 )
 BY_NAME = {effect.name: effect for effect in EFFECTS}

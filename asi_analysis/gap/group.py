@@ -162,7 +162,7 @@ def scales(recordings: Sequence[Recording]) -> Values:
         'valve_position': _range([r.valve_position for r in recordings]),
         'damping': force / velocity, 'damping_quadratic': force / velocity ** 2,
         'compliance': position / force, 'drift': force / duration,
-        'drift_curve': force / duration ** 2,
+        'drift_curve': force / duration ** 2, 'drift_bend': force / duration ** 3,
     }
 
 

@@ -177,7 +177,7 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
         covered |= {'viscous', 'sensor_gain_error'}
     if not sensed:
         covered |= {'sensor_gain_error', 'sensor_lag', 'sensor_lag_split', 'sensor_drift',
-                    'sensor_drift_curve'}
+                    'sensor_drift_curve', 'sensor_drift_bend'}
     low, high = (share * travel for share in BRISTLE)
     wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
              'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),

@@ -188,8 +188,8 @@ def _load(recording: Recording, p: np.void) -> Array:
     if not motion.measured:   # the offset is outside the band
         return inner
     time = recording.time_s
-    return inner + (p['force_sensor_offset'] + p['sensor_offset'] + p['sensor_drift'] * time
-                    + p['sensor_drift_curve'] * time * time)
+    return inner + p['force_sensor_offset'] + p['sensor_offset'] + blocks.drift(
+        time, blocks.parts(p)[1])
 
 
 def _read(omega: Array, p: np.void) -> Complex:
