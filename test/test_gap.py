@@ -18,7 +18,7 @@ from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.effects import BY_NAME
 from asi_analysis.gap.fit import Problem, Promise, fit_null, fit_variants, with_known_gain
-from asi_analysis.gap.predict import passed_on
+from asi_analysis.gap.predict import passed_on, plant_record, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.uncertainty import Likelihood, end
 from asi_analysis.run import Run
@@ -100,6 +100,15 @@ def test_static_gain_keeps_its_tolerance_where_the_valve_opens_fully():
     for free in (gain, thrust):   # each takes all of its tolerance, and no more
         assert (free.min(), free.max()) == pytest.approx((0.8, 1.2), abs=0.01)
         assert free.min() > 0.8 - 1e-9 and free.max() < 1.2 + 1e-9
+
+
+def test_hysteresis_remembers_that_the_machine_was_at_rest():
+    values = {**TEXTBOOK, 'valve_hysteresis.model': 'full', 'valve_hysteresis.radius': 60.0}
+    command = np.repeat([500.0, 700.0], 1000)   # never turns, so it never reaches the other side
+    valve = simulate(as_record(values), command, 1e-3).valve_position_m
+    run = Run(1e-3 * np.arange(2000), command_n=command, valve_position_m=valve, source='real')
+    predicted = predict(prepare([run])[0], 'valve', plant_record(values))
+    assert predicted[[900, 1900]] == pytest.approx(valve[[900, 1900]], rel=1e-3)
 
 
 def test_effect_behind_a_lag_passes_less_noise_on():

@@ -182,8 +182,9 @@ def valve(command, p, e, period, count, out):
     keep, _, _ = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
     keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
     start = command[0] + e.command_bias
-    plays, fluxes = np.full(PLAYS, start), np.full(PLAYS, start)
     widths = spread(e.valve_hysteresis_spread)
+    # What remembers has come from rest: each play lags behind the first command by its width.
+    plays, fluxes = np.zeros(PLAYS), np.zeros(PLAYS)
     magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
