@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 STEP_S = 1e-5
+SUBSTEPS = 100
 PERIOD_S = 1e-3
 RELAYS = 240          # thresholds of the Preisach plane, for each width
 WIDTHS = 5
@@ -55,7 +56,22 @@ class Bench(NamedTuple):
 
 
 PLANT = np.dtype([(name, np.float64) for name in FIELDS])
-jit = numba.njit(cache=True)
+STATE = np.dtype([
+    *((name, np.float64) for name in (
+        'held', 'slewed',                                         # command path
+        'base_input', 'base_bouc', 'base_lagged',                 # valve: loops
+        'loop_input', 'looped', 'bouc',
+        'lag1', 'lag2', 'coil', 'resonant', 'resonant_rate', 'pipe', 'pipe_rate',
+        'opened', 'hydraulic',                                    # hydraulics
+        'x', 'v', 'load_x', 'load_v',                             # mechanics
+        'sensed', 'sensed_rate', 'slow1', 'slow2')),              # sensor
+    ('hold_until', np.int64), ('at', np.int64),
+    ('command_ring', np.float64, RING), ('sensor_ring', np.float64, RING),
+    ('relays', np.float64, (WIDTHS, RELAYS)),
+    ('slips', np.float64, SLIPS), ('base_slips', np.float64, SLIPS),
+])
+# Inlined: what a sub-step calls takes a fifth longer out of line.
+jit = numba.njit(cache=True, forceinline=True)
 
 
 @jit
@@ -127,199 +143,252 @@ def preisach(relays, u, top, width):
 
 
 @jit
-def run(p, reference, closed, kp, feed_forward, random, noise, top, out):
+def sent(p, s, k, command, chance):
+    """Return what is sent of a command (N), and with how many sub-steps of delay."""
+    if p.dropout > 0.0 and k > s.hold_until and chance < p.dropout:
+        s.hold_until = k + 40
+    if k > s.hold_until:
+        s.held = command
+    applied = s.held
+    if p.quantum > 0.0:
+        applied = p.quantum * math.floor(applied / p.quantum) + 0.5 * p.quantum
+    wait = p.delay + p.extra_delay * (1.0 + p.jitter * (2.0 * chance - 1.0))
+    return applied, int(wait / STEP_S)
+
+
+@jit
+def received(p, s, applied, late):
+    """Return the command (N) at the valve after a sub-step."""
+    s.at = (s.at + 1) % RING
+    s.command_ring[s.at] = applied
+    u = s.command_ring[(s.at - late) % RING] + p.bias
+    if p.slew > 0.0:
+        s.slewed += min(max(u - s.slewed, -p.slew * STEP_S), p.slew * STEP_S)
+        u = s.slewed
+    return u
+
+
+@jit
+def magnetised(p, s, u, top):
+    """Return the current (N) after both hysteresis loops."""
+    # What is in both worlds of the full model: a rounded loop, and a lag for its growth.
+    if p.base_hysteresis > 0.0:
+        du = u - s.base_input
+        s.base_input = u
+        s.base_bouc += (du - abs(du) * s.base_bouc) / p.base_hysteresis
+        s.base_bouc = min(max(s.base_bouc, -1.0), 1.0)
+        s.base_lagged += (STEP_S / p.base_lag
+                          * (u - p.base_hysteresis * s.base_bouc - s.base_lagged))
+        u = s.base_lagged
+    if p.loop_width <= 0.0:
+        return u
+    du = u - s.loop_input
+    s.loop_input = u
+    if p.loop_preisach > 0.5:
+        if du != 0.0:
+            s.looped = preisach(s.relays, u, top, p.loop_width)
+        return s.looped
+    grip = abs(s.bouc) ** p.loop_exponent
+    side = 1.0 if s.bouc * du >= 0.0 else -1.0
+    s.bouc += du / p.loop_width * (1.0 - grip * (0.5 + 0.5 * side))
+    s.bouc = min(max(s.bouc, -1.0), 1.0)
+    return u - p.loop_width * s.bouc
+
+
+@jit
+def bend(p, s, u):
+    """Advance coil and jet pipe by a sub-step under a current (N)."""
+    if p.deadband > 0.0:
+        u = soft_dead(u, p.deadband)
+    if p.one_sided_gain != 0.0 and u > 0.0:
+        u *= 1.0 + p.one_sided_gain
+    if p.extra_lag > 0.0:
+        s.lag1 += STEP_S / (0.7 * p.extra_lag) * (u - s.lag1)
+        s.lag2 += STEP_S / (0.3 * p.extra_lag) * (s.lag1 - s.lag2)
+        u = s.lag2
+    s.coil += STEP_S * 2.0 * math.pi * p.coil * (u - s.coil)
+    drive = s.coil
+    if p.resonance > 0.0:
+        w = 2.0 * math.pi * p.resonance
+        s.resonant_rate += STEP_S * (w * w * (s.coil - s.resonant) - 0.1 * w * s.resonant_rate)
+        s.resonant += STEP_S * s.resonant_rate
+        drive = s.coil + p.resonance_share * (s.resonant - s.coil)
+    w = 2.0 * math.pi * p.pipe
+    s.pipe_rate += STEP_S * (w * w * (drive - s.pipe) - 2.0 * p.pipe_damping * w * s.pipe_rate)
+    s.pipe += STEP_S * s.pipe_rate
+
+
+@jit
+def valve_position(p, s):
+    """Return the position (m) of the jet pipe's tip."""
+    z = s.pipe * p.gain / p.maximum_force * p.full_opening
+    return soft_clip(z, p.travel_limit) if p.travel_limit > 0.0 else z
+
+
+@jit
+def static_force(p, s, relative, opening, t):
+    """Return the force (N) of a valve that is open so far, at rest; the supply sags with use."""
+    static = relative * p.maximum_force
+    if p.saturates > 0.5:
+        static = soft_clip(static, p.maximum_force)
+    if p.force_limit > 0.0:
+        static = soft_clip(static, p.force_limit)
+    if p.supply_sag > 0.0:
+        s.opened += STEP_S / p.supply_time * (abs(opening) - s.opened)
+    return static * ((1.0 - p.supply_drop - p.supply_sag * s.opened)
+                     * (1.0 - p.fading_gain * t / 10.0) * (1.0 + p.position_gain * s.x))
+
+
+@jit
+def damping_force(p, v, opening):
+    """Return the force (N) that the oil sets against a velocity v (m/s)."""
+    against = (p.damping * v + p.turbulent * abs(v) * v
+               + p.turbulent_opening * abs(opening) * v)
+    if p.family <= 0.5:
+        return against
+    size = abs(opening)
+    width = 0.198 * (1.0 + 0.217 * size)
+    out_v = p.family_velocity - 0.422 * size + 0.112 * opening
+    back_v = p.family_velocity - 0.422 * size - 0.112 * opening
+    scale = 0.5 * p.family_force * (0.021 + 0.979 * size) * 2.0 / math.pi
+    c = 0.5 * math.pi
+    curve = (math.atan(c * (v - out_v) / width) + math.atan(c * (v + back_v) / width)
+             + math.atan(c * out_v / width) - math.atan(c * back_v / width))
+    return p.family_force * math.tanh((against + scale * curve) / p.family_force)
+
+
+@jit
+def press(p, s, t):
+    """Advance the hydraulic force by a sub-step."""
+    relative = valve_position(p, s) / p.full_opening
+    if p.orifice_deadband > 0.0:
+        relative = soft_dead(relative, p.orifice_deadband)
+    opening = soft_clip(relative, 1.0)
+    static = static_force(p, s, relative, opening, t)
+    against = damping_force(p, s.v, opening)
+    loss = p.leak * s.hydraulic * (0.3 + 0.7 * abs(s.hydraulic) / 1000.0)
+    rate = 2.0 * math.pi * p.fluid
+    if p.air_time > 0.0:
+        stiff = 1.0 + abs(s.hydraulic) / p.air_force
+        rate = 1.0 / (1.0 / rate + p.air_time / (stiff * stiff))
+    s.hydraulic += STEP_S * rate * (static - against - loss - s.hydraulic)
+
+
+@jit
+def friction(p, s):
+    """Return the friction force (N) of the nominal model, and of the effects."""
+    rub = p.viscous * s.v
+    if p.friction > 0.0:
+        forward = p.friction * (1.0 + p.asymmetry)
+        backward = p.friction * (1.0 - p.asymmetry)
+        rub += maxwell_slip(s.slips, s.v, forward, backward, forward * p.breakaway,
+                            backward * p.breakaway, p.stribeck, p.slip_distance, p.dahl, STEP_S)
+    base = 0.0
+    if p.base_push > 0.0:
+        base = maxwell_slip(s.base_slips, s.v, p.base_coulomb, p.base_coulomb, p.base_push,
+                            p.base_pull, 0.005, 1.2e-4, 0.0, STEP_S)
+    return base, rub
+
+
+@jit
+def disturbance(p, s, t):
+    """Return the push (N) from outside at a time (s)."""
+    push = p.push_constant
+    if p.push_frequency > 0.0:
+        push += p.push_sine * math.sin(2.0 * math.pi * p.push_frequency * t)
+    if p.push_burst != 0.0 and p.burst_start <= t < p.burst_end:
+        push += p.push_burst
+    if p.ripple != 0.0:
+        push += p.ripple * math.sin(2.0 * math.pi * s.x / p.ripple_pitch)
+    return push
+
+
+@jit
+def move(p, s, total):
+    """Advance piston and load by a sub-step under a force (N)."""
+    if p.gap > 0.0 or p.coupling > 0.0:
+        stretch = s.x - s.load_x
+        if p.gap > 0.0:
+            contact = 0.0
+            if abs(stretch) > p.gap:
+                contact = (4e6 * (stretch - math.copysign(p.gap, stretch))
+                           + 300.0 * (s.v - s.load_v))
+        else:
+            contact = p.coupling * stretch + 20.0 * (s.v - s.load_v)
+        spring = p.stiffness * s.load_x + p.damper * s.load_v
+        m1 = p.mass * p.piston_share
+        s.v += STEP_S * (total - contact) / m1
+        s.load_v += STEP_S * (contact - spring) / (p.mass - m1)
+        s.load_x += STEP_S * s.load_v
+    else:
+        spring = (p.stiffness * s.x + p.damper * s.v
+                  + p.cubic_spring * p.stiffness * s.x * s.x * s.x * 1e5)
+        s.v += STEP_S * (total - spring) / p.mass
+    s.x += STEP_S * s.v
+
+
+@jit
+def sense(p, s, force):
+    """Advance the force sensor by a sub-step under a force (N)."""
+    s.sensor_ring[s.at] = force
+    late = s.sensor_ring[(s.at - int(p.sensor_delay / STEP_S)) % RING]
+    if p.sensor_corner > 0.0:
+        w = 2.0 * math.pi * p.sensor_corner
+        s.sensed_rate += STEP_S * (w * w * (late - s.sensed) - 1.4 * w * s.sensed_rate)
+        s.sensed += STEP_S * s.sensed_rate
+    else:
+        s.sensed = force
+    if p.sensor_lag > 0.0:
+        s.slow1 += STEP_S / (0.6 * p.sensor_lag) * (s.sensed - s.slow1)
+        s.slow2 += STEP_S / (0.4 * p.sensor_lag) * (s.slow1 - s.slow2)
+
+
+@jit
+def reading(p, s, t):
+    """Return the force (N) that the sensor tells, without noise."""
+    force = s.sensed if p.sensor_lag <= 0.0 else s.slow2
+    return (force * (1.0 + p.sensor_scale) + p.sensor_offset
+            + p.drift * (1.0 - math.exp(-t / p.drift_time)))
+
+
+@jit
+def run(p, s, reference, bench, random, top, out):
     """
     Put command N, force N, valve position m, position m and velocity m/s into out (5 x n).
 
-    reference: n desired forces N if closed, else n valve commands N; random: n x 4 standard
-    normal numbers for the noise, n more (last row) uniform ones for jitter and dropouts.
+    s: the state at rest; reference: n desired forces N if the loop is closed, else n valve
+    commands N; random: 4 x n standard normal numbers for the noise, a fifth row of uniform ones
+    for jitter and dropouts; top: the largest command, N.
     """
-    n = out.shape[1]
-    inner = int(round(PERIOD_S / STEP_S))
-    h = STEP_S
-    ring = np.zeros(RING)
-    relays = np.empty((WIDTHS, RELAYS))
-    for j in range(WIDTHS):
-        for i in range(RELAYS):
-            relays[j, i] = 1.0 if (i + (j + 0.5) / WIDTHS) < RELAYS / 2 else -1.0
-    slips = np.zeros(SLIPS)
-    base_slips = np.zeros(SLIPS)
-    bouc, base_bouc, u_old, looped_u, base_u = 0.0, 0.0, 0.0, 0.0, 0.0
-    slewed, base_lagged, lag1, lag2, coil, pipe, pipe_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    resonant, resonant_rate = 0.0, 0.0
-    opened, hydraulic = 0.0, 0.0
-    x, v, load_x, load_v = 0.0, 0.0, 0.0, 0.0
-    sensed, sensed_rate, slow1, slow2 = 0.0, 0.0, 0.0, 0.0
-    sensor_ring = np.zeros(RING)
-    at = 0
-    held = 0.0
-    hold_until = -1
-    two_masses = p.gap > 0.0 or p.coupling > 0.0
-    w_pipe = 2.0 * math.pi * p.pipe
-    w_sensor = 2.0 * math.pi * p.sensor_corner
-    w_res = 2.0 * math.pi * p.resonance
-    for k in range(n):
+    for k in range(out.shape[1]):
         t = k * PERIOD_S
-        z = pipe * p.gain / p.maximum_force * p.full_opening
-        if p.travel_limit > 0.0:
-            z = soft_clip(z, p.travel_limit)
-        reading = (sensed if p.sensor_lag <= 0.0 else slow2)
-        reading = (reading * (1.0 + p.sensor_scale) + p.sensor_offset
-                   + p.drift * (1.0 - math.exp(-t / p.drift_time)))
-        force = reading + noise[0] * random[0, k]
+        force = reading(p, s, t) + bench.noise[0] * random[0, k]
         command = reference[k]
-        if closed:
-            command = kp * (reference[k] - force) + reference[k] * feed_forward
+        if bench.closed:
+            command = bench.gain * (reference[k] - force) + reference[k] * bench.feed_forward
             command = min(max(command, -4000.0), 4000.0)
         out[0, k] = command
         out[1, k] = force
-        out[2, k] = z + noise[1] * random[1, k]
-        out[3, k] = x + noise[2] * random[2, k]
-        out[4, k] = v + noise[3] * random[3, k]
-        if p.dropout > 0.0 and k > hold_until and random[4, k] < p.dropout:
-            hold_until = k + 40
-        if k > hold_until:
-            held = command
-        applied = held
-        if p.quantum > 0.0:
-            applied = p.quantum * math.floor(applied / p.quantum) + 0.5 * p.quantum
-        wait = p.delay + p.extra_delay * (1.0 + p.jitter * (2.0 * random[4, k] - 1.0))
-        whole = int(wait / h)
-        for _ in range(inner):
-            at = (at + 1) % RING
-            ring[at] = applied
-            u = ring[(at - whole) % RING] + p.bias
-            if p.slew > 0.0:
-                slewed += min(max(u - slewed, -p.slew * h), p.slew * h)
-                u = slewed
-            # What is in both worlds of the full model: a rounded loop, and a lag for its growth.
-            if p.base_hysteresis > 0.0:
-                du = u - base_u
-                base_u = u
-                base_bouc += (du - abs(du) * base_bouc) / p.base_hysteresis
-                base_bouc = min(max(base_bouc, -1.0), 1.0)
-                base_lagged += h / p.base_lag * (u - p.base_hysteresis * base_bouc - base_lagged)
-                u = base_lagged
-            if p.loop_width > 0.0:
-                if p.loop_preisach > 0.5:
-                    if u != u_old:
-                        looped_u = preisach(relays, u, top, p.loop_width)
-                        u_old = u
-                    u = looped_u
-                else:
-                    du = u - u_old
-                    u_old = u
-                    grip = abs(bouc) ** p.loop_exponent
-                    side = 1.0 if bouc * du >= 0.0 else -1.0
-                    bouc += du / p.loop_width * (1.0 - grip * (0.5 + 0.5 * side))
-                    bouc = min(max(bouc, -1.0), 1.0)
-                    u -= p.loop_width * bouc
-            if p.deadband > 0.0:
-                u = soft_dead(u, p.deadband)
-            if p.one_sided_gain != 0.0 and u > 0.0:
-                u *= 1.0 + p.one_sided_gain
-            if p.extra_lag > 0.0:
-                lag1 += h / (0.7 * p.extra_lag) * (u - lag1)
-                lag2 += h / (0.3 * p.extra_lag) * (lag1 - lag2)
-                u = lag2
-            coil += h * 2.0 * math.pi * p.coil * (u - coil)
-            drive = coil
-            if p.resonance > 0.0:
-                resonant_rate += h * (w_res * w_res * (coil - resonant)
-                                      - 0.1 * w_res * resonant_rate)
-                resonant += h * resonant_rate
-                drive = coil + p.resonance_share * (resonant - coil)
-            pipe_rate += h * (w_pipe * w_pipe * (drive - pipe)
-                              - 2.0 * p.pipe_damping * w_pipe * pipe_rate)
-            pipe += h * pipe_rate
+        out[2, k] = valve_position(p, s) + bench.noise[1] * random[1, k]
+        out[3, k] = s.x + bench.noise[2] * random[2, k]
+        out[4, k] = s.v + bench.noise[3] * random[3, k]
+        applied, late = sent(p, s, k, command, random[4, k])
+        for _ in range(SUBSTEPS):
+            bend(p, s, magnetised(p, s, received(p, s, applied, late), top))
+            press(p, s, t)
+            base, rub = friction(p, s)
+            felt = s.hydraulic - base - (rub if p.friction_inside > 0.5 else 0.0)
+            move(p, s, s.hydraulic - base - rub + disturbance(p, s, t))
+            sense(p, s, felt)
 
-            z = pipe * p.gain / p.maximum_force * p.full_opening
-            if p.travel_limit > 0.0:
-                z = soft_clip(z, p.travel_limit)
-            relative = z / p.full_opening
-            if p.orifice_deadband > 0.0:
-                relative = soft_dead(relative, p.orifice_deadband)
-            static = relative * p.maximum_force
-            opening = soft_clip(relative, 1.0)
-            if p.saturates > 0.5:
-                static = soft_clip(static, p.maximum_force)
-            if p.force_limit > 0.0:
-                static = soft_clip(static, p.force_limit)
-            if p.supply_sag > 0.0:
-                opened += h / p.supply_time * (abs(opening) - opened)
-            static *= ((1.0 - p.supply_drop - p.supply_sag * opened)
-                       * (1.0 - p.fading_gain * t / 10.0) * (1.0 + p.position_gain * x))
-            against = (p.damping * v + p.turbulent * abs(v) * v
-                       + p.turbulent_opening * abs(opening) * v)
-            if p.family > 0.5:
-                size = abs(opening)
-                width = 0.198 * (1.0 + 0.217 * size)
-                out_v = p.family_velocity - 0.422 * size + 0.112 * opening
-                back_v = p.family_velocity - 0.422 * size - 0.112 * opening
-                scale = 0.5 * p.family_force * (0.021 + 0.979 * size) * 2.0 / math.pi
-                c = 0.5 * math.pi
-                curve = (math.atan(c * (v - out_v) / width) + math.atan(c * (v + back_v) / width)
-                         + math.atan(c * out_v / width) - math.atan(c * back_v / width))
-                against += scale * curve
-                against = p.family_force * math.tanh(against / p.family_force)
-            loss = p.leak * hydraulic * (0.3 + 0.7 * abs(hydraulic) / 1000.0)
-            rate = 2.0 * math.pi * p.fluid
-            if p.air_time > 0.0:
-                stiff = 1.0 + abs(hydraulic) / p.air_force
-                rate = 1.0 / (1.0 / rate + p.air_time / (stiff * stiff))
-            hydraulic += h * rate * (static - against - loss - hydraulic)
 
-            rub = p.viscous * v
-            if p.friction > 0.0:
-                forward = p.friction * (1.0 + p.asymmetry)
-                backward = p.friction * (1.0 - p.asymmetry)
-                rub += maxwell_slip(slips, v, forward, backward, forward * p.breakaway,
-                                    backward * p.breakaway, p.stribeck, p.slip_distance, p.dahl, h)
-            base = 0.0
-            if p.base_push > 0.0:
-                base = maxwell_slip(base_slips, v, p.base_coulomb, p.base_coulomb, p.base_push,
-                                    p.base_pull, 0.005, 1.2e-4, 0.0, h)
-            sensed_force = hydraulic - base - (rub if p.friction_inside > 0.5 else 0.0)
-            push = p.push_constant
-            time = t + 0.0
-            if p.push_frequency > 0.0:
-                push += p.push_sine * math.sin(2.0 * math.pi * p.push_frequency * time)
-            if p.push_burst != 0.0 and p.burst_start <= time < p.burst_end:
-                push += p.push_burst
-            if p.ripple != 0.0:
-                push += p.ripple * math.sin(2.0 * math.pi * x / p.ripple_pitch)
-            total = hydraulic - base - rub + push
-            if two_masses:
-                stretch = x - load_x
-                if p.gap > 0.0:
-                    contact = 0.0
-                    if abs(stretch) > p.gap:
-                        contact = (4e6 * (stretch - math.copysign(p.gap, stretch))
-                                   + 300.0 * (v - load_v))
-                else:
-                    contact = p.coupling * stretch + 20.0 * (v - load_v)
-                spring = p.stiffness * load_x + p.damper * load_v
-                m1 = p.mass * p.piston_share
-                v += h * (total - contact) / m1
-                load_v += h * (contact - spring) / (p.mass - m1)
-                load_x += h * load_v
-            else:
-                spring = (p.stiffness * x + p.damper * v
-                          + p.cubic_spring * p.stiffness * x * x * x * 1e5)
-                v += h * (total - spring) / p.mass
-            x += h * v
-
-            sensor_ring[at] = sensed_force
-            late = sensor_ring[(at - int(p.sensor_delay / h)) % RING]
-            if p.sensor_corner > 0.0:
-                sensed_rate += h * (w_sensor * w_sensor * (late - sensed)
-                                    - 1.4 * w_sensor * sensed_rate)
-                sensed += h * sensed_rate
-            else:
-                sensed = sensed_force
-            if p.sensor_lag > 0.0:
-                slow1 += h / (0.6 * p.sensor_lag) * (sensed - slow1)
-                slow2 += h / (0.4 * p.sensor_lag) * (slow1 - slow2)
+def rest() -> np.void:
+    """Return the state of the plant at rest: half of the relays are up."""
+    state = np.zeros(1, STATE)[0]
+    state['hold_until'] = -1
+    threshold = np.arange(RELAYS) + np.arange(WIDTHS)[:, None] / WIDTHS
+    state['relays'] = np.where(threshold + 0.5 / WIDTHS < RELAYS / 2, 1.0, -1.0)
+    return state
 
 
 def plant(values: dict[str, float]) -> np.void:
@@ -343,5 +412,5 @@ def simulate(p: np.void, reference: npt.NDArray[np.float64], bench: Bench, seed:
         random[:4] = lfilter([fresh], [1.0, -bench.colour], random[:4])
     out = np.empty((5, reference.size))
     top = 4000.0 if bench.closed else 1.2 * float(np.abs(reference).max())
-    run(p, reference, bench.closed, bench.gain, bench.feed_forward, random, bench.noise, top, out)
+    run(p, rest(), reference, bench, random, top, out)
     return out
