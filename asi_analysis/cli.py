@@ -131,8 +131,8 @@ def run(
             bag = running.run_experiment(wanted, out, report)
             document = running.run_as_dict(wanted, bag)
     except KeyboardInterrupt:
-        raise typer.Exit(_fail(f'interrupted; what was recorded is in {out / "bag"}', 130)
-                         ) from None
+        _fail(f'what was recorded is in {out / "bag"}', 130)
+        raise
     answer(document, as_json, running.run_as_text)
 
 
@@ -569,13 +569,14 @@ def main() -> int:
     Run the command; return the exit status.
 
     0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError, or a
-    file that cannot be read or written), said in one line on stderr; 130: Ctrl-C (typer's).
+    file that cannot be read or written), said in one line on stderr; 130: Ctrl-C.
     """
     warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
     # Typer brings its own copy of click; this is its ClickException.
     click_exception: Any = typer.BadParameter.__mro__[2]
     try:
-        return app(prog_name='asi', standalone_mode=False) or 0
+        status = app(prog_name='asi', standalone_mode=False) or 0
+        return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
     except InputError as error:
         return _fail(str(error), 2)
     except OSError as error:

@@ -4,8 +4,10 @@ Many independent pieces of work: in turn, in processes of this machine, or on a 
 All through joblib; results come in the order of the work, so they do not depend on who did it.
 """
 
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, Final
 
 import joblib
@@ -26,6 +28,8 @@ def workers(jobs: int = 1, dask: str | None = None) -> Iterator[None]:
     Raises InputError if no scheduler answers there, or without the extra `cluster`.
     """
     if dask is None:
+        if jobs > 1:
+            resource_tracker.ensure_running()   # as it starts, it lets Ctrl-C through (see `each`)
         with joblib.parallel_config('loky', n_jobs=jobs):
             yield
         return
@@ -41,7 +45,23 @@ def workers(jobs: int = 1, dask: str | None = None) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Hold Ctrl-C back meanwhile; processes started now inherit that, and keep it for good."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-    """Yield function(*arguments) of each arguments in `work`, in their order, as they are done."""
-    yield from joblib.Parallel(return_as='generator')(
-        joblib.delayed(function)(*arguments) for arguments in work)
+    """
+    Yield function(*arguments) of each arguments in `work`, in their order, as they are done.
+
+    A terminal sends Ctrl-C to every process: here this one alone acts on it, and ends the others.
+    """
+    with _interrupts_wait():   # the call below starts the processes
+        results = joblib.Parallel(return_as='generator')(
+            joblib.delayed(function)(*arguments) for arguments in work)
+    yield from results

@@ -266,7 +266,7 @@ def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, recording, tmp_pa
     if how == signal.SIGINT:
         assert process.returncode == 130
         assert process.stderr.read().strip() == (
-            f'asi: interrupted; what was recorded is in {out / "bag"}')
+            f'asi: what was recorded is in {out / "bag"}\nasi: interrupted')
     from asi_analysis.bag import read_bag
     run = read_bag(out / 'bag')
     assert len(run) > 100

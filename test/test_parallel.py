@@ -21,6 +21,19 @@ def peak(gain: float, folder: Path) -> tuple[float, int]:
     return float(run.force_n.max()), os.getpid()
 
 
+def press_ctrl_c() -> int:
+    """Interrupt this process; return who it is if it goes on."""
+    os.kill(os.getpid(), signal.SIGINT)
+    return os.getpid()
+
+
+def test_ctrl_c_is_left_to_the_process_that_shares_out_the_work() -> None:
+    with workers(jobs=2):
+        assert os.getpid() not in list(each(press_ctrl_c, [()] * 4))
+    with pytest.raises(KeyboardInterrupt):
+        list(each(press_ctrl_c, [()]))
+
+
 def test_processes_and_a_cluster_that_loses_a_worker_return_the_same(tmp_path: Path) -> None:
     pytest.importorskip('distributed', reason='the extra `cluster` is not installed')
     from bench.local_cluster import cluster
