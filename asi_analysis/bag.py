@@ -1,7 +1,7 @@
 """Bag → `Run`, `Run` → bag."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -32,7 +32,7 @@ STATE: Final = ': state'
 Nanoseconds = npt.NDArray[np.int64]
 
 
-class _Series(NamedTuple):
+class Series(NamedTuple):
     """One topic, decoded: times (ns) of n messages, and their numbers by name."""
 
     stamp_ns: Nanoseconds       # 0 where there is none
@@ -52,7 +52,7 @@ def read_bag(path: str | Path) -> Run:
     path = Path(path)
     contents = read_contents(path, lambda name: _base(name) in (*TYPES, DIAGNOSTICS))
     problems = list(contents.problems)
-    series: dict[str, _Series] = {}
+    series: dict[str, Series] = {}
     changes = []
     for topic in contents.topics.values():
         name = _base(topic.name)
@@ -66,14 +66,15 @@ def read_bag(path: str | Path) -> Run:
                 raise InputError(f'{path} has several topics named {name}: expected one actuator '
                                  'a bag')
             try:
-                decoded = _decode(topic)
+                decoded = decode(topic)
             except cdr.LayoutError as error:
                 problems.append(f'{path}: {topic.name} is left out: {error}')
                 continue
             joints = {key.rpartition(' ')[0] for key in decoded.values} - {''}
             if joints and not joints & set(JOINTS):
                 problems.append(f'{path}: {topic.name} is left out: it is of the joints '
-                                f'{", ".join(sorted(joints))}, expected {" and ".join(JOINTS)}')
+                                f'{", ".join(sorted(joints))}, expected {" and ".join(JOINTS)} '
+                                '(asi import takes others)')
             else:
                 series[name] = decoded
     if not series:
@@ -113,41 +114,7 @@ def _base(topic: str) -> str:
     return topic.rpartition('/')[2]
 
 
-def _decode(topic: Topic) -> _Series:
-    """Decode the messages of a topic, those of one layout at a time. Raises cdr.LayoutError."""
-    count = len(topic)
-    stamp_ns = np.zeros(count, np.int64)
-    values: dict[str, Array] = {}
-    layouts: dict[bytes, cdr.Layout] = {}      # by a message of that layout
-    for places, table in topic.tables():
-        left = np.ones(len(places), bool)
-        while left.any():
-            template = _known(layouts, topic.type, table[np.argmax(left)])
-            group = left & cdr.same_layout(table, template, layouts[template])
-            left &= ~group
-            paths = _numbers(layouts[template])
-            found = dict(zip(paths, cdr.columns(
-                topic.type, table if group.all() else table[group], list(paths.values()),
-                layouts[template]), strict=True))
-            if 'sec' in found:
-                stamp_ns[places[group]] = (found.pop('sec').astype(np.int64) * 10**9
-                                           + found.pop('nanosec').astype(np.int64))
-            for name, column in found.items():
-                values.setdefault(name, np.full(count, np.nan))[places[group]] = column
-    return _Series(stamp_ns, topic.publish_ns, values)
-
-
-def _known(layouts: dict[bytes, cdr.Layout], type_: str, message: npt.NDArray[np.uint8]) -> bytes:
-    """Return the key of a message's layout, which is added if it is a new one."""
-    for template, place in layouts.items():
-        if len(template) == len(message) and cdr.same_layout(message[None], template, place)[0]:
-            return template
-    template = message.tobytes()
-    layouts[template] = cdr.layout(type_, template)
-    return template
-
-
-def _numbers(place: cdr.Layout) -> dict[str, cdr.Path]:
+def numbers_of_a_run(place: cdr.Layout) -> dict[str, cdr.Path]:
     """Return where the numbers are that a run is made of, by a name for each."""
     joints = {path[1]: name for path, name in place.strings.items() if path[0] == 'name'}
     named: dict[str, cdr.Path] = {}
@@ -160,6 +127,45 @@ def _numbers(place: cdr.Layout) -> dict[str, cdr.Path]:
             case (str(quantity), int(joint)) if joint in joints:
                 named[f'{joints[joint]} {quantity}'] = path
     return named
+
+
+def decode(topic: Topic, named: Callable[[cdr.Layout], dict[str, cdr.Path]] = numbers_of_a_run
+           ) -> Series:
+    """
+    Decode the messages of a topic, those of one layout at a time. Raises cdr.LayoutError.
+
+    named: says which numbers of a layout are wanted, and their names; `sec`, `nanosec`: the stamp.
+    """
+    count = len(topic)
+    stamp_ns = np.zeros(count, np.int64)
+    values: dict[str, Array] = {}
+    layouts: dict[bytes, cdr.Layout] = {}      # by a message of that layout
+    for places, table in topic.tables():
+        left = np.ones(len(places), bool)
+        while left.any():
+            template = _known(layouts, topic.type, table[np.argmax(left)])
+            group = left & cdr.same_layout(table, template, layouts[template])
+            left &= ~group
+            paths = named(layouts[template])
+            found = dict(zip(paths, cdr.columns(
+                topic.type, table if group.all() else table[group], list(paths.values()),
+                layouts[template]), strict=True))
+            if 'sec' in found:
+                stamp_ns[places[group]] = (found.pop('sec').astype(np.int64) * 10**9
+                                           + found.pop('nanosec').astype(np.int64))
+            for name, column in found.items():
+                values.setdefault(name, np.full(count, np.nan))[places[group]] = column
+    return Series(stamp_ns, topic.publish_ns, values)
+
+
+def _known(layouts: dict[bytes, cdr.Layout], type_: str, message: npt.NDArray[np.uint8]) -> bytes:
+    """Return the key of a message's layout, which is added if it is a new one."""
+    for template, place in layouts.items():
+        if len(template) == len(message) and cdr.same_layout(message[None], template, place)[0]:
+            return template
+    template = message.tobytes()
+    layouts[template] = cdr.layout(type_, template)
+    return template
 
 
 def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
@@ -182,10 +188,10 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
     return changes
 
 
-def _assemble(series: Mapping[str, _Series], changes: list[tuple[int, StateChange]], source: str,
+def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
               information: dict[str, Any]) -> Run:
     """Put the topics onto one time base."""
-    base = _time_base(next(series[name] for name in TYPES if name in series))
+    base = time_base(next(series[name] for name in TYPES if name in series))
     state = series.get('joint_states')
     signals: dict[str, Any] = {}
     for name, field, topics, joint in (
@@ -199,15 +205,15 @@ def _assemble(series: Mapping[str, _Series], changes: list[tuple[int, StateChang
         values = None
         # joint_states holds all that is measured, on the time base itself.
         if state is not None and joint in state.values:
-            values = _onto(base, state, state.values[joint], lasting=False)
+            values = onto(base, state, state.values[joint], lasting=False)
         if found is not None and (values is None or np.isnan(values).all()):
-            values = _onto(base, found, found.values['value'],
+            values = onto(base, found, found.values['value'],
                            lasting=name in ('reference', 'command'))
         if values is not None and not np.isnan(values).all():
             signals[field] = values
     if 'command_n' not in signals and state is not None and 'valve effort' in state.values:
         # The command that was applied up to a state: the answer to the one before.
-        applied = _onto(base, state, state.values['valve effort'], lasting=False)
+        applied = onto(base, state, state.values['valve effort'], lasting=False)
         if not np.isnan(applied).all():
             signals['command_n'] = np.append(applied[1:], np.nan)
     time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
@@ -216,14 +222,14 @@ def _assemble(series: Mapping[str, _Series], changes: list[tuple[int, StateChang
     return replace(Run(time_s, source=source, information=information, states=states), **signals)
 
 
-def _time_base(series: _Series) -> _Series:
+def time_base(series: Series) -> Series:
     """Return the times that a run is put on: rising stamps, or times of publication."""
     ticks = series.stamp_ns if series.stamp_ns.any() else series.publish_ns
     ticks, first = np.unique(ticks, return_index=True)
-    return _Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
+    return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
 
 
-def _onto(base: _Series, series: _Series, values: Array, lasting: bool) -> Array:
+def onto(base: Series, series: Series, values: Array, lasting: bool) -> Array:
     """
     Return values on the time base, NaN where there is none.
 
@@ -302,7 +308,7 @@ def _encode(type_: str, stamps: Nanoseconds, values: Mapping[str, Array]) -> lis
         message = types[type_](0.0)
     template = bytes(typestore().serialize_cdr(message, type_))
     place = cdr.layout(type_, template)
-    paths = _numbers(place)
+    paths = numbers_of_a_run(place)
     numbers: dict[cdr.Path, npt.NDArray] = {paths[key]: column for key, column in values.items()}
     if 'sec' in paths:
         numbers |= {paths['sec']: stamps // 10**9, paths['nanosec']: stamps % 10**9}

@@ -149,7 +149,7 @@ def analyze(
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
 def import_(
     file: Annotated[Path, typer.Argument(
-        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet')],
+        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet, or a rosbag2')],
     out: Annotated[Path, typer.Option(help='The bag to write')],
     map_: Annotated[list[str] | None, typer.Option(
         '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',
@@ -167,8 +167,8 @@ def import_(
     """
     Make a bag of someone else's recording, so that every analysis runs on it.
 
-    Signals: time, reference, command, force, valve_position, position, velocity. More in
-    doc/importing.md.
+    Signals: time, reference, command, force, valve_position, position, velocity. A column of a
+    rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/importing.md.
     """
     from asi_analysis.importing import import_recording
     with bar() as report:

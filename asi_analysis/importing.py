@@ -1,4 +1,4 @@
-"""Someone else's recording (CSV, TSV, MAT, NPZ, Parquet) → `Run` and bag; doc/importing.md."""
+"""Someone else's recording (CSV, MAT, Parquet, rosbag2, …) → `Run` and bag; doc/importing.md."""
 
 import warnings
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from asi_analysis.bag import write_bag
+from asi_analysis.bag_table import is_bag, read_bag_table
 from asi_analysis.column_mapping import Assignment, evaluate, own_mapping, parse_mapping
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.run import SIGNALS, Array, Run
@@ -21,17 +22,24 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     """
     Return someone else's recording as a run; written as the bag `out` too, if that is given.
 
-    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz or .parquet; mapping: texts
+    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet or a bag; mapping: texts
     SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]], none for the columns that `asi export` writes; rate_hz:
-    samples a second, where no column is mapped to time; skip_lines: lines before the header;
+    samples a second, where no column is mapped to time (a bag has times of its own); skip_lines:
+    lines before the header;
     columns: names for a file without a header; zero_s: take off each signal its mean over so many
     seconds from the start. Raises InputError.
     """
     path = Path(path)
     if not zero_s >= 0.0:
         raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
-    table = read_table(path, skip_lines, delimiter, columns)
-    mappings = [parse_mapping(text) for text in mapping or own_mapping(table)]
+    if is_bag(path):
+        mappings = [parse_mapping(text) for text in mapping]
+        table = read_bag_table(path, [each.term for each in mappings if each.signal != 'time'])
+        if rate_hz is None and all(each.signal != 'time' for each in mappings):
+            mappings.append(parse_mapping('time=time'))
+    else:
+        table = read_table(path, skip_lines, delimiter, columns)
+        mappings = [parse_mapping(text) for text in mapping or own_mapping(table)]
     signals = _evaluated(mappings, table, path)
     length = len(next(iter(signals.values()))[0])
     time_s = _time(signals.pop('time', None), length, rate_hz, path)

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from asi_analysis.bag import read_bag, write_bag
 from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.importing import import_recording
 from asi_analysis.run import Run
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -312,3 +313,49 @@ def test_never_writes_over_a_bag(tmp_path: Path) -> None:
     assert (tmp_path / 'bag/bag_0.mcap').read_bytes() == before
     with Reader(tmp_path / 'bag') as reader:
         assert reader.message_count == 30
+
+
+@pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_bag_of_another_robot_is_imported_by_topic_joint_and_field(
+        tmp_path: Path, plugin: StoragePlugin) -> None:
+    """Two joints in two orders, commands half as often on a topic without stamps."""
+    states, commands = 'sensor_msgs/msg/JointState', 'std_msgs/msg/Float64MultiArray'
+    start, period = 1_790_000_000 * 10**9, 2_000_000
+    stamps = [start + k * period for k in range(40)]
+
+    def state(k: int) -> bytes:
+        order = [0, 1] if k % 2 else [1, 0]
+        message = STORE.types[states](
+            HEADER(TIME(stamps[k] // 10**9, stamps[k] % 10**9), ''),
+            [('hip-1', 'knee')[i] for i in order], np.array([90.0 + k, -k])[order],
+            np.array([0.1 * k, 0.2 * k])[order], np.array([5.0 * k, 7.0 * k])[order])
+        return bytes(STORE.serialize_cdr(message, states))
+
+    def command(k: int) -> bytes:
+        layout = STORE.types['std_msgs/msg/MultiArrayLayout']([], 0)
+        message = STORE.types[commands](layout, np.array([-1.0 * k, 3.0 * k]))
+        return bytes(STORE.serialize_cdr(message, commands))
+
+    bag = foreign_bag(tmp_path / 'robot', {
+        '/leg/states': [(t, state(k)) for k, t in enumerate(stamps)],
+        '/leg/effort/commands': [(t + 100_000, command(k)) for k, t in enumerate(stamps)
+                                 if k % 2 == 0],
+        '/camera/note': [(start, wrench(start, 0.0))],
+    }, plugin, {'/leg/states': states, '/leg/effort/commands': commands})
+    imported = import_recording(bag, [
+        'position=/leg/states/hip-1/position[deg]', 'force=/leg/states/hip-1/effort*-1[Nm]',
+        'velocity=/leg/states/knee/velocity[rad/s]',
+        'command=/leg/effort/commands/data/1[Nm]'], out=tmp_path / 'ours')
+    for run in (imported, read_bag(tmp_path / 'ours')):
+        count = np.arange(40.0)
+        np.testing.assert_allclose(run.time_s, 0.002 * count)
+        assert run.unit('position') == 'rad' and run.unit('command') == 'Nm'
+        found = run.signals()
+        np.testing.assert_allclose(found['position'], np.radians(90.0 + count))
+        np.testing.assert_array_equal(found['force'], -5.0 * count)
+        np.testing.assert_array_equal(found['velocity'], 0.2 * count)
+        np.testing.assert_array_equal(found['command'], 3.0 * (count - count % 2))
+    with pytest.raises(InputError, match='names no column.*time, /leg/states/knee/position'):
+        import_recording(bag, ['position=/leg/states/ankle/position[rad]'])
+    with pytest.raises(InputError, match='it has /leg/states, /leg/effort/commands, /camera/note'):
+        import_recording(bag, ['position=hip-1[rad]'])
