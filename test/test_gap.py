@@ -21,6 +21,7 @@ from asi_analysis.gap.fit import Problem, Promise, fit_null, fit_variants, with_
 from asi_analysis.gap.predict import passed_on, plant_record, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.uncertainty import Likelihood, end
+from asi_analysis.gap.verdict import Evidence, probabilities
 from asi_analysis.run import Run
 from asi_examiner import bags
 
@@ -150,6 +151,22 @@ def test_sensor_that_warms_up_has_no_offset_besides():
     warm = 80.0 * (1.0 - np.exp(-run.time_s))
     diagnosis = diagnose([dataclasses.replace(run, force_n=run.force_n + warm)], TEXTBOOK)
     assert diagnosis.verdict == ('sensor_drift',)
+
+
+@pytest.mark.parametrize(('first', 'second'), [
+    ('valve_saturation', 'internal_leakage'), ('coulomb_friction', 'entrained_air')])
+def test_second_effect_is_seen_beyond_what_the_law_of_the_first_may_leave(first, second):
+    # The first explains all but a twentieth, the second that: friction has laws that differ more.
+    left = {(): 60.0, (first,): 3.0, (second,): 55.0, (first, second): 1.4}
+    pair = tuple(sorted((first, second)))
+    evidence = Evidence(
+        noise={'force': 1.96}, floor={'force': 2.9}, formulation={'force': 0.0},
+        independent={'force': 4000.0}, held_out_s=5.0,
+        left={tuple(sorted(names)): {'force': rms ** 2} for names, rms in left.items()},
+        parameters={(): 0, (first,): 2, (second,): 2, pair: 4})
+    chance = probabilities(evidence)
+    assert max(chance, key=lambda names: chance[names]) == (
+        pair if BY_NAME[first].exact else (first,))
 
 
 def _late(run: Run, samples: int) -> Run:

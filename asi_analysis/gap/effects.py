@@ -48,12 +48,18 @@ class Variant(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """An effect of the vocabulary."""
+    """
+    An effect of the vocabulary.
+
+    exact: whether its forms here hold those of the books: a gain, a corner, a linear lag. Not
+    where there is memory, contact, or chance.
+    """
 
     name: str
     block: str
     description: str
     variants: tuple[Variant, ...]
+    exact: bool = False
 
 
 FORCE_SIDE = ('force',)
@@ -114,16 +120,16 @@ EFFECTS: tuple[Effect, ...] = (
                       'N'),), VALVE_SIDE),
         Variant((Free('orifice_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'valve_position',
                       'm'),), FORCE_SIDE),
-    )),
+    ), exact=True),
     Effect('valve_saturation', VALVE, 'the valve opens, or passes oil, only so far', (
         Variant((Free('valve_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'valve_position', 'm'),
                  Free('corner', 0.0, 0.25, (0.05,))), VALVE_SIDE),
         Variant((Free('force_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'force', 'N'),
                  Free('corner', 0.0, 0.25, (0.05,))), FORCE_SIDE),
-    )),
+    ), exact=True),
     Effect('valve_bias', VALVE, 'the valve is off its centre at no command', (
         Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
-    )),
+    ), exact=True),
     Effect('valve_lag', VALVE, 'the valve follows later, the faster the less', (
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
         # Of a servo without a load of its own, what is beyond one lag is called dead time.
@@ -131,7 +137,7 @@ EFFECTS: tuple[Effect, ...] = (
                  Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE, needs=('load_mass',)),
         Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
                 needs=('valve_flexure_model',)),
-    )),
+    ), exact=True),
     Effect('hydraulic_damping', HYDRAULICS, 'force lost to the oil that a motion drives', (
         Variant((Free('damping_viscous', -1.0, 1.0, (0.02,), 'damping', 'N s/m'),
                  Free('damping_quadratic', -1.0, 1.0, (0.02,), 'damping_quadratic', 'N s2/m2'),
@@ -145,11 +151,11 @@ EFFECTS: tuple[Effect, ...] = (
            (Variant((Free('supply_drop', -0.6, 0.9, (0.1,)),
                      Free('supply_sag', 0.0, 3.0, (0.05, 0.5)),   # of a valve that is wide open
                      Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
-            )),
+            ), exact=True),
     Effect('internal_leakage', HYDRAULICS, 'oil leaks past the piston, more at a higher force', (
         Variant((Free('leakage_linear', 0.0, 3.0, (0.1,)),
                  Free('leakage_quadratic', 0.0, 3.0, (0.1,))), FORCE_SIDE),
-    )),
+    ), exact=True),
     Effect('entrained_air', HYDRAULICS, 'the force builds up late, above all a small one', (
         Variant((Free('air_time', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('air_stiffening', 0.0, 20.0, (1.0,))), FORCE_SIDE),
@@ -181,7 +187,7 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's'),
                  Free('piston_share', 0.0, 0.8, (0.1, 0.5))), LOAD_SIDE),
-    )),
+    ), exact=True),
     Effect('disturbance_force', MECHANICS, 'something else pushes the load', (
         Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
         Variant((Free('disturbance_wave', 0.0, 1.0, (0.1,), 'force', 'N'),
@@ -191,17 +197,17 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('disturbance_pulse', -1.0, 1.0, (0.1, -0.1), 'force', 'N'),
                  Free('disturbance_start', 0.9, 1.1, (1.0,), 'residual_start', 's'),
                  Free('disturbance_end', 0.9, 1.1, (1.0,), 'residual_end', 's')), LOAD_SIDE),
-    )),
+    ), exact=True),
     Effect('sensor_offset', SENSOR, 'the force sensor does not read zero at no force', (
         Variant((Free('sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), BOTH),
-    )),
+    ), exact=True),
     Effect('sensor_gain', SENSOR, 'the force sensor reads in proportion too much or too little', (
         Variant((Free('sensor_gain_error', -0.7, 1.0, (0.05, -0.05)),), BOTH),
-    )),
+    ), exact=True),
     Effect('sensor_lag', SENSOR, 'the force sensor follows late', (
         Variant((Free('sensor_lag', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('sensor_lag_split', 0.0, 0.5, (0.1,))), BOTH),
-    )),
+    ), exact=True),
     Effect('sensor_drift', SENSOR, 'the zero of the force sensor wanders', (
         Variant((Free('sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
                  Free('sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2'),

@@ -37,9 +37,10 @@ class Constants(NamedTuple):
     The constants of the weighing, fitted on blind cases (`python -m asi_analysis.gap.tune`).
 
     How many effects: samples, independent samples that a channel is counted as if USUAL_S are
-    held out; price: log prior of an effect against none; second: of one more; formulation: how
-    much of what an effect explains, in rms, its formulation may leave; seen: how far the floor is
-    what the best hypothesis leaves (1), or what was thought of before (0).
+    held out; price: log prior of an effect against none; second: of one more; formulation, exact:
+    how much of what an effect explains, in rms, its formulation may leave, where its law can be
+    written in several ways, and where not; seen: how far the floor is what the best hypothesis
+    leaves (1), or what was thought of before (0).
     Which: trust, share of the evidence of independent samples that is believed; parameter: log
     prior of a parameter more than one; alike: share of the error of the nominal nonlinearities
     below which no two hypotheses are told apart; few: how many independent samples that error
@@ -51,7 +52,8 @@ class Constants(NamedTuple):
     samples: float = 21.0
     price: float = 2.9
     second: float = 4.85
-    formulation: float = 0.068
+    formulation: float = 0.08
+    exact: float = 0.025
     seen: float = 0.38
     trust: float = 0.27
     parameter: float = 0.53
@@ -291,8 +293,8 @@ def _which(e: Evidence, c: Constants) -> dict[Names, float]:
     evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
                 for names in e.left}
     for channel, noise in e.noise.items():
-        explained = e.left[()][channel] - min(left[channel] for left in e.left.values())
-        formulation = e.formulation[channel] + c.formulation ** 2 * explained
+        best = min(e.left, key=lambda names: e.left[names][channel])
+        formulation = e.formulation[channel] + _misformulated(e, c, best, channel)
         share = formulation / (formulation + noise + 1e-300)
         samples = 1.0 / (1.0 / e.independent[channel] + share / c.few)
         level = NEAR_NOISE * noise + c.alike * formulation
@@ -310,12 +312,18 @@ def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
     samples, gain = _samples(e, c), 0.0
     for channel, floor in e.floor.items():
         first, second = e.left[before][channel], e.left[after][channel]
-        explained = max(e.left[()][channel] - first, 0.0)
         least = min(left[channel] for left in e.left.values())
         least = min(max(least, LEAST * floor), floor)
-        level = floor ** (1.0 - c.seen) * least ** c.seen + c.formulation ** 2 * explained
+        level = (floor ** (1.0 - c.seen) * least ** c.seen
+                 + _misformulated(e, c, before, channel))
         gain += 0.5 * samples * math.log((first + level) / (second + level))
     return gain
+
+
+def _misformulated(e: Evidence, c: Constants, names: Names, channel: str) -> float:
+    """Return the mean square that the formulation of a hypothesis' effects may leave."""
+    share = max((c.exact if BY_NAME[name].exact else c.formulation for name in names), default=0.0)
+    return share ** 2 * max(e.left[()][channel] - e.left[names][channel], 0.0)
 
 
 def _samples(e: Evidence, c: Constants) -> float:
