@@ -48,6 +48,7 @@ def analyze(run: Run) -> dict[str, Any]:
         'samples': len(run),
         'duration_s': run.duration_s,
         'rate_hz': run.rate_hz,
+        'unit': run.unit('force'),
         **{key: getattr(step, key) if step else None for key in headline_keys},
         'bandwidth_hz': width.bandwidth_hz,
         'bandwidth_method': width.method,
@@ -77,13 +78,13 @@ def as_text(document: Mapping[str, Any]) -> str:
         ('overshoot', 'overshoot_percent', '%', 1.0),
         ('settling time 2 %', 'settling_time_2_s', 'ms', 1e3),
         ('settling time 5 %', 'settling_time_5_s', 'ms', 1e3),
-        ('steady-state error', 'steady_state_error_n', 'N', 1.0),
+        ('steady-state error', 'steady_state_error_n', document['unit'], 1.0),
         ('bandwidth', 'bandwidth_hz', 'Hz', 1.0),
         ('bandwidth of the actuator', 'actuator_bandwidth_hz', 'Hz', 1.0),
         ('delay, from the phase', 'delay_s', 'ms', 1e3),
         ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3))
         if document[key] is not None]
-    rows.append(('oscillation', oscillation_as_text(document['oscillation'])))
+    rows.append(('oscillation', oscillation_as_text(document['oscillation'], document['unit'])))
     width = max(len(name) for name, _ in rows)
     return '\n'.join([
         f'{document["source"]}: {document["samples"]} samples, {document["duration_s"]:.6g} s '
@@ -92,9 +93,9 @@ def as_text(document: Mapping[str, Any]) -> str:
         *(f'note: {note}' for note in document['notes'])])
 
 
-def oscillation_as_text(swing: Mapping[str, Any]) -> str:
+def oscillation_as_text(swing: Mapping[str, Any], unit: str = 'N') -> str:
     """Return the oscillation of a document in a few words."""
     if swing['frequency_hz'] is None:
         return 'none' if swing['sustained'] is False else 'cannot be told'
-    return (f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} N, '
+    return (f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} {unit}, '
             + ('sustained' if swing['sustained'] else 'dying out'))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from asi_analysis.analysis import analyze, as_text
 from asi_analysis.closed_loop import simulate_loop
 from asi_analysis.oscillation import oscillation
 from asi_analysis.run import Run
@@ -21,6 +22,13 @@ def test_sine_is_found_exactly():
     assert found.sustained is True
     assert found.frequency_hz == pytest.approx(91.37, abs=0.02)
     assert found.amplitude_n == pytest.approx(40.0, rel=0.01)
+
+
+def test_a_torque_is_told_in_its_own_unit():
+    torque = STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T)
+    units = {'signals': {'force': 'Nm', 'reference': 'Nm'}}
+    told = as_text(analyze(Run(T, reference_n=STEP, force_n=torque, information=units)))
+    assert '91.4 Hz, 40 Nm, sustained' in told and ' N\n' not in told
 
 
 def test_lost_samples_at_the_end_are_no_change_of_the_reference():

@@ -10,6 +10,7 @@ from asi_analysis.attribution.hammerstein import Explanation
 from asi_analysis.attribution.recording import shape_of
 from asi_analysis.attribution.shape import Shape
 from asi_analysis.figures import BLUE, COLOURS, GREY, ORANGE, WIDTH_IN, style
+from asi_analysis.limit_cycle.verdict import response_of
 from asi_analysis.run import Run
 
 DRAWN_CYCLES: Final = 4.0
@@ -44,7 +45,10 @@ def recorded(run: Run, document: dict[str, Any], signal: str | None = None) -> F
     with style():
         figure = Figure(figsize=(WIDTH_IN, 8.0), layout='constrained')
         plane, time, bars = figure.subplots(3, 1, height_ratios=(3, 2, 2))
+        name, _ = response_of(run, signal)
         _plane(plane, found)
+        plane.set(xlabel=f'command ({run.unit("command")})',
+                  ylabel=f'{name.replace("_", " ")} ({run.unit(name)})')
         _time(time, found)
         causes = document['causes']
         row = np.arange(len(causes))
@@ -72,7 +76,7 @@ def _plane(axes: Axes, found: Shape) -> None:
         axes.plot(found.command[last], found.output[last] - each.residual[-period:],
                   color=colour, linewidth=1.0,
                   label=f'{each.kind}, leaves {100.0 * each.unexplained:.2g} %')
-    axes.set(xlabel='command', ylabel='output', title='without what is slow')
+    axes.set_title('without what is slow')
     axes.legend(loc='best')
 
 
