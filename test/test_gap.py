@@ -20,6 +20,7 @@ from asi_analysis.gap.effects import BY_NAME
 from asi_analysis.gap.fit import Problem, Promise, fit_null, fit_variants, with_known_gain
 from asi_analysis.gap.predict import passed_on, plant_record, predict
 from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.seen import seen
 from asi_analysis.gap.uncertainty import Likelihood, end
 from asi_analysis.gap.verdict import Evidence, probabilities
 from asi_analysis.run import Run
@@ -110,6 +111,24 @@ def test_hysteresis_remembers_that_the_machine_was_at_rest():
     run = Run(1e-3 * np.arange(2000), command_n=command, valve_position_m=valve, source='real')
     predicted = predict(prepare([run])[0], 'valve', plant_record(values))
     assert predicted[[900, 1900]] == pytest.approx(valve[[900, 1900]], rel=1e-3)
+
+
+@pytest.mark.parametrize(('deadband', 'command'), [
+    (0.0, np.repeat(np.random.default_rng(11).uniform(-750.0, 750.0, 24), 250)),
+    (150.0, 900.0 * np.sin(np.arange(6000) * 4e-3))])
+def test_steps_of_a_command_are_seen(deadband, command):
+    noise = np.random.default_rng(2).normal(0.0, 2e-8, command.size)
+    run = Run(1e-3 * np.arange(command.size), command_n=command, valve_position_m=noise,
+              source='real')
+    p = plant_record({**TEXTBOOK, 'valve_flexure.coil_frequency': 24.0})
+    p['command_quantum'], p['command_phase'], p['command_deadband'] = 67.5, 0.5, deadband
+    moved = predict(prepare([run])[0], 'valve', p)
+    run = dataclasses.replace(run, valve_position_m=moved + noise)
+    group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][0]
+    fitted = fit_null(group)
+    if deadband:
+        fitted = fit_variants(group, Promise(fitted), BY_NAME['valve_deadband'].variants[:1])
+    assert seen(fitted)['residual_step_edge'] == pytest.approx(67.5, rel=5e-3)
 
 
 def test_effect_behind_a_lag_passes_less_noise_on():

@@ -131,6 +131,14 @@ def dead_zone(x, width):
 
 
 @jit
+def in_steps(u, quantum, phase, truncated):
+    """Return a command in steps of a quantum; phase, truncated: see EFFECT_FIELDS."""
+    if truncated > 0.5:
+        return quantum * int(u / quantum)
+    return quantum * (math.floor(u / quantum + 0.5 - phase) + phase)
+
+
+@jit
 def held_command(command, position, step):
     """
     Return the mean of a held command over `step` samples from `position` samples on.
@@ -198,10 +206,7 @@ def valve(command, p, e, period, count, out):
             u = held_command(command, k + j / count - wait, 1.0 / count)
             u = min(max(u, -p.command_limit), p.command_limit)
             if e.command_quantum > 0.0:
-                steps = u / e.command_quantum
-                u = e.command_quantum * (
-                    float(int(steps)) if e.command_truncated > 0.5 else
-                    math.floor(steps + 0.5 - e.command_phase) + e.command_phase)
+                u = in_steps(u, e.command_quantum, e.command_phase, e.command_truncated)
             u += e.command_bias
             filtered = u + (filtered - u) * decay
             flux_before = flux
@@ -223,6 +228,35 @@ def valve(command, p, e, period, count, out):
                 pipe = lagged
                 if p.valve_flexure_model == LINEAR:
                     pipe *= p.valve_flexure_linear_gain
+
+
+@jit
+def steps_promise(values, counts, sums, quanta, phase, truncated, e, out):
+    """
+    Put into `out` how much steps of each quantum (N) promise to explain, as if nothing were slow.
+
+    values: m commands (N); counts: how often each came; sums: of what steps of one newton there
+    could explain. Less what a gain and an offset of the command could do as well.
+    """
+    plain, total, mean, square = np.empty(values.size), 0.0, 0.0, 0.0
+    for i in range(values.size):
+        plain[i] = dead_zone(values[i] + e.command_bias, e.command_deadband)
+        total += counts[i]
+        mean += counts[i] * plain[i]
+    mean /= total
+    for i in range(values.size):
+        square += counts[i] * (plain[i] - mean) ** 2
+    for k in range(quanta.size):
+        even, along, size, product = 0.0, 0.0, 0.0, 0.0
+        for i in range(values.size):
+            stepped = in_steps(values[i], quanta[k], phase, truncated) + e.command_bias
+            change = dead_zone(stepped, e.command_deadband) - plain[i]
+            even += counts[i] * change
+            along += counts[i] * change * (plain[i] - mean)
+            size += counts[i] * change * change
+            product += sums[i] * change
+        size -= even * even / total + along * along / max(square, 1e-300)
+        out[k] = max(product, 0.0) ** 2 / max(size, 1e-3 * total * quanta[k] ** 2)
 
 
 @jit

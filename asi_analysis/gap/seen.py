@@ -6,7 +6,6 @@ are fitted already could do as well is taken away first, so that it hides nothin
 """
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +20,14 @@ from asi_analysis.gap.prepare import Array, Recording
 Complex = npt.NDArray[np.complexfloating]
 
 CORNERS = 400      # places in a recording where a pulse is looked for to begin or end
-# Steps of a command: how many its largest value has. A third of one between two that are tried
-# is the most that any of its levels is then off by; the best is looked for again, finely.
-STEPS = np.arange(2.0, 60.0, 0.35)
-NEARBY = np.linspace(-0.35, 0.35, 71)
+# Steps of a command: how many its largest value has, looked for first among its levels put into
+# bins, as many, then nearby, more finely.
+STEPS = np.arange(2.0, 60.0, 0.05)
+NEARBY = np.linspace(-0.15, 0.15, 151)
+LEVELS, FINE_LEVELS, ALIKE = 500, 50000, 0.99
+# How they may lie: command_phase and command_truncated.
+WAYS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
+        'residual_step_zero': (0.0, 1.0)}
 FREE = 1e3         # times what is left: the range of an offset, which may be anything
 # An excitation of at most LINES waves, which hold DRIVEN of the power of the force or the motion;
 # one of them holds at least LINE of either.
@@ -150,37 +153,39 @@ def _pulse(left: Array, known: Array, plain: Array, period: float) -> Values:
 
 def _steps(fitted: Fitted, channel: str) -> Values:
     """Return the steps of the command that explain most, in each way that they may lie."""
-    recording = fitted.problem.group.recordings[0]
+    recording, p = fitted.problem.group.recordings[0], fitted.record
     command = recording.command
     assert command is not None
-    left, known = _left(fitted, channel)
+    left, _ = _left(fitted, channel)
     count = next_fast_len(command.size + int(RESPONSE_S / recording.period_s), real=True)
-    response = _response(recording, fitted.record, count)
+    # What a step of one newton explains, when it comes: the product with the valve's answer to it.
+    asked = np.fft.irfft(np.conj(_response(recording, p, count)) * np.fft.rfft(left, count),
+                         count)[:command.size]
     largest = float(np.abs(command).max())
 
-    def explained(step: float, steps: Callable[[Array], Array]) -> float:
-        change = step * steps(command / step) - command
-        moved = np.fft.irfft(response * np.fft.rfft(change, count), count)[:command.size]
-        size = float(moved @ moved) - float(np.sum((known.T @ moved) ** 2))
-        return max(float(moved @ left), 0.0) ** 2 / max(size, 1e-300)
+    def promise(counts: Array, width: float, way: tuple[float, float]) -> Array:
+        values, level = np.unique(np.round(command / width), return_inverse=True)
+        out = np.empty(counts.size)
+        blocks.steps_promise(values * width, np.bincount(level).astype(float),
+                             np.bincount(level, asked), largest / counts, *way,
+                             blocks.parts(p)[1], out)
+        return out
 
     found = {}
-    ways: dict[str, Callable[[Array], Array]] = {
-        'residual_step': np.round, 'residual_step_edge': lambda u: np.floor(u) + 0.5,
-        'residual_step_zero': np.trunc}
-    for name, steps in ways.items():
-        best = 0.0
-        for tried in (STEPS, NEARBY):
-            counts = best + tried
-            best = float(counts[np.argmax([explained(largest / n, steps) for n in counts])])
-        found[name] = largest / best
+    for name, way in WAYS.items():
+        nearby = STEPS[np.argmax(promise(STEPS, largest / LEVELS, way))] + NEARBY
+        gains = promise(nearby, largest / FINE_LEVELS, way)
+        # Where a command has few levels, all that are near are alike until one level jumps.
+        found[name] = largest / float(nearby[gains >= ALIKE * gains.max()].mean())
     return found
 
 
 def _response(recording: Recording, p: np.void, count: int) -> Complex:
-    """Return the valve's frequency response to its command, hysteresis left out."""
+    """Return the valve's frequency response to its command, all that is not linear left out."""
     plain = p.copy()
-    plain['valve_hysteresis_model'] = 0
+    for name in ('valve_hysteresis_model', 'loop_width', 'command_deadband', 'command_bias',
+                 'command_quantum', 'valve_limit'):
+        plain[name] = 0
     step = np.zeros((2, int(RESPONSE_S / recording.period_s)))
     step[0, 1:] = 1.0
     blocks.valve(step[0], *blocks.parts(plain), recording.period_s, recording.sub_steps(1e-3),
