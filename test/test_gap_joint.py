@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from asi_analysis.errors import InputError
+from asi_analysis.gap import report
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.next_motion import CATALOGUE, choose_motion, imagined
 from asi_analysis.gap.seen import _pulse
@@ -66,9 +67,18 @@ def test_rigid_joint_has_no_gap():
     assert answer['nuisance']['load']['load_damping'] == pytest.approx(DAMPING, rel=0.05)
 
 
-def test_friction_of_a_joint_that_turns():
-    diagnosis = diagnose([joint(friction=0.15)], {}, 'joint')
+def test_friction_of_a_joint_that_turns(monkeypatch, tmp_path):
+    run = joint(friction=0.15)
+    diagnosis = diagnose([run], {}, 'joint')
     answer = document(diagnosis)
+    # The report's pictures are in its units.
+    drawn = {}
+    monkeypatch.setattr(report, 'write_report',
+                        lambda out, template, pictures, **_: drawn.update(pictures))
+    report.write_gap_report(diagnosis, answer, run, tmp_path)
+    assert drawn['overlay'][0].axes[0].get_ylabel() == 'command (Nm)'
+    plane = drawn['plane'][0].axes[0]
+    assert (plane.get_xlabel(), plane.get_ylabel()) == ('velocity (rad/s)', 'real - model (Nm)')
     assert answer['which'][0]['effect'] == 'coulomb_friction'
     assert 'coulomb_friction' in answer['ambiguity_set']
     assert answer['where'][0]['block'] == 'mechanics'

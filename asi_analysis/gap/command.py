@@ -80,6 +80,6 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
     if report is not None:
         from asi_analysis.gap.report import write_gap_report
         told('report', None)
-        answer['report'] = str(write_gap_report(diagnosis, answer, report,
+        answer['report'] = str(write_gap_report(diagnosis, answer, runs[0], report,
                                                 values if plant == 'actuator' else None))
     return answer

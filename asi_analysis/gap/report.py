@@ -16,6 +16,7 @@ from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
 from asi_analysis.gap.verdict import Weighed
 from asi_analysis.report import write_report
+from asi_analysis.run import Run
 
 STRETCH_S = 2.0     # of the overlay
 CAPTIONS = {
@@ -24,24 +25,24 @@ CAPTIONS = {
     'plane': 'What the model leaves, before and after, in the plane of the effect',
     'spectrum': 'Spectrum of the signal and of what each model leaves of it',
     'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
-# Name and unit of each channel.
-LABELS = {'valve': ('valve position', 'm'), 'force': ('force', 'N'), 'load': ('force', 'N')}
 
 
-def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
+def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, out: Path,
                      model: Mapping[str, Value] | None = None) -> Path:
     """
     Write report.html and its pictures into `out`; with a model, improved.yaml too.
 
-    answer: the document of the diagnosis; model: nominal parameters of the actuator.
-    Returns the path of report.html.
+    answer: the document of the diagnosis; run: one of its recordings; model: nominal parameters of
+    the actuator, None of a joint. Returns the path of report.html.
     """
     channel = answer['gap']['channel']
     weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
-    drawn = {'overlay': _overlay(diagnosis, weighed, channel),
+    name = _followed(channel, run, joint=model is None)
+    label, unit = name.replace('_', ' '), run.unit(name)
+    drawn = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
              'ranking': _ranking(weighed, channel, answer),
-             'plane': _plane(diagnosis, weighed, channel),
-             'spectrum': _spectrum(diagnosis, weighed, channel),
+             'plane': _plane(diagnosis, weighed, channel, run, unit),
+             'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
              'regimes': pictures.regimes(answer['regimes'])}
     missing = None
     if model is not None and diagnosis.verdict:
@@ -54,7 +55,16 @@ def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
         answer=answer, sentences=sentences(answer), missing=missing)
 
 
-def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
+def _followed(channel: str, run: Run, joint: bool) -> str:
+    """Return which signal a channel tells of; a joint's drive or servo stands for the valve."""
+    if channel != 'valve':
+        return 'force' if run.force_n is not None else 'command'
+    if not joint:
+        return 'valve_position'
+    return 'force' if run.command_n is not None else run.controlled()
+
+
+def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, unit: str) -> Any:
     recording = weighed.group.recordings[-1]
     real = measured(recording, channel)
     nominal = predict(recording, channel, weighed.group.nominal)
@@ -65,10 +75,10 @@ def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
     middle = int(np.argmax(power))
     chosen = slice(max(0, middle - count // 2), middle + count // 2)
     return pictures.overlay(recording.time_s[chosen], real[chosen], nominal[chosen],
-                            improved[chosen], recording.held_out[chosen], *LABELS[channel])
+                            improved[chosen], recording.held_out[chosen], label, unit)
 
 
-def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
+def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, unit: str) -> Any:
     recording = weighed.group.recordings[-1]
     real = measured(recording, channel)
     left = {'real': real} | {name: real - predict(recording, channel, p) for name, p in (
@@ -78,7 +88,7 @@ def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
     frequency, _ = welch(real[kept], 1.0 / recording.period_s, nperseg=_window(real))
     powers = {name: welch(values[kept], 1.0 / recording.period_s, nperseg=_window(real))[1]
               for name, values in left.items()}
-    return pictures.spectrum(frequency, powers, *LABELS[channel])
+    return pictures.spectrum(frequency, powers, label, unit)
 
 
 def _window(values: Any) -> int:
@@ -95,20 +105,22 @@ def _ranking(weighed: Weighed, channel: str, answer: Mapping[str, Any]) -> Any:
                             max(answer['gap']['noise_floor_nrmse'], 1e-6))
 
 
-def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str) -> Any:
+def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str, run: Run, unit: str) -> Any:
     recording = weighed.group.recordings[-1]
     real = measured(recording, channel)
     if channel == 'valve':
-        x, label = recording.command, 'command'
+        x, driven = recording.command, 'reference' if run.command_n is None else 'command'
+        label = f'{driven} ({run.unit(driven)})'
     else:
         motion = recording.motion
         if motion is not None:
             x = motion.velocity[motion.pad:motion.pad + real.size]
-            label = 'velocity (m/s)'
+            label = 'velocity ({})'.format(run.unit('velocity') if run.velocity_m_s is not None
+                                           else run.unit('position') + '/s')
         else:
             x, label = recording.valve_position, 'valve position (m)'
     assert x is not None
     kept = recording.held_out
     before = real - predict(recording, channel, weighed.candidates[()].fitted.record)
     after = real - predict(recording, channel, diagnosis.best(weighed).fitted.record)
-    return pictures.plane(x[kept], before[kept], after[kept], label, LABELS[channel][1])
+    return pictures.plane(x[kept], before[kept], after[kept], label, unit)
