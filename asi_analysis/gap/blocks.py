@@ -54,6 +54,7 @@ EFFECT_FIELDS = (
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
     'orifice_deadband',         # m, half width
+    'orifice_bias',             # m
     'force_limit',              # N, 0: none
     'corner',                   # how round the corner of a saturation is, 0: hard
     'damping_viscous',          # N s/m
@@ -76,10 +77,13 @@ EFFECT_FIELDS = (
     'friction_spread',          # of the seals' elements: 0 all give way at once
     'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
     'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
-    'viscous',                  # N s/m
+    'viscous',                  # N s/m, at velocity_scale
+    'viscous_exponent',         # of the velocity
+    'velocity_scale',           # m/s
     'viscous_asymmetry',        # -1 to 1
     'backlash',                 # m, half width
     'backlash_memory',          # 1: the load stays where it was left, 0: springs back
+    'backlash_floating',        # 1: it goes on by its own inertia, until it touches
     'compliance',               # m/N
     'compliance_damping',       # s
     'piston_share',             # share of the mass before the compliance
@@ -370,7 +374,10 @@ def inner_friction(seal, slips, sizes, extra, reach, v, mean, p, e, h):
 @jit
 def viscous_force(v, e):
     """Return the viscous friction (N) that the effects add at a velocity (m/s)."""
-    return e.viscous * (v + e.viscous_asymmetry * abs(v))
+    size = abs(v)
+    bent = 1.0 if e.viscous_exponent == 1.0 or size == 0.0 else (
+        (size / e.velocity_scale) ** (e.viscous_exponent - 1.0))
+    return e.viscous * (bent * v + e.viscous_asymmetry * size)
 
 
 @jit
@@ -479,6 +486,8 @@ def force(wanted, rub, acceleration, p, e, period, count, out):
 
     # What the sensor feels: not the inertia of the mass before it.
     mass = p.force_sensor_mass_share * p.load_mass
+    if e.compliance > 0.0:
+        mass *= e.piston_share
     hydraulic = wanted[0]
     felt = hydraulic - rub[0] - mass * acceleration[0]
     sensor, sensor_rate, sensed = felt, 0.0, felt
@@ -516,7 +525,8 @@ def supplied(z, v, opened, p, e, keep):
 
     z: valve position, m; v: velocity, m/s; opened: the opening, lagged, of which `keep` is left.
     """
-    relative = dead_zone(z, e.orifice_deadband) / p.valve_characteristic_full_opening
+    opened_by = dead_zone(z + e.orifice_bias, e.orifice_deadband)
+    relative = opened_by / p.valve_characteristic_full_opening
     opening = clip_round(relative, e.corner)
     if p.valve_characteristic_model == FULL:
         relative = opening
@@ -596,6 +606,44 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
         out[k] = total
 
 
+@jit
+def floating(position, velocity, load, e, period, count, out):
+    """
+    Put the force (N) that a load behind a gap takes of the piston at each sample into `out`.
+
+    In the gap it goes on by itself, until it touches.
+    position m, velocity m/s: of the piston, n samples of `period` s in `count` sub-steps; load:
+    its mass kg, damping N s/m, stiffness N/m. What touches is a spring and a damper. By the
+    implicit midpoint, so that a stiff contact stays stable and loses nothing.
+    """
+    mass, damping, stiffness = load
+    h = period / count
+    push, brake = 1.0 / e.compliance, e.compliance_damping / e.compliance
+    x, v, y, w = position[0], velocity[0], position[0], velocity[0]
+    contact = 0.0
+    for k in range(out.shape[0]):
+        out[k] = contact
+        if k == out.shape[0] - 1:
+            break
+        for j in range(count):
+            share = (j + 1.0) / count
+            x_before, v_before = x, v
+            v = velocity[k] + share * (velocity[k + 1] - velocity[k])
+            # Straight between samples, and bent as the change of velocity says.
+            x = (position[k] + share * (position[k + 1] - position[k])
+                 - 0.5 * share * (1.0 - share) * period * (velocity[k + 1] - velocity[k]))
+            ahead = 0.5 * (x_before + x) - y - 0.5 * h * w
+            touch = min(max(ahead, -e.backlash), e.backlash)
+            pull, drag, rest = stiffness, damping, -stiffness * y
+            if touch != ahead:
+                pull, drag = pull + push, drag + brake
+                rest += push * (0.5 * (x_before + x) - touch - y) + brake * 0.5 * (v_before + v)
+            middle = ((w + 0.5 * h / mass * rest)
+                      / (1.0 + 0.5 * h / mass * (drag + 0.5 * h * pull)))
+            y, w = y + h * middle, 2.0 * middle - w
+            contact = push * (x - y - touch) + brake * (v - w) if touch != ahead else 0.0
+
+
 def parts(p: np.void) -> tuple[np.void, np.void]:
     """Return the actuator's and the effects' part of the plant's record, as compiled code asks."""
     raw = p.tobytes()
@@ -651,7 +699,7 @@ def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega
     before = mass * p['piston_share']
-    rest = mass - before
+    rest = p['load_mass'] * (1.0 - p['piston_share'])
     soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
     left = 1.0 / (1.0 + soft * (rest * s * s + damping * s + stiffness))
     return before * s * velocity + left * (

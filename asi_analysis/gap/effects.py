@@ -129,6 +129,8 @@ EFFECTS: tuple[Effect, ...] = (
     ), exact=True),
     Effect('valve_bias', VALVE, 'the valve is off its centre at no command', (
         Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
+        Variant((Free('orifice_bias', -0.7, 0.7, (0.02, -0.02), 'valve_position', 'm'),),
+                FORCE_SIDE),
     ), exact=True),
     Effect('valve_lag', VALVE, 'the valve follows later, the faster the less', (
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
@@ -139,9 +141,9 @@ EFFECTS: tuple[Effect, ...] = (
                 needs=('valve_flexure_model',)),
     ), exact=True),
     Effect('hydraulic_damping', HYDRAULICS, 'force lost to the oil that a motion drives', (
-        Variant((Free('damping_viscous', -1.0, 1.0, (0.02,), 'damping', 'N s/m'),
-                 Free('damping_quadratic', -1.0, 1.0, (0.02,), 'damping_quadratic', 'N s2/m2'),
-                 Free('damping_opening', -1.0, 1.0, (0.02,), 'damping', 'N s/m')), FORCE_SIDE),
+        Variant((Free('damping_viscous', -2.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m'),
+                 Free('damping_quadratic', -2.0, 2.0, (0.02,), 'damping_quadratic', 'N s2/m2'),
+                 Free('damping_opening', -2.0, 2.0, (0.02,), 'damping', 'N s/m')), FORCE_SIDE),
         Variant((_scaled('hydraulic_damping_viscous', starts=(0.3, 1.7)),
                  _scaled('hydraulic_damping_maximum_force', starts=(0.4, 1.5)),
                  _scaled('hydraulic_damping_saturation_velocity', 0.3, 3.0, (1.0,))),
@@ -172,17 +174,21 @@ EFFECTS: tuple[Effect, ...] = (
     Effect('friction_asymmetry', MECHANICS, 'more friction one way than the other',
            (*_ASYMMETRIC, *_ASYMMETRIC_TOO)),
     Effect('viscous_friction', MECHANICS, 'a force against the motion in proportion to it', (
-        Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),), LOAD_SIDE),
-        Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),), FORCE_SIDE,
+        Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
+                 Free('viscous_exponent', 0.8, 1.2, (1.0,))), LOAD_SIDE),
+        Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
+                 Free('viscous_exponent', 0.8, 1.2, (1.0,))), FORCE_SIDE,
                 (('friction_inside', 1.0),)),
     )),
     Effect('backlash', MECHANICS, 'the piston moves a little before the load does', (
         *(Variant((Free('backlash', 0.001, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
                   (('backlash_memory', memory), ('piston_share', 1.0))) for memory in (0.0, 1.0)),
-        # Mass behind the gap too; what touches gives way a little, far less than the load.
-        Variant((Free('backlash', 0.001, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),
-                 Free('compliance', 0.0, 0.1, (0.02,), 'compliance', 'm/N'),
-                 Free('piston_share', 0.0, 1.0, (0.5,))), LOAD_SIDE))),
+        # Its mass goes on by itself in the gap; what touches gives way a little.
+        Variant((Free('backlash', 0.001, 0.7, (0.004, 0.02, 0.06, 0.15), 'position', 'm'),
+                 Free('compliance', 1e-4, 0.1, (0.02, 0.002), 'compliance', 'm/N'),
+                 Free('compliance_damping', 0.0, 0.005, (0.0002,), '', 's'),
+                 Free('piston_share', 0.01, 0.99, (0.4,))), LOAD_SIDE,
+                (('backlash_floating', 1.0),)))),
     Effect('load_compliance', MECHANICS, 'the load gives way between piston and mass', (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's'),

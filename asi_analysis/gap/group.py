@@ -100,7 +100,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     scale = scales(recordings)
     noise, floor, formulation = {}, {}, {}
     p = nominal.copy()
-    p['force_scale'] = scale['force']
+    p['force_scale'], p['velocity_scale'] = scale['force'], scale['velocity']
     for channel in channels:
         noise[channel] = max(_noise(recording, channel, nominal) for recording in recordings)
         size = math.sqrt(float(np.mean([np.mean(measured(recording, channel) ** 2)
@@ -246,7 +246,8 @@ SHOWN = _shown()
 def shows_in(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
     through = channel == 'force' and not group.measures_valve and 'valve' in SHOWN[field]
-    inert = field == 'load_mass' and group.nominal['force_sensor_mass_share'] != 0.0
+    inert = (field in ('load_mass', 'piston_share')
+             and group.nominal['force_sensor_mass_share'] != 0.0)
     carried = (channel == 'force' and field in UNCERTAIN['load']
                and not all(map(moves, group.recordings)))
     return channel in SHOWN[field] or through or inert or carried

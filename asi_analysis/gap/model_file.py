@@ -17,7 +17,8 @@ HELD = ('command_delay', 'loop_width', 'valve_lag', 'damping_viscous', 'supply_d
         'viscous', 'disturbance', 'sensor_offset', 'sensor_gain_error', 'sensor_lag')
 SHAPE = ('loop_share', 'loop_spread', 'friction_bristle', 'friction_inside', 'force_scale',
          'supply_time', 'corner', 'air_stiffening', 'damping_opening', 'damping_quadratic',
-         'supply_sag', 'valve_lag_split', 'sensor_lag_split', 'piston_share')
+         'supply_sag', 'valve_lag_split', 'sensor_lag_split', 'piston_share', 'viscous_exponent',
+         'velocity_scale', 'backlash_floating', 'friction_falling')
 
 
 def slower(corner_hz: float, lag_s: float) -> float:

@@ -23,6 +23,7 @@ FINER = 2
 HYSTERESIS_STEP_S = 2e-4
 # Of the load that is moved, against the damping of the oil that is late by 0.16 ms.
 TRAVEL_STEP_S = 1e-4
+CONTACT_STEP_S = 1e-4   # of a load that touches
 # What valve and parts of the force depend on, and how many of them are kept.
 SEALS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('friction_', 'viscous')))
@@ -41,7 +42,8 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
     for name in actuator.dtype.names or ():
         record[name] = actuator[name]
     for name, value in (('force_scale', 1.0), ('friction_bristle', 1e-4), ('supply_time', 0.3),
-                        ('friction_stribeck', 1.0), ('friction_falling', 1.0)):
+                        ('friction_stribeck', 1.0), ('friction_falling', 1.0),
+                        ('viscous_exponent', 1.0), ('velocity_scale', 1.0)):
         record[name] = value
     return record
 
@@ -175,14 +177,23 @@ def _load(recording: Recording, p: np.void) -> Array:
     """Return the force (N) that the measured motion takes, as the sensor reads it, in band."""
     motion = recording.motion
     assert motion is not None
-    _, damping, _ = blocks.load_constants(p)
+    _, damping, stiffness = blocks.load_constants(p)
     extra, slack = np.zeros((2, motion.velocity.size))
     blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
                           recording.period_s, -motion.pad * recording.period_s, extra, slack)
-    total = motion.judge * (
-        _linear(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
-                np.fft.rfft(slack), p)
-        + np.fft.rfft(extra) * _read(motion.omega, p))
+    if p['backlash_floating'] > 0.0:
+        mass = float(p['load_mass'] * p['piston_share'])
+        carried = np.empty_like(extra)
+        blocks.floating(motion.position, motion.velocity,
+                        (p['load_mass'] - mass, damping, stiffness), blocks.parts(p)[1],
+                        recording.period_s, recording.sub_steps(CONTACT_STEP_S), carried)
+        extra += carried
+        linear = ((1.0 - p['force_sensor_mass_share']) * mass * 1j * motion.omega
+                  * motion.velocity_spectrum * _read(motion.omega, p))
+    else:
+        linear = _linear(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
+                         np.fft.rfft(slack), p)
+    total = motion.judge * (linear + np.fft.rfft(extra) * _read(motion.omega, p))
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
     if not motion.measured:   # the offset is outside the band
