@@ -20,11 +20,11 @@ from asi_analysis.gap.prepare import Array, Recording
 Complex = npt.NDArray[np.complexfloating]
 
 CORNERS = 400      # places in a recording where a pulse is looked for to begin or end
-# Steps of a command: how many its largest value has, looked for first among its levels put into
-# bins, as many, then nearby, more finely.
-STEPS = np.arange(2.0, 60.0, 0.05)
-NEARBY = np.linspace(-0.15, 0.15, 151)
-LEVELS, FINE_LEVELS, ALIKE = 500, 50000, 0.99
+# Steps of a command: how many its largest value has, looked for first in a command whose levels
+# are put into bins, unless they are few, then nearby, more finely.
+STEPS = np.arange(2.0, 60.0, 0.02)
+NEARBY = np.linspace(-0.1, 0.1, 101)
+BINS, ALIKE = 1000, 0.99
 # How they may lie: command_phase and command_truncated.
 WAYS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
         'residual_step_zero': (0.0, 1.0)}
@@ -163,18 +163,20 @@ def _steps(fitted: Fitted, channel: str) -> Values:
                          count)[:command.size]
     largest = float(np.abs(command).max())
 
-    def promise(counts: Array, width: float, way: tuple[float, float]) -> Array:
-        values, level = np.unique(np.round(command / width), return_inverse=True)
+    def promise(counts: Array, levels: Array, way: tuple[float, float]) -> Array:
+        values, level = np.unique(levels, return_inverse=True)
         out = np.empty(counts.size)
-        blocks.steps_promise(values * width, np.bincount(level).astype(float),
-                             np.bincount(level, asked), largest / counts, *way,
-                             blocks.parts(p)[1], out)
+        blocks.steps_promise(values, np.bincount(level).astype(float), np.bincount(level, asked),
+                             largest / counts, *way, blocks.parts(p)[1], out)
         return out
 
+    few = np.unique(command).size <= BINS
+    width = 2.0 * largest / BINS
     found = {}
     for name, way in WAYS.items():
-        nearby = STEPS[np.argmax(promise(STEPS, largest / LEVELS, way))] + NEARBY
-        gains = promise(nearby, largest / FINE_LEVELS, way)
+        roughly = promise(STEPS, command if few else width * np.round(command / width), way)
+        nearby = STEPS[np.argmax(roughly)] + NEARBY
+        gains = promise(nearby, command, way)
         # Where a command has few levels, all that are near are alike until one level jumps.
         found[name] = largest / float(nearby[gains >= ALIKE * gains.max()].mean())
     return found
