@@ -124,7 +124,8 @@ def _sign(rng: np.random.Generator) -> float:
 def draw_effect(name: str, rng: np.random.Generator, size: Values, world: str) -> Values:
     """Return the plant's parameters of an effect; size: the sizes of the signals without it."""
     u, force, v, x, z = (size[key] for key in 'ufvxz')
-    friction = {'slip_distance': _log(rng, 1e-5, 1e-4), 'dahl': float(rng.random() < 0.5)}
+    friction = {'slip_distance': _log(rng, 1e-5, 1e-4),
+                'dahl': _log(rng, 0.5, 2.0) * float(rng.random() < 0.5)}
     push = _sign(rng) * _log(rng, 0.03, 0.2) * force
     choices: dict[str, Values] = {
         'transport_delay': {'extra_delay': _log(rng, 1e-3, 1e-2), 'jitter': rng.uniform(0, 0.3)},
@@ -223,27 +224,30 @@ def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
     return peak * np.asarray(signal) / np.abs(signal).max()
 
 
-def visibility(p: np.void, without: np.void, uncertain: list[str], recording: Array,
+def visibility(p: np.void, without: np.void, believed: Values, recording: Array,
                noise: Array) -> float:
     """
     Return how far an effect stands out, in multiples of the noise.
 
     Both plants replay the recorded command, without noise. What errors of the nominal parameters
-    can explain (linear, within their bounds) is taken away; the largest over the signals counts.
+    can explain (linear, as far from what the user believes as is allowed) is taken away; the
+    largest over the signals counts.
     """
     quiet = Bench(False, 0.0, 0.0, np.zeros(4), 0.0)
     command = recording[0]
     base = simulate(without, command, quiet, 0)
     gap = simulate(p, command, quiet, 0) - base
-    columns = []
-    for name in uncertain:
+    columns, low, high = [], [], []
+    for name, value in believed.items():
+        low.append((1.0 - ERROR) * value / without[name] - 1.0)
+        high.append((1.0 + ERROR) * value / without[name] - 1.0)
         moved = without.copy()
         moved[name] *= 1.02
         columns.append((simulate(moved, command, quiet, 0) - base) / 0.02)
     best = 0.0
     for signal, level in ((1, noise[0]), (2, noise[1]), (4, noise[3])):
         matrix = np.array([column[signal] for column in columns]).T
-        explained = lsq_linear(matrix / level, gap[signal] / level, (-ERROR, ERROR))
+        explained = lsq_linear(matrix / level, gap[signal] / level, (low, high))
         best = max(best, math.sqrt(2.0 * explained.cost / gap[signal].size))
     return best
 
@@ -289,7 +293,7 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
     # The flow that opens the valve fully and the thrust are known together: the gain is what errs.
     true['friction_inside'] = float(rng.random() < 0.5) if known == 'textbook' else 1.0
     true['saturates'] = true['family'] = float(known == 'full')
-    uncertain = list(names)
+    believed = {key: value for key, (_, value) in names.items()}
 
     force = rng.uniform(250, 700)
     reference = excite(excitation, rng, force if bench.closed else force / true['gain'])
@@ -324,7 +328,7 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             single = plant({**true, **extra})
             recording = simulate(single, reference, bench, seed)
             if np.isfinite(recording).all():
-                seen = min(seen, visibility(single, without, uncertain, recording,
+                seen = min(seen, visibility(single, without, believed, recording,
                                             bench.noise))
             else:
                 seen = -1.0

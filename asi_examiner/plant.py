@@ -3,10 +3,11 @@ The examiner's own plant: the actuator of the paper with one or two effects that
 
 Semi-implicit Euler at 10 us, while the diagnosis never takes steps below 100 us. Formulations
 that differ from the diagnosis': hysteresis by Bouc and Wen, or a Preisach sum of relays, against
-plays; friction by generalised Maxwell slip with an exponential Stribeck curve, or by Dahl, against
-an elasto-plastic bristle; extra lags of second order; a delay that jitters; quadratic corners;
-quadratic leakage; oil whose stiffness grows with the square of the pressure; backlash and
-compliance with two masses and a contact; warm-up drift; steps and bursts of disturbance.
+plays; friction by generalised Maxwell slip whose reaches grow geometrically, with an exponential
+Stribeck curve, or by Dahl's law with an exponent of 0.5 to 2, against evenly spread slips and an
+exponent of 1; extra lags of second order; a delay that jitters; quadratic corners; quadratic
+leakage; oil whose stiffness grows with the square of the pressure; backlash and compliance with
+two masses and a contact; warm-up drift; steps and bursts of disturbance.
 """
 
 import math
@@ -22,7 +23,7 @@ SUBSTEPS = 100
 PERIOD_S = 1e-3
 RELAYS = 240          # thresholds of the Preisach plane, for each width
 WIDTHS = 5
-SLIPS = 4             # elements of the Maxwell-slip friction
+SLIPS = 6             # elements of the Maxwell-slip friction
 RING = 4096           # sub-steps of delay: 40 ms
 
 FIELDS = (
@@ -106,20 +107,22 @@ def maxwell_slip(elements, v, forward, backward, forward_break, backward_break, 
     """
     Return the friction force (N) after `h` s at velocity v; updates the elements.
 
-    elements: SLIPS springs, as shares of their own slip force; or a single state after Dahl.
+    elements: SLIPS springs, as shares of their own slip force; or, where it is not zero, a single
+    state after Dahl's law with the exponent `dahl`.
     Forward or backward is which way an element is bent: by the sign of the velocity, the force of
     one that sticks would jump with every tremor, and push.
     """
     fall = math.exp(-abs(v) / stribeck) if stribeck > 0.0 else 0.0
     ahead = forward + (forward_break - forward) * fall
     back = backward + (backward_break - backward) * fall
-    if dahl > 0.5:
+    if dahl > 0.0:
         s = elements[0]
-        elements[0] = s + h * v / distance * (1.0 - s * (1.0 if v >= 0.0 else -1.0))
+        rest = max(1.0 - s * (1.0 if v >= 0.0 else -1.0), 0.0)
+        elements[0] = min(max(s + h * v / distance * rest ** dahl, -1.0), 1.0)
         return (ahead if s >= 0.0 else back) * elements[0]
     total = 0.0
     for i in range(SLIPS):
-        reach = distance * (0.4 + 0.4 * i)
+        reach = 0.3 * 1.5 ** i * distance
         s = min(max(elements[i] + h * v / reach, -1.0), 1.0)
         elements[i] = s
         total += (ahead if s >= 0.0 else back) * s / SLIPS

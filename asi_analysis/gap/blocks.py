@@ -74,7 +74,7 @@ EFFECT_FIELDS = (
     'friction_breakaway',       # breakaway over sliding friction, less one
     'friction_stribeck',        # m/s
     'friction_bristle',         # m, deflection of the seals at breakaway
-    'friction_spread',          # of the seals' elements: 0 all give way at once
+    'friction_rounding',        # 0: all gives way at once; 0.5: bit by bit; 1: as Dahl's bristle
     'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
     'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
     'viscous',                  # N s/m, at velocity_scale
@@ -286,10 +286,9 @@ def magnetised(fluxes, widths, command, filtered, p, e):
 @jit
 def spread(wide):
     """
-    Return the relative sizes of the elements of a hysteresis or friction: 1 in the mean.
+    Return the relative sizes of the elements of the nominal hysteresis or friction: 1 in the mean.
 
-    After a log-normal law: not wide gives one sharp corner, wide the smooth loops of Bouc and Wen,
-    or Dahl.
+    After a log-normal law: not wide gives one sharp corner, wide a smooth loop.
     """
     sizes = np.exp(QUARTILE * wide * np.arange(1.0 - PLAYS, PLAYS, 2.0))
     return sizes / np.mean(sizes)
@@ -313,12 +312,21 @@ def loop(plays, drive, e):
 
 
 @jit
+def seized(e):
+    """Return the elements of the effects' friction at rest, and the reach (m) of its slips."""
+    apart = min(2.0 * e.friction_rounding, 1.0)
+    places = (np.arange(PLAYS) + 0.5) / PLAYS
+    return np.zeros(PLAYS + 1), e.friction_bristle * (1.0 + apart * (2.0 * places - 1.0))
+
+
+@jit
 def slide(elements, reach, moved, velocity, e):
     """
     Return friction (N) at a velocity (m/s) after a way (m); updates the elements.
 
     Generalised Maxwell slip: elements that deform (-1 to 1, in units of their own reach, m) and
-    then slide. Breakaway falls to sliding friction over the Stribeck velocity.
+    then slide; and a bristle (the last) that gives way from the first, after Dahl. Breakaway
+    falls to sliding friction over the Stribeck velocity.
     """
     rise = 1.0
     if e.friction_breakaway > 0.0:
@@ -329,6 +337,12 @@ def slide(elements, reach, moved, velocity, e):
     for i in range(PLAYS):
         elements[i] = min(max(elements[i] + moved / reach[i], -1.0), 1.0)
         share += elements[i] / PLAYS
+    bristled = max(2.0 * e.friction_rounding - 1.0, 0.0)
+    if bristled > 0.0:
+        end = math.copysign(1.0, moved)
+        elements[PLAYS] = end + (elements[PLAYS] - end) * math.exp(
+            -abs(moved) / e.friction_bristle)
+        share += bristled * (elements[PLAYS] - share)
     uneven = 1.0 + e.friction_asymmetry if share >= 0.0 else 1.0 - e.friction_asymmetry
     return e.friction_level * uneven * rise * share
 
@@ -384,7 +398,7 @@ def viscous_force(v, e):
 def seals(velocity, p, e, h, out):
     """Put the friction (N) before the force sensor into `out`; velocity: m/s, each `h` s."""
     seal, before = 0.0, velocity[0]
-    extra, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    extra, reach = seized(e)
     slips, sizes = np.zeros(PLAYS), spread(0.6)
     for i in range(out.shape[0]):
         v = velocity[i]
@@ -441,7 +455,7 @@ def travel(position, p, e, damping, stiffness, period, count, out):
     h = period / count
     oil = lag_weights(fluid_time(p), h)
     keep = math.exp(-h / e.supply_time)
-    extra, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    extra, reach = seized(e)
     slips, sizes = np.zeros(PLAYS), spread(0.6)
     x, v, v_before, seal = 0.0, 0.0, 0.0, 0.0
     wanted, opened = supplied(position[0], 0.0, 0.0, p, e, 0.0)
@@ -575,7 +589,7 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
     time of the first sample, s. Friction and backlash remember nothing of before time 0, where
     the motion is made up.
     """
-    elements, reach = np.zeros(PLAYS), e.friction_bristle * spread(e.friction_spread)
+    elements, reach = seized(e)
     left, before = position[0], position[0]
     pulse = e.disturbance_end > e.disturbance_start
     omega = 2.0 * math.pi * e.disturbance_frequency

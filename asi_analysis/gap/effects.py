@@ -79,9 +79,9 @@ def _friction(*more: Free, joined: bool = False) -> tuple[Variant, ...]:
     level = Free('friction_level', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N')
     # The breakaway distance of seals and bearings: from microns to half a millimetre.
     bristle = Free('friction_bristle', 2e-6, 5e-4, (5e-5, 1e-5), '', 'm')
-    spread = Free('friction_spread', 0.0, 1.5, (0.6,))
-    return tuple(Variant((level, bristle, spread, *more), channels, (('friction_inside', inside),),
-                         joined=joined)
+    rounding = Free('friction_rounding', 0.0, 1.0, (0.4, 0.8))
+    return tuple(Variant((level, bristle, rounding, *more), channels,
+                         (('friction_inside', inside),), joined=joined)
                  for inside, channels in ((0.0, LOAD_SIDE), (1.0, FORCE_SIDE)))
 
 
