@@ -6,18 +6,17 @@ happens, Ctrl-C and errors included, no process is left behind and the bag so fa
 """
 
 import ctypes
-import fcntl
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import yaml
 
@@ -112,28 +111,30 @@ def _environment() -> Iterator[dict[str, str]]:
         raise InputError(f'ROS_DOMAIN_ID = {given!r} is not allowed: it takes a whole number '
                          'from 0 to 232')
     domains = DOMAINS if given is None else [int(given)]
-    taken = next((each for each in map(_take_domain, domains) if each), None)
-    if taken is None:
+    for domain in domains:
+        if claim := claimed(f'asi_run_domain_{domain}'):
+            break
+    else:
         raise InputError('another asi run is using ' + (
             'every ROS domain' if given is None else f'ROS_DOMAIN_ID = {given}: unset it'))
-    domain, lock = taken
-    with lock:
+    with claim:
         yield {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ,
                'ROS_DOMAIN_ID': str(domain)}
 
 
-def _take_domain(domain: int) -> tuple[int, IO[str]] | None:
-    """Return a domain and the open file that keeps it ours; None if another process has it."""
+def claimed(name: str) -> socket.socket | None:
+    """
+    Return what keeps a name ours until it is closed; None if another process has it.
+
+    The kernel gives the name once, to whichever user, in a network (as far as DDS reaches).
+    """
+    claim = socket.socket(socket.AF_UNIX)
     try:
-        lock = open(Path(tempfile.gettempdir()) / f'asi_run_domain_{domain}', 'w')
-    except OSError:  # of another user
+        claim.bind(f'\0{name}')
+    except OSError:
+        claim.close()
         return None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.close()
-        return None
-    return domain, lock
+    return claim
 
 
 def _end_with_parent() -> None:

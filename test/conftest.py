@@ -1,11 +1,9 @@
 """What the tests that run real nodes share: a domain of their own, processes, and a ROS node."""
 
-import fcntl
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +12,8 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from asi_analysis.running import claimed
 
 ROOT = Path(__file__).parents[1]
 # Domains whose ports stay below those that Linux gives to clients.
@@ -135,15 +135,9 @@ class NodeProcess:
 @pytest.fixture
 def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
     """Give the test a domain id that no other test on this machine has; return the environment."""
-    folder = Path(tempfile.gettempdir()) / 'asi_test_domains'
-    folder.mkdir(exist_ok=True)
     for domain in DOMAINS:
-        lock = (folder / str(domain)).open('w')
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if claim := claimed(f'asi_test_domain_{domain}'):
             break
-        except BlockingIOError:
-            lock.close()
     else:
         pytest.fail(f'all domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
@@ -151,7 +145,7 @@ def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]
     monkeypatch.setenv('AMENT_PREFIX_PATH', os.environ.get('AMENT_PREFIX_PATH', sys.prefix))
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join(
         [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')]))
-    with lock:
+    with claim:
         yield dict(os.environ)
 
 

@@ -72,7 +72,10 @@ def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> S
     if part.command_n is None or name == 'command':
         raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
                          'and output of the loop')
-    found = shape(part.time_s, part.command_n, output)
+    try:
+        found = shape(part.time_s, part.command_n, output)
+    except InputError as error:
+        raise InputError(f'{run.source or "the run"}: {error}') from None
     if found.cycles < FEWEST_CYCLES + EDGE:
         raise InputError(f'{run.source or "the run"}: a wander, no oscillation: nothing stands '
                          f'out that has {FEWEST_CYCLES:g} cycles or more')
