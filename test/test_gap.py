@@ -131,6 +131,21 @@ def test_steps_of_a_command_are_seen(deadband, command):
     assert seen(fitted)['residual_step_edge'] == pytest.approx(67.5, rel=5e-3)
 
 
+def test_force_that_is_limited_before_it_is_lost_is_fitted():
+    run, model = recorded(), {**TEXTBOOK, 'load.type': 'prescribed'}
+    run = dataclasses.replace(run, position_m=None, velocity_m_s=0.1 * run.velocity_m_s)
+    p = plant_record(REAL)
+    p['force_limit'], p['supply_drop'] = 200.0, 0.6   # so that no more than 80 N is measured
+    force = predict(prepare([run])[0], 'force', p)
+    run = dataclasses.replace(run, force_n=force + np.random.default_rng(3).normal(0.0, 1.0, 6000))
+    group = actuator_groups([run], model, 0.2, [False])[0][-1]
+    limit, supply = (BY_NAME['valve_saturation'].variants[1],
+                     BY_NAME['supply_pressure'].variants[0])
+    first = fit_variants(group, Promise(fit_null(group)), (limit,))
+    both = fit_variants(group, Promise(first), (limit, supply))
+    assert both.held_out['force'] < 1.2 * group.noise['force'] ** 2
+
+
 def test_effect_behind_a_lag_passes_less_noise_on():
     groups, _ = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])
     recording, nominal = groups[-1].recordings[0], groups[-1].nominal

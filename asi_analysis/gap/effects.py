@@ -124,7 +124,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect('valve_saturation', VALVE, 'the valve opens, or passes oil, only so far', (
         Variant((Free('valve_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'valve_position', 'm'),
                  Free('corner', 0.0, 0.25, (0.05,))), VALVE_SIDE),
-        Variant((Free('force_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'force', 'N'),
+        Variant((Free('force_limit', 0.2, 3.0, (0.5, 0.7, 0.85, 0.95), 'force', 'N'),
                  Free('corner', 0.0, 0.25, (0.05,))), FORCE_SIDE),
     ), exact=True),
     Effect('valve_bias', VALVE, 'the valve is off its centre at no command', (
