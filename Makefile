@@ -32,7 +32,7 @@ bench: setup $(VENV)/benchmarked
 
 lint: setup
 	@$(BIN)/ruff check .
-	@$(BIN)/mypy asi_actuator asi_controller asi_analysis
+	@$(BIN)/mypy asi_actuator asi_controller asi_analysis asi_examiner
 
 setup: $(VENV)/installed
 

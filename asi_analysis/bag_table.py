@@ -2,11 +2,16 @@
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import TypesysError, get_types_from_msg
 
 from asi_analysis import cdr
 from asi_analysis.bag import Series, decode, onto, time_base
-from asi_analysis.bag_file import Topic, read_contents
+from asi_analysis.bag_file import BROKEN, Topic, read_contents
 from asi_analysis.bag_writer import typestore
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.table_file import Table
@@ -33,6 +38,8 @@ def read_bag_table(path: Path, wanted: Sequence[str]) -> Table:
     contents = read_contents(path, named)
     for problem in contents.problems:
         warnings.warn(problem, InputWarning, stacklevel=3)
+    if any(topic.type not in typestore().fielddefs for topic in contents.topics.values()):
+        _learn_types(path)
     series = {topic.name: _decoded(topic, path) for topic in contents.topics.values()
               if len(topic)}
     # The longest that fits: there may be both /arm and /arm/wrist.
@@ -49,10 +56,21 @@ def read_bag_table(path: Path, wanted: Sequence[str]) -> Table:
     return table
 
 
+def _learn_types(path: Path) -> None:
+    """Define the message types that a bag brings with it: since Iron rosbag2 writes them down."""
+    with suppress(TypesysError, *BROKEN), Reader(path) as reader:
+        for connection in reader.connections:
+            if connection.msgdef.format != MessageDefinitionFormat.MSG:
+                continue
+            found = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            typestore().register({name: fields for name, fields in found.items()
+                                  if name not in typestore().fielddefs})
+
+
 def _decoded(topic: Topic, path: Path) -> Series:
     if topic.type not in typestore().fielddefs:
-        raise InputError(f'{path}: {topic.name} is of type {topic.type}, which is none that ROS 2 '
-                         'Jazzy brings')
+        raise InputError(f'{path}: {topic.name} is of type {topic.type}, which neither the bag '
+                         'nor ROS 2 Jazzy defines')
     try:
         return decode(topic, _names)
     except cdr.LayoutError as error:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from asi_analysis.bag import read_bag, write_bag
 from asi_analysis.errors import InputError, InputWarning
@@ -318,8 +318,10 @@ def test_never_writes_over_a_bag(tmp_path: Path) -> None:
 @pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_bag_of_another_robot_is_imported_by_topic_joint_and_field(
         tmp_path: Path, plugin: StoragePlugin) -> None:
-    """Two joints in two orders, commands half as often on a topic without stamps."""
+    """Two joints in two orders, commands half as often without stamps, a type of the robot's."""
     states, commands = 'sensor_msgs/msg/JointState', 'std_msgs/msg/Float64MultiArray'
+    goal = f'robot_msgs/msg/{plugin.name.title()}Goal'
+    STORE.register(get_types_from_msg('std_msgs/Header header\nfloat64[2] at', goal))
     start, period = 1_790_000_000 * 10**9, 2_000_000
     stamps = [start + k * period for k in range(40)]
 
@@ -336,16 +338,22 @@ def test_bag_of_another_robot_is_imported_by_topic_joint_and_field(
         message = STORE.types[commands](layout, np.array([-1.0 * k, 3.0 * k]))
         return bytes(STORE.serialize_cdr(message, commands))
 
+    def wanted(k: int) -> bytes:
+        header = HEADER(TIME(stamps[k] // 10**9, stamps[k] % 10**9), '')
+        return bytes(STORE.serialize_cdr(STORE.types[goal](header, np.array([k, 0.5 * k])), goal))
+
     bag = foreign_bag(tmp_path / 'robot', {
         '/leg/states': [(t, state(k)) for k, t in enumerate(stamps)],
         '/leg/effort/commands': [(t + 100_000, command(k)) for k, t in enumerate(stamps)
                                  if k % 2 == 0],
+        '/leg/goal': [(t, wanted(k)) for k, t in enumerate(stamps)],
         '/camera/note': [(start, wrench(start, 0.0))],
-    }, plugin, {'/leg/states': states, '/leg/effort/commands': commands})
+    }, plugin, {'/leg/states': states, '/leg/effort/commands': commands, '/leg/goal': goal})
     imported = import_recording(bag, [
         'position=/leg/states/hip-1/position[deg]', 'force=/leg/states/hip-1/effort*-1[Nm]',
         'velocity=/leg/states/knee/velocity[rad/s]',
-        'command=/leg/effort/commands/data/1[Nm]'], out=tmp_path / 'ours')
+        'command=/leg/effort/commands/data/1[Nm]', 'reference=/leg/goal/at/1[rad]'],
+        out=tmp_path / 'ours')
     for run in (imported, read_bag(tmp_path / 'ours')):
         count = np.arange(40.0)
         np.testing.assert_allclose(run.time_s, 0.002 * count)
@@ -355,7 +363,8 @@ def test_bag_of_another_robot_is_imported_by_topic_joint_and_field(
         np.testing.assert_array_equal(found['force'], -5.0 * count)
         np.testing.assert_array_equal(found['velocity'], 0.2 * count)
         np.testing.assert_array_equal(found['command'], 3.0 * (count - count % 2))
+        np.testing.assert_array_equal(found['reference'], 0.5 * count)
     with pytest.raises(InputError, match='names no column.*time, /leg/states/knee/position'):
         import_recording(bag, ['position=/leg/states/ankle/position[rad]'])
-    with pytest.raises(InputError, match='it has /leg/states, /leg/effort/commands, /camera/note'):
+    with pytest.raises(InputError, match='it has /leg/states, /leg/effort/commands, /leg/goal'):
         import_recording(bag, ['position=hip-1[rad]'])
