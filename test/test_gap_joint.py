@@ -21,7 +21,7 @@ PENDULUM = {'signals': {'position': 'rad', 'command': 'Nm'}}
 
 
 @numba.njit(cache=True)
-def _joint(reference, friction, breakaway, late, gravity, out):
+def _joint(reference, friction, breakaway, uneven, late, gravity, offset, out):
     """Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n)."""
     step = 1.0 / RATE_HZ / SUB_STEPS
     angle, speed, bristle, before, rate = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -36,11 +36,12 @@ def _joint(reference, friction, breakaway, late, gravity, out):
             slope = 0.0
             if friction > 0.0:
                 level = friction * (1.0 + (breakaway - 1.0) * np.exp(-(speed / 0.1) ** 2))
+                level *= 1.0 + uneven * np.sign(speed)
                 slope = speed - friction / 1e-3 * abs(speed) / level * bristle
                 bristle += step * slope
             rub = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
             speed += step / INERTIA * (torque - DAMPING * speed - rub
-                                       - gravity * np.sin(angle))
+                                       - gravity * np.sin(angle) - offset)
             angle += step * speed
 
 
@@ -51,10 +52,12 @@ TWO_WAVES = 0.6 * np.sin(2.0 * np.pi * 0.4 * TIME_S) + 0.2 * np.sin(2.0 * np.pi 
 
 
 def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
-          gravity: float = 0.0, course: np.ndarray = WITH_RESTS) -> Run:
+          gravity: float = 0.0, uneven: float = 0.0, offset: float = 0.0,
+          course: np.ndarray = WITH_RESTS) -> Run:
     """Return 16 s of the joint on a smooth course, read by a 14 bit encoder."""
     out = np.empty((2, course.size))
-    _joint(course, friction, breakaway, round(late_s * RATE_HZ * SUB_STEPS), gravity, out)
+    _joint(course, friction, breakaway, uneven, round(late_s * RATE_HZ * SUB_STEPS), gravity,
+           offset, out)
     count = 2.0 * np.pi / 2 ** 14
     return Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
                source='joint', information=PENDULUM)
@@ -176,3 +179,36 @@ def test_push_that_stays_is_seen_from_where_it_begins():
     left = push - constant @ (constant.T @ push)
     assert _pulse(left, constant, push, 1e-3) == pytest.approx(
         {'residual_start': 1.0, 'residual_end': 4.0})
+
+
+def test_lost_motion_of_a_position_loop_is_backlash():
+    course = WITH_RESTS[::2]
+    followed = course.copy()
+    for k in range(1, course.size):
+        followed[k] = np.clip(followed[k - 1], course[k - 1] - 0.03, course[k - 1] + 0.03)
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, course.size)
+    answer = document(diagnose([Run(TIME_S[::2], reference_n=course, position_m=followed + noise,
+                                    source='loop',
+                                    information={'signals': {'reference': 'rad'}})], {}, 'joint',
+                               drive='position'))
+    assert answer['which'][0]['effect'] == 'backlash'
+    assert answer['which'][0]['parameters']['loop_width'] == pytest.approx(0.03, rel=0.05)
+
+
+def test_uneven_friction_is_not_an_offset_for_sure():
+    answer = document(diagnose([joint(friction=0.15, uneven=0.5)], {}, 'joint'))
+    assert 'friction_asymmetry' in answer['ambiguity_set']
+    # As much friction either way, and more of an offset than it: no asymmetry does that.
+    answer = document(diagnose([joint(friction=0.15, offset=0.3)], {}, 'joint'))
+    assert 'friction_asymmetry' not in answer['ambiguity_set']
+
+
+def test_force_that_is_read_a_sample_late_is_no_slow_sensor():
+    speed = np.gradient(WITH_RESTS, 1.0 / RATE_HZ)
+    torque = INERTIA * np.gradient(speed, 1.0 / RATE_HZ) + DAMPING * speed
+    torque += np.random.default_rng(2).normal(0.0, 1e-3, torque.size)
+    late = np.append(0.0, torque[:-5:5])
+    answer = document(diagnose([Run(TIME_S[::5], force_n=late, position_m=WITH_RESTS[::5],
+                                    source='joint', information={'signals': {
+                                        'position': 'rad', 'force': 'Nm'}})], {}, 'joint'))
+    assert answer['verdict'] == 'no_gap'

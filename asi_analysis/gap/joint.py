@@ -39,6 +39,10 @@ BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the force below which the mass shows nothing
 TYPICAL = 0.3       # share of the force that mass or damper may take and hide behind friction
+NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
+# A position loop that loses motion at each turn has one play, which all of the motion goes through.
+LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', ''),),
+                      ('valve',), (('loop_share', 1.0), ('loop_spread', 0.0)))
 # The position loop of a slow machine waits and lags ten times as long as a valve.
 SLOW = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
         for field in ('command_delay', 'valve_lag')}
@@ -115,7 +119,9 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     # A gain that was identified without a lag is far too small where there is one.
     low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
-    effects = tuple(effect._replace(variants=tuple(
+    effects = tuple(effect._replace(variants=(LOST_MOTION,))
+                    if effect.name == 'backlash' and not proportional else
+                    effect._replace(variants=tuple(
         variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free))
         for variant in effect.variants)) for effect in EFFECTS)
     return make_group(nominal, recordings, ('valve',), nuisance=(gain,), effects=effects,
@@ -155,8 +161,9 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     most = max(1.0, 2.0 * abs(start))
     nuisance.append(Free('load_offset', -most, most, (start,), 'force'))
     period = max(recording.period_s for recording in recordings)
-    if not sensed:   # a held command acts half a sample late; a stamp may be off as much
-        nuisance.append(Free('drive_hold', 0.0, period, (0.0,)))
+    # A held command acts half a sample late; a stamp may be off as much. A force that is read
+    # before the command's next value comes is late itself.
+    nuisance.append(Free('drive_hold', -period if sensed else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, sensed)
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
@@ -170,7 +177,8 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
     period: of the samples, s; travel: range of motion, m or rad; weighed: the mass is given, so
     that a wrong force is not taken for another mass; sensed: the force is measured, not commanded.
     Left out is what the nominal model's own free parameters do just as well: a constant
-    disturbance, and the constant part of asymmetric friction, are an offset.
+    disturbance is an offset. So is the constant part of asymmetric friction; that there is no
+    offset besides is an explanation of its own.
     """
     covered = {'disturbance', 'sensor_offset'}
     if not weighed:
@@ -186,14 +194,14 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
 
     def kept(variant: Variant) -> bool:
         fields = {free.field for free in variant.free}
-        uneven = 'friction_asymmetry' in fields and not variant.joined
-        return 'load' in variant.channels and not fields <= covered and not uneven
+        return 'load' in variant.channels and not fields <= covered
 
     def scaled(variant: Variant) -> Variant:
-        return variant._replace(free=tuple(
-            wider[free.field]._replace(field=free.field, unit=free.unit)
-            if free.field in wider else free for free in variant.free
-            if free.field != 'friction_asymmetry'))
+        free = tuple(wider[free.field]._replace(field=free.field, unit=free.unit)
+                     if free.field in wider else free for free in variant.free
+                     if free.field != 'friction_asymmetry' or not variant.joined)
+        uneven = any(each.field == 'friction_asymmetry' for each in free)
+        return variant._replace(free=(*free, NO_OFFSET) if uneven else free)
 
     effects = [effect._replace(variants=variants) for effect in EFFECTS
                if (variants := tuple(scaled(v) for v in effect.variants if kept(v)))]
