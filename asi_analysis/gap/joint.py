@@ -40,8 +40,8 @@ BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the force below which the mass shows nothing
 TYPICAL = 0.3       # share of the force that mass or damper may take and hide behind friction
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
-# A position loop that loses motion at each turn has one play, which all of the motion goes through.
-LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', ''),),
+# A position loop that loses motion at each turn: one play, which all of the motion goes through.
+LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
                       ('valve',), (('loop_share', 1.0), ('loop_spread', 0.0)))
 # The position loop of a slow machine waits and lags ten times as long as a valve.
 SLOW = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
