@@ -201,9 +201,10 @@ class Recorder(Node):
         while self._looked_for_s < end_s and (
                 self._looked_for_s < moment_s or (self._order and self._order.waiting())):
             time.sleep(DRAIN_PERIOD_S)
+            known = len(self._arrived)   # and waiting to be written: the first tick has not come
             self._drain()
             # What others go on to publish does not count.
-            if any(arrival.published_ns <= ended_ns for arrival in self._arrived):
+            if any(arrival.published_ns <= ended_ns for arrival in self._arrived[known:]):
                 moment_s = self._looked_for_s + FAREWELL_S
             self._write()
 

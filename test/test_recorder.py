@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import resource
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import Listener, NodeProcess, wait_for_silence, wait_until
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
@@ -217,6 +219,29 @@ def test_standing_still_is_no_silence(
 
     monkeypatch.setattr(recorder_node, 'time', SimpleNamespace(
         monotonic=lambda: time.monotonic() + stood_still_s, sleep=sleep, time_ns=time.time_ns))
+    recorder.destroy_node()
+    bag, = tmp_path.iterdir()
+    with Reader(bag) as reader:
+        assert reader.message_count == 1
+
+
+def test_what_waits_for_the_first_tick_keeps_no_recorder_from_ending(
+        ros_node: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recorder_node, 'PATIENCE_S', math.inf)
+    recorder = recorder_node.Recorder()
+    publisher = ros_node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    wait_until(publisher.get_subscription_count, 'the recorder')
+    publisher.publish(DiagnosticArray())
+    wait_until(lambda: recorder._drain() or recorder._arrived, 'the message')
+    looks = iter(range(1000))
+
+    def sleep(seconds: float) -> None:
+        next(looks)
+        time.sleep(seconds)
+
+    monkeypatch.setattr(recorder_node, 'time', SimpleNamespace(
+        monotonic=time.monotonic, sleep=sleep, time_ns=time.time_ns))
     recorder.destroy_node()
     bag, = tmp_path.iterdir()
     with Reader(bag) as reader:
