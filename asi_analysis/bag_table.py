@@ -38,8 +38,8 @@ def read_bag_table(path: Path, wanted: Sequence[str]) -> Table:
     contents = read_contents(path, named)
     for problem in contents.problems:
         warnings.warn(problem, InputWarning, stacklevel=3)
-    if any(topic.type not in typestore().fielddefs for topic in contents.topics.values()):
-        _learn_types(path)
+    if missing := {topic.type for topic in contents.topics.values()} - set(typestore().fielddefs):
+        _learn_types(path, missing)
     series = {topic.name: _decoded(topic, path) for topic in contents.topics.values()
               if len(topic)}
     # The longest that fits: there may be both /arm and /arm/wrist.
@@ -56,15 +56,19 @@ def read_bag_table(path: Path, wanted: Sequence[str]) -> Table:
     return table
 
 
-def _learn_types(path: Path) -> None:
-    """Define the message types that a bag brings with it: since Iron rosbag2 writes them down."""
-    with suppress(TypesysError, *BROKEN), Reader(path) as reader:
+def _learn_types(path: Path, missing: set[str]) -> None:
+    """
+    Define the message types that a bag brings with it: since Iron rosbag2 writes them down.
+
+    rosbags makes code of them; its grammar lets nothing but names, numbers and literals through.
+    """
+    with suppress(TypesysError, SyntaxError, *BROKEN), Reader(path) as reader:
         for connection in reader.connections:
-            if connection.msgdef.format != MessageDefinitionFormat.MSG:
-                continue
-            found = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-            typestore().register({name: fields for name, fields in found.items()
-                                  if name not in typestore().fielddefs})
+            definition = connection.msgdef
+            if connection.msgtype in missing and definition.format == MessageDefinitionFormat.MSG:
+                found = get_types_from_msg(definition.data, connection.msgtype)
+                typestore().register({name: fields for name, fields in found.items()
+                                      if name not in typestore().fielddefs})
 
 
 def _decoded(topic: Topic, path: Path) -> Series:
@@ -73,8 +77,8 @@ def _decoded(topic: Topic, path: Path) -> Series:
                          'nor ROS 2 Jazzy defines')
     try:
         return decode(topic, _names)
-    except cdr.LayoutError as error:
-        raise InputError(f'{path}: {topic.name}: {error}') from None
+    except (SyntaxError, *BROKEN) as error:   # a type of the bag's own may be anything
+        raise InputError(f'{path}: {topic.name} cannot be read as {topic.type}: {error}') from None
 
 
 def _names(place: cdr.Layout) -> dict[str, cdr.Path]:

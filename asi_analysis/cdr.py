@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 
 from asi_analysis.bag_writer import typestore
 
@@ -59,7 +60,10 @@ def columns(type_: str, table: npt.NDArray[np.uint8], paths: Sequence[Path],
         cut = np.ascontiguousarray(table[:, offset:offset + kind.itemsize])
         found.append(cut.view(kind)[:, 0])
     for i in (0, -1):
-        message = typestore().deserialize_cdr(table[i].tobytes(), type_)
+        try:
+            message = typestore().deserialize_cdr(table[i].tobytes(), type_)
+        except SerdeError as error:
+            raise LayoutError(f'not a {type_}: {error}') from None
         for path, values in zip(paths, found, strict=True):
             if not np.array_equal(_at(message, path), values[i], equal_nan=True):
                 raise LayoutError(f'{type_}: {path} is not at its place')

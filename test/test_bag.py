@@ -4,17 +4,22 @@ import shutil
 import struct
 import warnings
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from asi_analysis import bag_table
 from asi_analysis.bag import read_bag, write_bag
+from asi_analysis.bag_file import Contents, Topic
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.importing import import_recording
 from asi_analysis.run import Run
@@ -368,3 +373,37 @@ def test_bag_of_another_robot_is_imported_by_topic_joint_and_field(
         import_recording(bag, ['position=/leg/states/ankle/position[rad]'])
     with pytest.raises(InputError, match='it has /leg/states, /leg/effort/commands, /leg/goal'):
         import_recording(bag, ['position=hip-1[rad]'])
+
+
+def test_messages_longer_than_their_type_are_left_out(tmp_path: Path) -> None:
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/force': [(t, wrench(t, 1.0) + bytes(8)) for t in range(1, 20)],
+        '/valve_command': [(t, wrench(t, 2.0)) for t in range(1, 20)]})
+    with pytest.warns(InputWarning, match='/force is left out: not a geometry_msgs'):
+        assert read_bag(bag).signals().keys() == {'command'}
+
+
+@pytest.mark.parametrize(('kind', 'definition'), [
+    ("robot_msgs/msg/A: pass\nopen('{0}', 'w')#", 'float64 x'),
+    ("robot_msgs/msg/B'] = open('{0}', 'w') #", 'float64 x'),
+    ('robot_msgs/msg/C', "float64 x = open('{0}', 'w')"),
+    ('robot_msgs/msg/D', "float64 x: open('{0}', 'w')"),
+    ('robot_msgs/msg/E', "string X='\nopen('{0}', 'w')"),
+    ('robot_msgs/msg/F', "float64 x\n===\nMSG: robot_msgs/G: open('{0}', 'w')"),
+    ('robot_msgs/msg/9', 'float64 x'), ('robot_msgs/msg/H', 'robot_msgs/Absent x'),
+    ('robot_msgs/msg/I', 'I x'), ('robot_msgs/msg/J', 'float64[1000000000] x')])
+def test_message_types_of_a_bag_run_nothing(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, definition: str) -> None:
+    ran = tmp_path / 'ran'
+    kind, definition = kind.replace('{0}', str(ran)), definition.replace('{0}', str(ran))
+    monkeypatch.setattr(bag_table, 'read_contents', lambda path, named: Contents(
+        {'/a': topic} if named('/a') else {}, {}, []))
+    topic = Topic('/a', kind)
+    topic.add(1, 1, wrench(1, 2.0))
+    connection = SimpleNamespace(msgtype=kind, msgdef=SimpleNamespace(
+        format=MessageDefinitionFormat.MSG, data=definition))
+    monkeypatch.setattr(bag_table, 'Reader', lambda path: nullcontext(
+        SimpleNamespace(connections=[connection])))
+    with pytest.raises(InputError, match='/a'):
+        import_recording(tmp_path, ['force=/a/x'])
+    assert not ran.exists()
