@@ -146,6 +146,17 @@ def test_force_that_is_limited_before_it_is_lost_is_fitted():
     assert both.held_out['force'] < 1.2 * group.noise['force'] ** 2
 
 
+def test_push_that_ends_where_nothing_is_fitted_is_timed():
+    run = recorded()
+    pushed = run.force_n + 40.0 * ((run.time_s > 1.3) & (run.time_s < 3.6))  # held out there
+    run = dataclasses.replace(run, command_n=None, valve_position_m=None, force_n=pushed)
+    group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][0]
+    null = fit_null(group)
+    group.scale.update(seen(null))
+    pulse = fit_variants(group, Promise(null), BY_NAME['disturbance_force'].variants[2:])
+    assert pulse.values['disturbance_end'] == pytest.approx(3.6, abs=0.003)
+
+
 def test_effect_behind_a_lag_passes_less_noise_on():
     groups, _ = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])
     recording, nominal = groups[-1].recordings[0], groups[-1].nominal

@@ -177,7 +177,7 @@ def test_push_that_stays_is_seen_from_where_it_begins():
     push = np.where(np.arange(4000) < 1000, 0.0, 30.0)
     constant = np.full((push.size, 1), push.size ** -0.5)   # as if it were free
     left = push - constant @ (constant.T @ push)
-    assert _pulse(left, constant, push, 1e-3) == pytest.approx(
+    assert _pulse(left, np.ones(4000), constant, push, 1e-3) == pytest.approx(
         {'residual_start': 1.0, 'residual_end': 4.0})
 
 

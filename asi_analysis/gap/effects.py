@@ -201,8 +201,8 @@ EFFECTS: tuple[Effect, ...] = (
                  Free('disturbance_frequency', 0.98, 1.02, (1.0,), 'residual_frequency', 'Hz')),
                 LOAD_SIDE),
         Variant((Free('disturbance_pulse', -1.0, 1.0, (0.1, -0.1), 'force', 'N'),
-                 Free('disturbance_start', 0.9, 1.1, (1.0,), 'residual_start', 's'),
-                 Free('disturbance_end', 0.9, 1.1, (1.0,), 'residual_end', 's')), LOAD_SIDE),
+                 Free('disturbance_start', 0.997, 1.003, (1.0,), 'residual_start', 's'),
+                 Free('disturbance_end', 0.997, 1.003, (1.0,), 'residual_end', 's')), LOAD_SIDE),
     ), exact=True),
     Effect('sensor_offset', SENSOR, 'the force sensor does not read zero at no force', (
         Variant((Free('sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), BOTH),

@@ -48,10 +48,11 @@ def seen(fitted: Fitted) -> Values:
     found: Values = {}
     if 'load' in group.channels:
         left, known = _left(fitted, 'load')
+        judged = _judged(group.recordings[0])
         found |= _wave(left, group.recordings[0])
         plain = measured(group.recordings[0], 'load') - predict(
             group.recordings[0], 'load', fitted.record)
-        found |= _pulse(left, known, plain, group.recordings[0].period_s)
+        found |= _pulse(left, judged, known, plain, group.recordings[0].period_s)
     for channel in group.channels:
         if channel == 'valve' or channel == 'force' and not group.measures_valve:
             found |= _steps(fitted, channel)
@@ -69,7 +70,7 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
     group = fitted.problem.group
     recording = group.recordings[0]
     base = predict(recording, channel, fitted.record)
-    judged = recording.fit | recording.held_out   # at the ends what is made up is strongest
+    judged = _judged(recording)
     left = (measured(recording, channel) - base) * judged
     columns = [np.full_like(base, FREE * np.linalg.norm(left))]
     for number, free in enumerate(fitted.free):
@@ -83,6 +84,11 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
     triangle = np.linalg.cholesky(ranges.T @ ranges + left @ left * np.eye(len(columns)))
     known = np.linalg.solve(triangle, ranges.T).T
     return left - known @ (known.T @ left), known
+
+
+def _judged(recording: Recording) -> Array:
+    """Return 1 where a recording is judged, else 0: at the ends what is made up is strongest."""
+    return (recording.fit | recording.held_out).astype(float)
 
 
 def _wave(left: Array, recording: Recording) -> Values:
@@ -134,21 +140,33 @@ def _harmonics(lines: list[int]) -> list[int]:
             if 1 < sum(map(abs, each)) <= ORDER]
 
 
-def _pulse(left: Array, known: Array, plain: Array, period: float) -> Values:
-    """Return from which corner to which a pulse explains most: its square over its length."""
+def _pulse(left: Array, judged: Array, known: Array, plain: Array, period: float) -> Values:
+    """
+    Return from when to when (s) a pulse explains most: its square over its length.
+
+    left, judged, known, plain: of each sample; where it is not judged nothing is left.
+    """
+    sums, length = (np.concatenate([[0.0], np.cumsum(each)]) for each in (left, judged))
+    parts = np.concatenate([np.zeros((1, known.shape[1])), np.cumsum(known, axis=0)])
+
+    def strongest(corners: npt.NDArray[np.int_]) -> tuple[int, int]:
+        between = parts[corners][:, None] - parts[corners][None]
+        size = np.abs(np.subtract.outer(length[corners], length[corners])) - np.sum(
+            between ** 2, axis=2)
+        explained = np.triu(np.subtract.outer(sums[corners], sums[corners]) ** 2
+                            / np.maximum(size, 1.0), 1)
+        first, last = divmod(int(np.argmax(explained)), corners.size)
+        return int(corners[first]), int(corners[last])
+
     corners = np.linspace(0, left.size, CORNERS + 1).astype(int)
-    sums = np.concatenate([[0.0], np.cumsum(left)])[corners]
-    parts = np.concatenate([np.zeros((1, known.shape[1])), np.cumsum(known, axis=0)])[corners]
-    between = parts[:, None] - parts[None]
-    length = np.abs(np.subtract.outer(corners, corners)) - np.sum(between ** 2, axis=2)
-    explained = np.triu(np.subtract.outer(sums, sums) ** 2 / np.maximum(length, 1.0), 1)
-    start, end = divmod(int(np.argmax(explained)), CORNERS + 1)
+    start, end = strongest(corners)
+    near = np.arange(-corners[1], corners[1] + 1)   # the corners beside them, and all between
+    start, end = strongest(np.unique(np.clip([start + near, end + near], 0, left.size)))
     # What begins and stays is, but for a constant, what is there until then: plainly it is not.
-    here, then = plain[corners[start]:corners[end]], plain[corners[end]:]
-    if 20 * start < CORNERS and then.size and abs(then.mean()) > abs(here.mean()):
-        start, end = end, CORNERS
-    return {'residual_start': max(corners[start], 1) * period,
-            'residual_end': corners[end] * period}
+    here, then = plain[start:end], plain[end:]
+    if 20 * start < left.size and then.size and abs(then.mean()) > abs(here.mean()):
+        start, end = end, left.size
+    return {'residual_start': max(start, 1) * period, 'residual_end': end * period}
 
 
 def _steps(fitted: Fitted, channel: str) -> Values:
@@ -162,11 +180,12 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     asked = np.fft.irfft(np.conj(_response(recording, p, count)) * np.fft.rfft(left, count),
                          count)[:command.size]
     largest = float(np.abs(command).max())
+    judged = _judged(recording)
 
     def promise(counts: Array, levels: Array, way: tuple[float, float]) -> Array:
         values, level = np.unique(levels, return_inverse=True)
         out = np.empty(counts.size)
-        blocks.steps_promise(values, np.bincount(level).astype(float), np.bincount(level, asked),
+        blocks.steps_promise(values, np.bincount(level, judged), np.bincount(level, asked),
                              largest / counts, *way, blocks.parts(p)[1], out)
         return out
 
