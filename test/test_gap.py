@@ -291,6 +291,20 @@ def test_long_gap_is_left_out_and_a_short_one_bridged():
     assert not left_out[:2890].any() and not left_out[3210:].any()
 
 
+def test_lost_sample_of_a_command_that_jumped_is_left_out():
+    run = recorded()
+    jump = 200 * (1 + int(np.argmax(np.abs(np.diff(run.command_n[:5800:200])))))
+    calm = next(k for k in range(jump + 300, 5800)
+                if abs(run.command_n[k + 1] - run.command_n[k - 1]) < 5.0)
+    for lost, judged in ((jump, False), (calm, True)):
+        command = run.command_n.copy()
+        command[lost] = np.nan
+        found, whole = prepare([dataclasses.replace(run, command_n=command), run])
+        kept, all_ = (each.fit | each.held_out for each in (found, whole))
+        assert np.array_equal(kept, all_) == judged, lost
+        assert not kept[lost - 20:lost + 90].any() or judged
+
+
 def test_repeated_runs_show_the_noise():
     run = recorded()
     rng = np.random.default_rng(8)

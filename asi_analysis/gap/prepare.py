@@ -20,6 +20,8 @@ BURN_IN_S = 0.15        # what is left out at the start, where the inner states 
 BURN_OUT_S = 0.1        # and at the end, after which the motion goes on unknown
 MOST_MISSING = 0.05     # share of missing samples that is still bridged
 LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
+JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
+MOST_JUMPED = 0.5       # share of a recording that is left out for that
 PARTS = 12              # of a recording: every other one is held out
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
@@ -166,18 +168,27 @@ def _recorded(run: Run, drive: str, period: float, count: int) -> Mask:
     """
     Return at which of `count` samples, `period` s apart, no signal was missing for long.
 
-    A straight line over a long gap tells nothing, nor do the filters that follow from it.
+    A straight line over a long gap tells nothing, nor do the filters that follow from it. When a
+    command jumped is not known where only one of its samples is missing; that is put up with
+    where too little would be left.
     """
     even = run.time_s[0] + period * np.arange(count)
-    far = np.zeros(count, bool)
+    far, jumps = np.zeros((2, count), bool)
     for name, values in run.signals().items():
         known = run.time_s[np.isfinite(values)]
         if known.size > 1 and (name != 'reference' or drive == 'position'):
             after = np.clip(np.searchsorted(known, even), 1, known.size - 1)
             distance = np.minimum(np.abs(even - known[after - 1]), np.abs(known[after] - even))
             far |= distance > LONGEST_BRIDGE * max(period, run.period_s)
+            if name in ('command', 'reference'):
+                there = values[np.isfinite(values)]
+                jumped = np.abs(np.diff(there)) > JUMPED * np.ptp(there)
+                lost = np.diff(known) > 1.5 * max(period, run.period_s)
+                jumps |= (jumped & lost)[after - 1] & (distance > 0.25 * period)
     about = np.ones(2 * int(BURN_OUT_S / period) + 1)
-    return np.convolve(far, about)[about.size // 2:][:count] < 0.5
+    plain, careful = (np.convolve(out, about)[about.size // 2:][:count] < 0.5
+                      for out in (far, far | jumps))
+    return careful if careful.mean() > 1.0 - MOST_JUMPED else plain
 
 
 def _extended(values: Array, pad: int) -> Array:
