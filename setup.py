@@ -36,9 +36,9 @@ setup(
         'zstandard',
         'rosbags',
         'pyarrow',
-        'matplotlib',
+        'matplotlib>=3.7',   # legends outside the axes
         'jinja2',
-        'typer',
+        'typer>=0.19',       # Literal as the type of an option
         'rich',
         'cma',
         'joblib',
