@@ -113,6 +113,25 @@ def test_hysteresis_remembers_that_the_machine_was_at_rest():
     assert predicted[[900, 1900]] == pytest.approx(valve[[900, 1900]], rel=1e-3)
 
 
+def test_hysteresis_that_first_goes_back_as_it_turns_is_fitted():
+    command = np.repeat(np.random.default_rng(4).uniform(-600.0, 600.0, 30), 200)
+    bent, looped = 0.0, np.empty(command.size)   # Bouc and Wen's, explicitly
+    for i, moved in enumerate(np.diff(command, prepend=0.0)):
+        for _ in range(50):
+            bent += (moved - abs(moved) * bent) / 50.0 / 80.0
+        looped[i] = command[i] - 80.0 * bent
+    run = Run(1e-3 * np.arange(command.size), command_n=command, valve_position_m=command,
+              source='real')
+    valve = predict(prepare([dataclasses.replace(run, command_n=looped)])[0], 'valve',
+                    plant_record(TEXTBOOK))
+    valve = valve + np.random.default_rng(2).normal(0.0, 2e-8, valve.size)
+    group = actuator_groups([dataclasses.replace(run, valve_position_m=valve)], TEXTBOOK, 0.2,
+                            [False])[0][0]
+    null = fit_null(group)
+    fitted = fit_variants(group, Promise(null), BY_NAME['valve_hysteresis'].variants[:1])
+    assert fitted.held_out['valve'] < 0.003 * null.held_out['valve']
+
+
 @pytest.mark.parametrize(('deadband', 'command'), [
     (0.0, np.repeat(np.random.default_rng(11).uniform(-750.0, 750.0, 24), 250)),
     (150.0, 900.0 * np.sin(np.arange(6000) * 4e-3))])

@@ -45,7 +45,7 @@ EFFECT_FIELDS = (
     'command_truncated',        # 1: cut off towards zero, as a cast to integers does
     'command_bias',             # N
     'loop_width',               # N, largest half width of the plays
-    'loop_share',               # share of the command that goes through the plays
+    'loop_share',               # of the command that goes through the plays; above 1: see loop
     'loop_spread',              # 0: all plays equally wide, 1: from nothing to loop_width
     'command_deadband',         # N, half width
     'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0 all alike
@@ -299,7 +299,8 @@ def loop(plays, drive, e):
     """
     Return what is left of a drive (N) after the effects' hysteresis; updates its plays.
 
-    A sum of plays of evenly spread widths (Prandtl, Ishlinskii), and a share that goes past them.
+    A sum of plays of evenly spread widths (Prandtl, Ishlinskii), and a share that goes past them;
+    less than nothing where the loop, as one of Bouc and Wen may, first goes back as it turns.
     """
     if e.loop_width <= 0.0:
         return drive

@@ -109,7 +109,7 @@ EFFECTS: tuple[Effect, ...] = (
     )),
     Effect('valve_hysteresis', VALVE, 'the valve lags behind a turning command', (
         Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),
-                 Free('loop_share', 0.0, 1.0, (0.95,)), Free('loop_spread', 0.0, 1.0, (0.3, 0.9))),
+                 Free('loop_share', 0.0, 2.0, (0.95,)), Free('loop_spread', 0.0, 1.0, (0.3, 0.9))),
                 VALVE_SIDE),
         Variant((_scaled('valve_hysteresis_radius', 0.0, 10.0),
                  _scaled('valve_hysteresis_lag_time')), VALVE_SIDE,
