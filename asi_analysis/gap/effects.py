@@ -52,7 +52,7 @@ class Effect(NamedTuple):
     An effect of the vocabulary.
 
     exact: whether its forms here hold those of the books: a gain, a corner, a linear lag. Not
-    where there is memory, contact, or chance.
+    where there is memory, contact, chance, or the flow of oil.
     """
 
     name: str
@@ -153,11 +153,11 @@ EFFECTS: tuple[Effect, ...] = (
            (Variant((Free('supply_drop', -0.6, 0.9, (0.1,)),
                      Free('supply_sag', 0.0, 3.0, (0.05, 0.5)),   # of a valve that is wide open
                      Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
-            ), exact=True),
+            )),
     Effect('internal_leakage', HYDRAULICS, 'oil leaks past the piston, more at a higher force', (
         Variant((Free('leakage_linear', 0.0, 3.0, (0.1,)),
                  Free('leakage_quadratic', 0.0, 3.0, (0.1,))), FORCE_SIDE),
-    ), exact=True),
+    )),
     Effect('entrained_air', HYDRAULICS, 'the force builds up late, above all a small one', (
         Variant((Free('air_time', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('air_stiffening', 0.0, 20.0, (1.0,))), FORCE_SIDE),

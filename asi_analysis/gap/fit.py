@@ -306,6 +306,14 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
     return Problem(group, tuple(frees), fixed), starts
 
 
+def fit_part(group: Group, null: Fitted, variants: Sequence[Variant], whole: Fitted) -> Fitted:
+    """Return the fit of some of the variants of a fit, from where that has their parameters."""
+    problem, _ = _added(group, null, variants)
+    theta = np.array([_share(float(whole.record[free.field]), *_bounds(free, group, whole.record))
+                      for free in problem.free])
+    return fit(group, problem.free, [theta], problem.fixed)
+
+
 def fit_variants(group: Group, promise: 'Promise', variants: Sequence[Variant],
                  followed: int = STARTS) -> Fitted:
     """

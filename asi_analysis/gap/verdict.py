@@ -19,6 +19,7 @@ from asi_analysis.gap.fit import (
     Fitted,
     Promise,
     fit_null,
+    fit_part,
     fit_variants,
     independent_samples,
     polish,
@@ -68,6 +69,7 @@ class Constants(NamedTuple):
 CONSTANTS = Constants()
 NEAR_NOISE = 0.1   # of the noise's mean square: by less no two hypotheses are told apart
 LEAST = 0.01       # of the floor: less is never seen
+NOISE_DOUBT = 0.2  # of the mean square that the noise of the inputs makes
 BELOW_FLOOR = 0.0    # log odds of an effect, at most, where the nominal model leaves no more
 USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
@@ -123,6 +125,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     pairs = [candidate for names, candidate in found.items() if len(names) == 2]
     if pairs:
         found |= _grown(min(pairs, key=lambda c: c.fitted.cost), found, tick)
+    found |= _pruned(group, found)
     for first in singles[:FOLLOWED]:
         richer = sorted((c.fitted for names, c in found.items()
                          if len(names) == 2 and set(first.variants) <= set(c.variants)),
@@ -142,6 +145,24 @@ def _both_ways(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candi
             if alone.fitted.cost < pair.fitted.cost:
                 again = fit_variants(group, Promise(alone.fitted), pair.variants)
                 better[names] = pair._replace(fitted=polish(group, again))
+    return better
+
+
+def _pruned(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """
+    Return what the best hypothesis is worth without one of its effects, where that is better.
+
+    On the way up an effect may have been given a form in which it is stuck without the others.
+    """
+    best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+    better: dict[Names, Candidate] = {}
+    for effect in (effect for effect in group.effects if effect.name in best.names):
+        names = tuple(name for name in best.names if name != effect.name)
+        variants = tuple(each for each in best.variants if each not in effect.variants)
+        if names and len(variants) == len(names) and not any(each.joined for each in variants):
+            fitted = fit_part(group, found[()].fitted, variants, best.fitted)
+            if names not in found or fitted.cost < found[names].fitted.cost:
+                better[names] = Candidate(names, variants, fitted)
     return better
 
 
@@ -251,8 +272,13 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         share = min(1.0, *(left[names][channel] / (level + more[names] + 1e-300)
                            for names in found))
         for names in found:
-            left[names][channel] = max(left[names][channel] - share * more[names],
-                                       LEAST * left[names][channel])
+            # As well as it is known, so much of it as leaves the noise that all of them have.
+            ends = [factor * more[names] for factor in (
+                share * (1.0 - NOISE_DOUBT), 1.0 + NOISE_DOUBT)]
+            above = left[names][channel] - share * level
+            left[names][channel] = max(
+                left[names][channel] - min(max(above, min(ends)), max(ends)),
+                LEAST * left[names][channel])
     return Evidence(
         noise, group.floor,
         group.formulation, independent_samples(group, best.fitted.record), group.held_out_s, left,
