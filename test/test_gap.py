@@ -17,7 +17,14 @@ from asi_analysis.gap.check import score
 from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.effects import BY_NAME
-from asi_analysis.gap.fit import Problem, Promise, fit_null, fit_variants, with_known_gain
+from asi_analysis.gap.fit import (
+    Problem,
+    Promise,
+    fit_null,
+    fit_part,
+    fit_variants,
+    with_known_gain,
+)
 from asi_analysis.gap.predict import passed_on, plant_record, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.seen import seen
@@ -245,6 +252,14 @@ def test_truth_is_in_the_set(seed):
     case = draw(seed)
     answer = document(diagnose([bags.as_run(case.recording)], case.nominal))
     assert '+'.join(sorted(case.effects)) in answer['ambiguity_set']
+
+
+def test_fit_may_start_from_one_that_is_beyond_its_bounds():
+    group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][-1]
+    null = fit_null(group)   # without compliance, which what touches has
+    floating = BY_NAME['backlash'].variants[-1]
+    fitted = fit_part(group, null, (floating,), null)
+    assert null.record['compliance'] == 0.0 < fitted.values['compliance']
 
 
 def _late(run: Run, samples: int) -> Run:

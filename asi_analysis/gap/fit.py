@@ -80,7 +80,8 @@ def _value(share: float, low: float, high: float) -> float:
 
 
 def _share(value: float, low: float, high: float) -> float:
-    """Return the inverse of `_value`, within 0.001 to 0.999."""
+    """Return the inverse of `_value`, within 0.001 to 0.999; of what is beyond the bounds, too."""
+    value = min(max(value, low), high)
     if _is_logarithmic(low, high):
         share = math.log(value / low) / math.log(high / low)
     else:
