@@ -20,6 +20,7 @@ from asi_analysis.gap.prepare import Array, Recording
 Complex = npt.NDArray[np.complexfloating]
 
 CORNERS = 400      # places in a recording where a pulse is looked for to begin or end
+FINER = 50         # how often nearer, each time that they are looked for again
 # Steps of a command: how many its largest value has, looked for first in a command whose levels
 # are put into bins, unless they are few, then nearby, more finely.
 STEPS = np.arange(2.0, 60.0, 0.02)
@@ -160,8 +161,11 @@ def _pulse(left: Array, judged: Array, known: Array, plain: Array, period: float
 
     corners = np.linspace(0, left.size, CORNERS + 1).astype(int)
     start, end = strongest(corners)
-    near = np.arange(-corners[1], corners[1] + 1)   # the corners beside them, and all between
-    start, end = strongest(np.unique(np.clip([start + near, end + near], 0, left.size)))
+    reach = int(corners[1])
+    while reach > 0:   # to the corners beside them, ever more finely
+        near = np.linspace(-reach, reach, 2 * min(reach, FINER) + 1).astype(int)
+        start, end = strongest(np.unique(np.clip([start + near, end + near], 0, left.size)))
+        reach //= FINER
     # What begins and stays is, but for a constant, what is there until then: plainly it is not.
     here, then = plain[start:end], plain[end:]
     if 20 * start < left.size and then.size and abs(then.mean()) > abs(here.mean()):
