@@ -1,5 +1,6 @@
 """How every node is run: its executor, its signals, its exit status."""
 
+import faulthandler
 import gc
 import os
 import signal
@@ -33,6 +34,9 @@ WAKE_PERIOD_S: Final = 0.02
 # How long a node that ends waits at most for others to receive what it has published last; it
 # takes 50 ms, unless a subscriber has died.
 FAREWELL_S: Final = 2.0
+# How long it may take to end, the rest of a bag included. Fast DDS 2.14 may wait for ever for a
+# callback that waits for it, where several nodes end in the same moment.
+END_S = 60.0
 PROFILES: Final = Path(__file__).parent
 
 
@@ -201,10 +205,13 @@ def run_node(make_node: Callable[[], Node]) -> int:
         node.get_logger().fatal(str(error))
         return 1
     finally:
+        # By a thread that needs nothing of Python: says where it hangs, and exits with 1.
+        faulthandler.dump_traceback_later(END_S, exit=True)
         _say_farewell(node)
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
     return 0
 
 

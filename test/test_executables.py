@@ -34,6 +34,35 @@ def test_signal_while_a_node_imports_ends_it_cleanly(number):
     assert (process.returncode, complaint) == (0, '')
 
 
+# A node whose middleware never lets go, as Fast DDS was seen to, with Python's lock held.
+HANGING_END = """
+import ctypes
+from rclpy.node import Node
+from asi_actuator import spin
+
+class Hanging(Node):
+    def __init__(self):
+        super().__init__('hanging')
+        self.create_timer(0.01, self.finish)
+
+    def finish(self):
+        raise spin.RunFinished
+
+    def destroy_node(self):
+        ctypes.PyDLL(None).sleep(600)
+
+spin.END_S = 1.0
+spin.run_node(Hanging)
+"""
+
+
+def test_node_that_hangs_as_it_ends_says_where_and_exits(ros_environment):
+    result = subprocess.run([sys.executable, '-c', HANGING_END], capture_output=True, text=True,
+                            env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+    assert result.returncode == 1
+    assert 'in destroy_node' in result.stderr
+
+
 @pytest.mark.parametrize('name, function', re.findall(
     r"'(\w+) = asi_actuator.executables:(\w+)'", (ROOT / 'setup.py').read_text()))
 def test_every_executable_says_what_it_cannot_do(name, function):
