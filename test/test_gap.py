@@ -12,7 +12,7 @@ import asi_analysis.gap
 from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.errors import InputError
-from asi_analysis.gap import check, quality
+from asi_analysis.gap import check, pictures, quality
 from asi_analysis.gap.check import score
 from asi_analysis.gap.command import nominal_model
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
@@ -395,6 +395,13 @@ def test_interval_of_what_is_known_sharply_and_not_at_all():
 def test_diagnosis_does_not_know_the_examiner():
     for path in Path(asi_analysis.gap.__file__).parent.glob('*.py'):
         assert 'asi_examiner' not in path.read_text(), path
+
+
+def test_ranking_marks_the_verdict_not_what_leaves_least():
+    drawn = pictures.ranking(['first', 'second'], [0.1, 0.2], 'second', 1.0, 0.01)
+    colours = [bar.get_facecolor() for bar in drawn.axes[0].patches]
+    assert colours[0] != colours[1]
+    assert [bar.get_label() for bar in drawn.axes[0].patches][1] == 'verdict'
 
 
 def _said(verdict: str, probability: float, effect: str, block: str) -> dict[str, object]:

@@ -43,19 +43,23 @@ def overlay(time: Array, real: Array, nominal: Array, improved: Array, held_out:
     return figure
 
 
-def ranking(names: Sequence[str], errors: Sequence[float], nominal: float, noise: float) -> Figure:
+def ranking(names: Sequence[str], errors: Sequence[float], verdict: str, nominal: float,
+            noise: float) -> Figure:
     """Draw what each hypothesis leaves on held-out data, as a share of the signal."""
     with style():
         figure = _new(0.9 + 0.22 * len(names))
         axes = figure.subplots()
         place = np.arange(len(names))[::-1]
-        axes.barh(place, errors, color=[BLUE, *[GREY] * (len(names) - 1)], height=0.7)
+        bars = axes.barh(place, errors, color=GREY, height=0.7)
+        for name, bar in zip(names, bars, strict=True):
+            if name == verdict:
+                bar.set(color=BLUE, label='verdict')
         axes.set_yticks(place, names)
         axes.axvline(nominal, color=ORANGE, label='nominal, refitted')
         axes.axvline(noise, color=GREEN, label='noise')
         axes.set_xscale('log')
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set_xlabel('left on held-out data, share of the signal')
+        axes.set_xlabel('left, share of the signal')
         _legend(figure, axes)
     return figure
 

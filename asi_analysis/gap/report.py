@@ -14,7 +14,7 @@ from asi_analysis.gap.diagnose import Diagnosis, sentences, told
 from asi_analysis.gap.model_file import improved_model, write_model
 from asi_analysis.gap.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
-from asi_analysis.gap.verdict import Weighed
+from asi_analysis.gap.verdict import Names, Weighed
 from asi_analysis.report import write_report
 from asi_analysis.run import Run
 
@@ -40,7 +40,7 @@ def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, 
     name = _followed(channel, run, joint=model is None)
     label, unit = name.replace('_', ' '), run.unit(name)
     drawn = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
-             'ranking': _ranking(weighed, channel, answer),
+             'ranking': _ranking(weighed, channel, diagnosis.best(weighed).names, answer),
              'plane': _plane(diagnosis, weighed, channel, run, unit),
              'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
              'regimes': pictures.regimes(answer['regimes'])}
@@ -95,14 +95,14 @@ def _window(values: Any) -> int:
     return min(values.size // 4, 2048)
 
 
-def _ranking(weighed: Weighed, channel: str, answer: Mapping[str, Any]) -> Any:
+def _ranking(weighed: Weighed, channel: str, verdict: Names, answer: Mapping[str, Any]) -> Any:
     size = math.sqrt(float(np.mean([np.mean(measured(r, channel)[r.held_out] ** 2)
                                     for r in weighed.group.recordings])))
     left = sorted((math.sqrt(c.fitted.held_out[channel]) / size, told(names))
                   for names, c in weighed.candidates.items() if names)[:12]
     null = math.sqrt(weighed.candidates[()].fitted.held_out[channel]) / size
-    return pictures.ranking([name for _, name in left], [error for error, _ in left], null,
-                            max(answer['gap']['noise_floor_nrmse'], 1e-6))
+    return pictures.ranking([name for _, name in left], [error for error, _ in left],
+                            told(verdict), null, max(answer['gap']['noise_floor_nrmse'], 1e-6))
 
 
 def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str, run: Run, unit: str) -> Any:
