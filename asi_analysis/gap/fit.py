@@ -261,14 +261,18 @@ def fit_null(group: Group) -> Fitted:
     return fit(group, group.nuisance, [theta], rounds=3 * ROUNDS)
 
 
+def _fit_from(group: Group, problem: Problem, other: Fitted) -> Fitted:
+    """Return the fit of a problem's parameters from where another fit has them."""
+    theta = np.array([_share(float(other.record[free.field]), *_bounds(free, group, other.record))
+                      for free in problem.free])
+    return fit(group, problem.free, [theta], problem.fixed)
+
+
 def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
     """Return a fit, tried again from where richer hypotheses took its parameters."""
     best = fitted
     for other in others:
-        theta = np.array([_share(float(other.record[free.field]),
-                                 *_bounds(free, group, other.record))
-                          for free in fitted.free])
-        again = fit(group, fitted.free, [theta], fitted.problem.fixed)
+        again = _fit_from(group, fitted.problem, other)
         best = min(best, again, key=lambda each: each.cost)
     return best
 
@@ -310,9 +314,7 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
 def fit_part(group: Group, null: Fitted, variants: Sequence[Variant], whole: Fitted) -> Fitted:
     """Return the fit of some of the variants of a fit, from where that has their parameters."""
     problem, _ = _added(group, null, variants)
-    theta = np.array([_share(float(whole.record[free.field]), *_bounds(free, group, whole.record))
-                      for free in problem.free])
-    return fit(group, problem.free, [theta], problem.fixed)
+    return _fit_from(group, problem, whole)
 
 
 def fit_variants(group: Group, promise: 'Promise', variants: Sequence[Variant],
