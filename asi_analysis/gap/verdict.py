@@ -125,14 +125,13 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     pairs = [candidate for names, candidate in found.items() if len(names) == 2]
     if pairs:
         found |= _grown(min(pairs, key=lambda c: c.fitted.cost), found, tick)
-    found |= _pruned(group, found)
     for first in singles[:FOLLOWED]:
         richer = sorted((c.fitted for names, c in found.items()
                          if len(names) == 2 and set(first.variants) <= set(c.variants)),
                         key=lambda fitted: fitted.cost)
         better = [fitted for fitted in richer[:1] if fitted.cost < 0.98 * first.fitted.cost]
         found[first.names] = first._replace(fitted=refit(group, first.fitted, better))
-    return found
+    return found | _pruned(group, found)
 
 
 def _both_ways(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
