@@ -32,7 +32,7 @@ bench: setup $(VENV)/benchmarked
 
 lint: setup
 	@$(BIN)/ruff check .
-	@$(BIN)/mypy asi_actuator asi_controller asi_analysis asi_examiner
+	@$(BIN)/mypy asi_common asi_actuator asi_controller asi_analysis asi_examiner
 
 setup: $(VENV)/installed
 
@@ -48,7 +48,7 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 	echo "Setting up $(VENV) with $$($$python --version); about a minute" && \
 	$$python -m venv --clear $(VENV)
 	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
-	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.closed_loop
+	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.loop.closed_loop
 	@touch $@
 
 # The rivals that only the benchmark needs.

@@ -9,10 +9,11 @@ package_name = 'asi_actuator'
 setup(
     name=package_name,
     version='0.1.0',
-    packages=find_packages(include=['asi_actuator*', 'asi_controller*', 'asi_analysis*',
-                                    'asi_examiner*']),
-    package_data={'asi_analysis': ['templates/*', '*/*.json', 'py.typed'],
-                  'asi_actuator': ['py.typed', 'fastdds.xml', 'fastdds_localhost.xml'],
+    packages=find_packages(include=['asi_common*', 'asi_actuator*', 'asi_controller*',
+                                    'asi_analysis*', 'asi_examiner*']),
+    package_data={'asi_common': ['py.typed', 'node/fastdds.xml', 'node/fastdds_localhost.xml'],
+                  'asi_analysis': ['reporting/templates/*', '*/*/*.json', 'py.typed'],
+                  'asi_actuator': ['py.typed'],
                   'asi_controller': ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),

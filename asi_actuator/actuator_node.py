@@ -14,26 +14,21 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from asi_actuator import calibration, wire
+from asi_actuator import calibration
 from asi_actuator.calibration import Rest
-from asi_actuator.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    Diagnostics,
-    LoopStatistics,
-    StateChanges,
-)
-from asi_actuator.discovery import not_recorded
 from asi_actuator.driver import Health, make_driver
 from asi_actuator.driver.simulated import physical
 from asi_actuator.model.actuator import Measurement
-from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, control_rate
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
-from asi_actuator.ros_parameters import RosParameters
 from asi_actuator.safety import Safety, State
-from asi_actuator.spin import RunError, RunFinished, Unhurried, run_node
-from asi_actuator.topics import CONTROL_QOS, STREAM_QOS, SteadyClock
+from asi_common.loop_parameters import control_rate
+from asi_common.node import messages as wire
+from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics, StateChanges
+from asi_common.node.discovery import not_recorded
+from asi_common.node.executor import RunError, RunFinished, Unhurried, run_node
+from asi_common.node.ros_parameters import RosParameters
+from asi_common.node.topics import CONTROL_QOS, STREAM_QOS, SteadyClock
 
 # How often the lock-step looks whether it must send again, s.
 WATCH_PERIOD_S: Final = 0.005

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import yaml
 
 from asi_actuator.model.actuator import Measurement
-from asi_actuator.parameters import ParameterError
+from asi_common.parameter import ParameterError
 
 # How long the actuator must have been at rest, s, and what is still rest: changes of the valve
 # command and of the mean force, N, and of the mean valve position, m (1 % of the full opening).

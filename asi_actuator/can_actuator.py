@@ -20,7 +20,8 @@ from asi_actuator.driver.can_bus import close_bus, open_bus, received
 from asi_actuator.driver.frames import COUNTER, Frames, load_table
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.driver.simulated import SimulatedActuator
-from asi_actuator.parameters import ACTUATOR_PARAMETERS, ParameterError, Value, completed
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_common.parameter import ParameterError, Value, completed
 
 # The physics is advanced by this much at a time, s, and over at most so much at once.
 PERIOD_S: Final = 0.2e-3

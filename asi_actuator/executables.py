@@ -28,12 +28,12 @@ def controller() -> int:
 
 def recorder() -> int:
     """Run the node `asi_recorder`; return the exit status."""
-    return _run('asi_analysis.recorder_node')
+    return _run('asi_analysis.bags.nodes.recorder_node')
 
 
 def replay() -> int:
     """Run the node `asi_replay`; return the exit status."""
-    return _run('asi_analysis.replay_node')
+    return _run('asi_analysis.bags.nodes.replay_node')
 
 
 def can_actuator() -> int:

@@ -1,25 +1,7 @@
-"""The parameters that a node needs around the physics; the one place, as `parameters.py` is."""
+"""The parameters of the actuator node, besides those of its physics (`parameters.py`)."""
 
-from collections.abc import Mapping
-from typing import Final
-
-from asi_actuator.parameters import Parameter, Value
-
-MODES = ('lockstep', 'realtime')
-DEFAULT_RATE_HZ: Final = {'lockstep': 5000.0, 'realtime': 1000.0}
-
-# What the actuator and the controller must agree on.
-LOOP_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter('mode', 'lockstep', '',
-              'lockstep: the actuator owns time and waits for each command; realtime: both nodes '
-              'run on wall timers', choices=MODES, read_only=True),
-    Parameter('rate_hz', 0.0, 'Hz',
-              'Control rate, the same for both nodes; 0: 5000 in lock-step, 1000 in real time',
-              0.0, 2e4, read_only=True),
-    Parameter('await_recorder', False, '',
-              'Hold the first message back until a recorder hears every topic of this node',
-              read_only=True),
-)
+from asi_common.loop_parameters import LOOP_PARAMETERS
+from asi_common.parameter import Parameter
 
 # The defaults are beyond what the model does with its own defaults, so that no simulated run
 # meets them; config/can.yaml has those for hardware.
@@ -74,8 +56,3 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
               'Layout of the frames; if empty, asi_actuator.dbc of the package', read_only=True),
     Parameter('replay.bag', '', '', 'Bag whose states are played', read_only=True),
 ) + SAFETY_PARAMETERS
-
-
-def control_rate(values: Mapping[str, Value]) -> float:
-    """Return the control rate (Hz) that a node's parameters ask for."""
-    return float(values['rate_hz']) or DEFAULT_RATE_HZ[str(values['mode'])]

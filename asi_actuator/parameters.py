@@ -1,76 +1,14 @@
-"""
-The parameter type, and every parameter of the actuator.
+"""Every parameter of the actuator's physics."""
 
-This table is the one place: the YAML file, the ROS descriptors, the documentation and the record
-that the compiled physics reads are all made from it.
-"""
-
-import math
 from collections.abc import Mapping
-from difflib import get_close_matches
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-Value = bool | int | float | str
+from asi_common.parameter import Parameter, ParameterError, Table, Value, record_dtype, record_of
 
 # Sub-steps that the model's delays remember; a power of two, so that the index wraps by a mask.
 RING: Final = 1024
-
-
-class Parameter(NamedTuple):
-    """
-    One parameter.
-
-    Its name is that of the ROS parameter: dotted, the part before the first dot names the block.
-    """
-
-    name: str
-    default: Value
-    unit: str
-    description: str
-    low: float = -math.inf
-    high: float = math.inf
-    choices: tuple[str, ...] = ()
-    read_only: bool = False
-    source: str = ''
-
-    @property
-    def allowed(self) -> str:
-        """Say in words which values are allowed."""
-        if self.choices:
-            return 'one of ' + ', '.join(self.choices)
-        if isinstance(self.default, bool):
-            return 'true or false'
-        if isinstance(self.default, str):
-            return 'a text'
-        kind = 'a whole number' if isinstance(self.default, int) else 'a number'
-        if math.isinf(self.low) and math.isinf(self.high):
-            return kind
-        unit = f' {self.unit}' if self.unit else ''
-        return f'{kind} from {self.low:g} to {self.high:g}{unit}'
-
-    def problem(self, value: object) -> str | None:
-        """Return why `value` is not allowed, naming parameter, value and range; None if it is."""
-        if self._accepts(value):
-            return None
-        return f'{self.name} = {value!r} is not allowed: it takes {self.allowed}'
-
-    def _accepts(self, value: object) -> bool:
-        if isinstance(self.default, bool) or isinstance(value, bool):
-            return isinstance(self.default, bool) and isinstance(value, bool)
-        if isinstance(self.default, str):
-            return isinstance(value, str) and (not self.choices or value in self.choices)
-        if isinstance(self.default, int) and not isinstance(value, int):
-            return False
-        if not isinstance(value, int | float):
-            return False
-        return math.isfinite(value) and self.low <= value <= self.high
-
-
-class ParameterError(ValueError):
-    """A parameter has a value, type or name that is not allowed; the text says which and why."""
-
 
 # What the paper leaves open, fitted to its facts together: doc/reproduction.md.
 FITTED = 'asi calibrate'
@@ -85,11 +23,26 @@ def _model(block: str, linear: str, off: str) -> Parameter:
         f'full: the nonlinear or dynamic block; linear: {linear}; off: {off}', choices=MODEL)
 
 
-ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
+class ActuatorTable(Table):
+    """The actuator's parameters; its delays must fit into the ring that remembers."""
+
+    def check(self, values: Mapping[str, Value]) -> None:
+        """Raise ParameterError if a delay is longer than what the ring holds."""
+        # A period is cut into equal sub-steps, each longer than half of the longest allowed.
+        longest = (RING - 2) * float(values['maximum_substep']) / 2.0
+        for name in ('valve_flexure.delay', 'force_sensor.delay'):
+            if float(values[name]) > longest:
+                raise ParameterError(
+                    f'{name} = {values[name]!r} is not allowed with maximum_substep = '
+                    f'{values["maximum_substep"]!r}: it takes at most {longest:g} s there')
+
+
+ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('command_limit', 4000.0, 'N', 'Largest valve command that the drive passes on',
               1.0, 1e5, source='assumed'),
     Parameter('maximum_substep', 25e-6, 's', 'Longest sub-step of the integration',
-              1e-6, 1e-4, read_only=True, source='convergence: test/test_model_convergence.py'),
+              1e-6, 1e-4, read_only=True,
+              source='convergence: test/actuator/test_model_convergence.py'),
 
     _model('valve_hysteresis', 'linear_gain times the command', 'the command itself'),
     Parameter('valve_hysteresis.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
@@ -224,76 +177,15 @@ ACTUATOR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('force_sensor.noise', 0.0, 'N', 'Standard deviation of the measured force',
               0.0, 1e3),
     Parameter('force_sensor.noise_seed', 1, '', 'Seed of that noise', 0, 2**31 - 1),
-)
-
-
-
-def field_name(name: str) -> str:
-    """Return the field of the record that holds the parameter `name`."""
-    return name.replace('.', '_')
-
-
-def record_dtype(table: tuple[Parameter, ...]) -> np.dtype:
-    """Return the record type of a table: one float64 field a parameter, texts left out."""
-    return np.dtype([(field_name(p.name), np.float64) for p in table if _is_number(p)])
-
-
-def _is_number(parameter: Parameter) -> bool:
-    return bool(parameter.choices) or not isinstance(parameter.default, str)
-
+))
 
 ACTUATOR_DTYPE = record_dtype(ACTUATOR_PARAMETERS)
 
 
-def defaults(table: tuple[Parameter, ...]) -> dict[str, Value]:
-    """Return the default of each parameter of a table, by name."""
-    return {parameter.name: parameter.default for parameter in table}
-
-
-def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict[str, Value]:
+def as_record(values: Mapping[str, Value] | None = None) -> np.void:
     """
-    Return the defaults of a table, changed by `values`.
+    Return the record that the compiled physics reads: the defaults, changed by `values`.
 
     Raises ParameterError for an unknown name, or a value or combination that is not allowed.
     """
-    by_name = {parameter.name: parameter for parameter in table}
-    for name, value in values.items():
-        if name not in by_name:
-            near = get_close_matches(name, by_name)
-            raise ParameterError(f'{name} is not a parameter' + (
-                f': did you mean {" or ".join(near)}?' if near else '; see doc/parameters.md'))
-        if problem := by_name[name].problem(value):
-            raise ParameterError(problem)
-    complete = defaults(table) | dict(values)
-    if table is ACTUATOR_PARAMETERS:
-        _check_delays(complete)
-    return complete
-
-
-def _check_delays(values: Mapping[str, Value]) -> None:
-    # A period is cut into equal sub-steps, each longer than half of the longest allowed.
-    longest = (RING - 2) * float(values['maximum_substep']) / 2.0
-    for name in ('valve_flexure.delay', 'force_sensor.delay'):
-        if float(values[name]) > longest:
-            raise ParameterError(
-                f'{name} = {values[name]!r} is not allowed with maximum_substep = '
-                f'{values["maximum_substep"]!r}: it takes at most {longest:g} s there')
-
-
-def as_number(parameter: Parameter, value: Value) -> float:
-    """Return the number that stands for `value` in the record: a choice becomes its index."""
-    return float(parameter.choices.index(str(value)) if parameter.choices else value)
-
-
-def as_record(values: Mapping[str, Value] | None = None,
-              table: tuple[Parameter, ...] = ACTUATOR_PARAMETERS) -> np.void:
-    """
-    Return the record that compiled code reads: a table's defaults, changed by `values`.
-
-    Raises ParameterError for an unknown name, or a value or combination that is not allowed.
-    """
-    record = np.zeros(1, record_dtype(table))[0]
-    complete = completed(values or {}, table)
-    for parameter in filter(_is_number, table):
-        record[field_name(parameter.name)] = as_number(parameter, complete[parameter.name])
-    return record
+    return record_of(values or {}, ACTUATOR_PARAMETERS)

@@ -13,7 +13,7 @@ from typing import Final
 
 from asi_actuator.driver import Health
 from asi_actuator.model.actuator import Measurement
-from asi_actuator.parameters import Value
+from asi_common.parameter import Value
 
 # Commands a control period: one, and a few more where the machine is busy.
 MOST_COMMANDS: Final = 1.5

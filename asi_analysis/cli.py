@@ -102,8 +102,8 @@ def run(
 
     The later wins: parameter files, then --set, then the options by name.
     """
-    from asi_analysis import experiment as ex
-    from asi_analysis import running
+    from asi_analysis.experiments import experiment as ex
+    from asi_analysis.experiments import running
     named = {'compensator': compensator, 'gain': gain, 'reference.shape': reference,
              'reference.amplitude': amplitude, 'reference.offset': offset,
              'reference.frequency': frequency, 'reference.end_frequency': end_frequency,
@@ -120,8 +120,8 @@ def run(
                                       rate))
     out = out or running.free_directory(Path('runs'), str(wanted.controller['compensator']))
     if experiment:
-        from asi_analysis.limit_cycle import answer as limit_cycle_answer
-        from asi_analysis.limit_cycle.experiment import isolation
+        from asi_analysis.limit_cycle.detection import answer as limit_cycle_answer
+        from asi_analysis.limit_cycle.detection.experiment import isolation
         with bar() as report:
             document = isolation(wanted, out, report)
         answer(document, as_json, limit_cycle_answer.as_text)
@@ -142,7 +142,7 @@ def analyze(
     as_json: Json = False,
 ) -> None:
     """Measure step response, bandwidth and oscillation of a recorded run."""
-    from asi_analysis.analysis import analyze_bag, as_text
+    from asi_analysis.measures.analysis import analyze_bag, as_text
     answer(analyze_bag(bag), as_json, as_text)
 
 
@@ -170,7 +170,7 @@ def import_(
     Signals: time, reference, command, force, valve_position, position, velocity. A column of a
     rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/importing.md.
     """
-    from asi_analysis.importing import import_recording
+    from asi_analysis.bags.exchange.importing import import_recording
     with bar() as report:
         report(f'reading {file}', None)
         imported = import_recording(
@@ -188,8 +188,8 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a bag's signals as a table: CSV or Parquet, with the units in the names."""
-    from asi_analysis.bag import read_bag
-    from asi_analysis.exporting import export as write_table
+    from asi_analysis.bags.bag import read_bag
+    from asi_analysis.bags.exchange.exporting import export as write_table
     recorded = read_bag(bag)
     write_table(recorded, out)
     answer({'file': str(out), 'samples': len(recorded), 'signals': list(recorded.signals())},
@@ -204,7 +204,7 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Run the paper's experiments over ROS and write a report: OUT/report.html."""
-    from asi_analysis.demo import as_text, run_demo
+    from asi_analysis.paper.demo import as_text, run_demo
     with bar() as report:
         document = run_demo(out, report)
     answer(document, as_json, as_text)
@@ -227,18 +227,18 @@ def reproduce(
 
     Exit status 0, whether all are met or not: the table says so.
     """
-    from asi_analysis.experiment import read_parameters
-    from asi_analysis.reproduction import answer as reproduction
+    from asi_analysis.experiments.experiment import read_parameters
+    from asi_analysis.paper.reproduction import answer as reproduction
     values: Mapping[str, Any] = read_parameters(actuator, 'actuator') if actuator else {}
     conditions = None
     if candidate:
-        from asi_analysis.calibration.quantities import read_best
+        from asi_analysis.paper.calibration.quantities import read_best
         values, conditions = read_best(candidate)
     with bar() as told:
         result = reproduction.reproduce(values, conditions, told)
         document = reproduction.as_document(result)
         if report:
-            from asi_analysis.reproduction.report import write_reproduction_report
+            from asi_analysis.paper.reproduction.report import write_reproduction_report
             told('report', None)
             document['report'] = str(write_reproduction_report(result, report))
         if over_ros:
@@ -262,14 +262,14 @@ def limit_cycle(
     as_json: Json = False,
 ) -> None:
     """Say of each stretch of a recording whether it is a limit cycle, and how surely."""
-    from asi_analysis.limit_cycle import answer as limit_cycle_answer
+    from asi_analysis.limit_cycle.detection import answer as limit_cycle_answer
     if check is not None:
-        from asi_analysis.limit_cycle import check as limit_cycle_check
+        from asi_analysis.limit_cycle.detection import check as limit_cycle_check
         with bar() as told:
             document = limit_cycle_check.check(check, seed, told)
         answer(document, as_json, limit_cycle_check.as_text)
         return
-    from asi_analysis.bag import read_bag
+    from asi_analysis.bags.bag import read_bag
     if not bags:
         raise InputError('limit-cycle takes at least one bag, or --check')
     with bar() as told:
@@ -278,8 +278,8 @@ def limit_cycle(
         told('judging', None)
         document = limit_cycle_answer.limit_cycle(runs, signal)
         if report:
-            from asi_analysis.limit_cycle.figure import drawn
-            from asi_analysis.report import write_pictures
+            from asi_analysis.limit_cycle.detection.figure import drawn
+            from asi_analysis.reporting.report import write_pictures
             write_pictures(report, 'Limit cycles', limit_cycle_answer.as_text(document),
                            drawn(runs, document))
     answer(document, as_json, limit_cycle_answer.as_text)
@@ -306,13 +306,13 @@ def predict(
     """
     values = _configured(set_, compensator, gain, step, rate)
     sizes = _numbers('--steps', steps)
-    from asi_analysis.prediction import predict as prediction
+    from asi_analysis.limit_cycle.prediction import predict as prediction
     with bar() as told:
         document = prediction.predict(values['actuator'], values['controller'], rate, gain,
                                       sizes, told)
         if report:
-            from asi_analysis.prediction.figures import drawn
-            from asi_analysis.report import write_pictures
+            from asi_analysis.limit_cycle.prediction.figures import drawn
+            from asi_analysis.reporting.report import write_pictures
             at = document['onset_gain'] or gain
             loop = prediction.loop_of(values['actuator'],
                                       prediction.with_gain(values['controller'], 1.2 * at), rate)
@@ -342,14 +342,14 @@ def attribute(
     any loop; a bag of this actuator is compared with what its model makes of each.
     """
     if bag is not None:
-        from asi_analysis.attribution import recording
-        from asi_analysis.bag import read_bag
+        from asi_analysis.bags.bag import read_bag
+        from asi_analysis.limit_cycle.attribution import recording
         with bar() as told:
             run = read_bag(bag)
             document = recording.attribute_run(run, signal, told)
             if report:
-                from asi_analysis.attribution import figure
-                from asi_analysis.report import write_pictures
+                from asi_analysis.limit_cycle.attribution import figure
+                from asi_analysis.reporting.report import write_pictures
                 # A bag of this actuator is judged by its model.
                 drawn = (figure.model(document) if document['causes'][0]['share'] is not None else
                          figure.recorded(run, document, signal))
@@ -358,12 +358,12 @@ def attribute(
         answer(document, as_json, recording.as_text)
         return
     values = _configured(set_, compensator, gain, step, rate)
-    from asi_analysis.attribution import ablation
+    from asi_analysis.limit_cycle.attribution import ablation
     with bar() as told:
         document = ablation.attribute(values['actuator'], values['controller'], rate, gain, told)
         if report:
-            from asi_analysis.attribution import figure
-            from asi_analysis.report import write_pictures
+            from asi_analysis.limit_cycle.attribution import figure
+            from asi_analysis.reporting.report import write_pictures
             write_pictures(report, 'Which nonlinearity', ablation.as_text(document),
                            {'attribution': (figure.model(document), document['verdict'])})
     answer(document, as_json, ablation.as_text)
@@ -398,15 +398,15 @@ def quench(
     """
     rates_hz = _numbers('--rates', rates)
     values = _configured(set_, compensator, gain, step, *rates_hz)
+    from asi_analysis.limit_cycle.quench import answer as quench_answer
     from asi_analysis.parallel import workers
-    from asi_analysis.quench import answer as quench_answer
     with workers(jobs, dask), bar() as told:
         document = quench_answer.quench(values['actuator'], values['controller'], rates_hz,
                                         conditions, seed, designs,
                                         (replay, out) if replay else None, told)
         if report:
-            from asi_analysis.quench.figure import draw
-            from asi_analysis.report import write_pictures
+            from asi_analysis.limit_cycle.quench.figure import draw
+            from asi_analysis.reporting.report import write_pictures
             write_pictures(report, 'Limit cycles quenched', quench_answer.as_text(document), {
                 'quench': (draw(values['actuator'], values['controller'], document),
                            'Loop and -1/N where the margin is least; the trade-off of designs')})
@@ -418,7 +418,7 @@ def quench(
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
                 step: float, *rates_hz: float) -> dict[str, dict[str, Any]]:
     """Return parameters of actuator and controller, checked at each rate; a step is asked."""
-    from asi_analysis import experiment as ex
+    from asi_analysis.experiments import experiment as ex
     values = ex.gather({'actuator': None, 'controller': None}, settings or [],
                        {'controller': {'compensator': compensator, 'gain': gain,
                                        'reference.shape': 'step', 'reference.amplitude': step}},
@@ -462,8 +462,8 @@ def gap(
     as_json: Json = False,
 ) -> None:
     """Tell where recordings differ from the simulator, why, and how far that can be mended."""
-    from asi_analysis.gap import command as gap_command
-    from asi_analysis.gap.show import as_text
+    from asi_analysis.gap.answer import command as gap_command
+    from asi_analysis.gap.answer.show import as_text
     with bar() as told:
         document = gap_command.run(bags, model, plant, held_out or [], tolerance, drive, report,
                                    told)
@@ -493,7 +493,7 @@ def gap_check(
     as_json: Json = False,
 ) -> None:
     """Diagnose blind cases, then open the sealed answers and say how often it was right."""
-    from asi_analysis.gap.check import as_text, check
+    from asi_analysis.gap.check.check import as_text, check
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as told:
         if directory is None:
@@ -531,12 +531,12 @@ def calibrate(
 ) -> None:
     """Fit the model's free parameters to the facts that the paper publishes."""
     if front:
-        from asi_analysis.calibration import front as front_
+        from asi_analysis.paper.calibration import front as front_
         with bar() as told:
             document = front_.run(front, start, polish, out, told)
         answer(document, as_json, front_.as_text)
         return
-    from asi_analysis.calibration import answer as calibration
+    from asi_analysis.paper.calibration import answer as calibration
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as told:
         document = calibration.run(out, structure, evaluations, polish, seed, spread, start,
@@ -557,7 +557,7 @@ def ensemble(
     as_json: Json = False,
 ) -> None:
     """Find parameter sets about the defaults that meet the paper's facts about equally well."""
-    from asi_analysis.calibration import ensemble as ensemble_
+    from asi_analysis.paper.calibration import ensemble as ensemble_
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as told:
         document = ensemble_.run(out, pictures, count, most, seed, told)

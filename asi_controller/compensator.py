@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
-from asi_actuator.model.jit import jit
-from asi_actuator.parameters import ParameterError, Value, completed
+from asi_common.jit import jit
+from asi_common.parameter import ParameterError, Value, completed
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 # Phase counts most where the limit cycle is.

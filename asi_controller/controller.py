@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.jit import compiled_for, jit
-from asi_actuator.parameters import Parameter, Value, as_record
+from asi_common.jit import compiled_for, jit
+from asi_common.parameter import Parameter, Value, record_of
 from asi_controller.compensator import REST, compensate, compensator
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
 from asi_controller.reference import TOPIC, reference_force
@@ -37,8 +37,8 @@ class Controller:
         Begin with parameters by name: those of compensator and reference.
 
         lockstep: stamps are whole control periods, and time is counted in them, so that it has
-        the same bits as in `asi_analysis.closed_loop`. Raises ParameterError for parameters that
-        are not allowed.
+        the same bits as in `asi_analysis.loop.closed_loop`. Raises ParameterError for
+        parameters that are not allowed.
         """
         self.rate_hz = rate_hz
         self._period_s = 1.0 / rate_hz
@@ -76,7 +76,7 @@ class Controller:
 
     def _start_reference(self, values: Mapping[str, Value]) -> None:
         self._references: npt.NDArray[np.void] = np.array([
-            as_record(_of(REFERENCE_PARAMETERS, values), REFERENCE_PARAMETERS)])
+            record_of(_of(REFERENCE_PARAMETERS, values), REFERENCE_PARAMETERS)])
         self.generates = values['reference.shape'] != 'topic'
         self._start_ns: int | None = None
 

@@ -16,13 +16,13 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from asi_actuator import wire
-from asi_actuator.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
-from asi_actuator.discovery import not_recorded
-from asi_actuator.node_parameters import control_rate
-from asi_actuator.ros_parameters import RosParameters
-from asi_actuator.spin import RunError, run_node
-from asi_actuator.topics import CONTROL_QOS, PISTON, STREAM_QOS, SteadyClock
+from asi_common.loop_parameters import control_rate
+from asi_common.node import messages as wire
+from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
+from asi_common.node.discovery import not_recorded
+from asi_common.node.executor import RunError, run_node
+from asi_common.node.ros_parameters import RosParameters
+from asi_common.node.topics import CONTROL_QOS, PISTON, STREAM_QOS, SteadyClock
 from asi_controller.controller import Controller
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,

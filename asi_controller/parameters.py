@@ -1,16 +1,16 @@
 """Every parameter of the controller; the one place, as `asi_actuator/parameters.py` is."""
 
-from asi_actuator.node_parameters import LOOP_PARAMETERS
-from asi_actuator.parameters import Parameter
+from asi_common.loop_parameters import LOOP_PARAMETERS
+from asi_common.parameter import Parameter
 
 COMPENSATORS = ('proportional', 'lead_lag', 'lead2', 'lead4', 'custom')
 SHAPES = ('topic', 'step', 'ramp', 'sine', 'triangle', 'chirp', 'multisine', 'prbs')
 
 # Searched for the fourth-order row of Table 1 at 100 and 500 N on the locked piston, so that
 # nothing cycles at 2.5 times the gain at 5 kHz and at 1.5 times the gain at 1 kHz with a period
-# of delay, there and on the spring (test/test_default_compensators.py), nor under the worst
-# conditions that `asi quench` had found for faster ones. Between those steps, and below them, both
-# overshoot more and leave more: see `asi run`.
+# of delay, there and on the spring (test/controller/test_default_compensators.py), nor under the
+# worst conditions that `asi quench` had found for faster ones. Between those steps, and below
+# them, both overshoot more and leave more: see `asi run`.
 TUNED = 'search, on the locked piston and the spring load'
 
 COMPENSATOR_PARAMETERS: tuple[Parameter, ...] = (

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from asi_actuator.model.jit import jit
+from asi_common.jit import jit
 from asi_controller.parameters import SHAPES
 
 TOPIC, STEP, RAMP, SINE, TRIANGLE, CHIRP, MULTISINE, PRBS = range(len(SHAPES))
@@ -36,7 +36,7 @@ def _multisine(time, start_hz, end_hz, tones):
     Return `tones` sines, as far apart, with Schroeder's phases (1970), which keep the peak low.
 
     With those the sum stays below 1.53 times the root of their number, whatever their frequencies
-    (the worst are three; test/test_reference.py tries each number).
+    (the worst are three; test/controller/test_reference.py tries each number).
     """
     total = 0.0
     step = (end_hz - start_hz) / (tones - 1) if tones > 1 else 0.0

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from asi_analysis.bag import write_bag
+from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
-from asi_analysis.run import Run
 from asi_examiner.cases import EFFECTS, Case, draw, excite
 from asi_examiner.plant import PERIOD_S, simulate
 

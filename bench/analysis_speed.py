@@ -16,15 +16,15 @@ from typing import Any, Final
 import numpy as np
 
 from asi_actuator.parameters import as_record
-from asi_analysis.analysis import analyze
-from asi_analysis.bag import read_bag, write_bag
-from asi_analysis.facts.bench import RATE_HZ, Bench
+from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
-from asi_analysis.limit_cycle.answer import limit_cycle
-from asi_analysis.prediction.one_harmonic import hysteresis_alone
-from asi_analysis.prediction.predict import COMMANDS_N
-from asi_analysis.prediction.simulation import loop_of
-from asi_analysis.run import Run
+from asi_analysis.limit_cycle.detection.answer import limit_cycle
+from asi_analysis.limit_cycle.prediction.predict import COMMANDS_N
+from asi_analysis.loop.bench import RATE_HZ, Bench
+from asi_analysis.loop.one_harmonic import hysteresis_alone
+from asi_analysis.loop.simulation import loop_of
+from asi_analysis.measures.analysis import analyze
 from asi_examiner.bags import as_run
 from asi_examiner.cases import draw
 from bench.result import Result, show

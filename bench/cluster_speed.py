@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from asi_analysis.calibration.ensemble import problem_of
-from asi_analysis.calibration.quantities import Candidate
-from asi_analysis.calibration.search import Problem
-from asi_analysis.facts.conditions import Conditions
+from asi_analysis.paper.calibration.ensemble import problem_of
+from asi_analysis.paper.calibration.quantities import Candidate
+from asi_analysis.paper.calibration.search import Problem
+from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.parallel import each, workers
 from bench.local_cluster import cluster
 from bench.result import Result, interleaved, ratios, show

@@ -23,8 +23,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from asi_actuator.spin import LoopExecutor, choose_transport
-from asi_actuator.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS
+from asi_common.node.executor import LoopExecutor, choose_transport
+from asi_common.node.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS
 
 # What each end sends: nothing, one message each way, what the loop waits for, everything.
 SENT: Final = {

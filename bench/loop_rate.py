@@ -28,15 +28,15 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
-from asi_actuator import wire
 from asi_actuator.actuator_node import ActuatorNode
+from asi_common.node import messages as wire
 from bench.empty_nodes import SENT, messages
 from bench.result import Result, deviation, interleaved, ratios
 from bench.timed_node import CALLBACKS, EXECUTOR, PARTS, SENDING
 
 ROOT: Final = Path(__file__).parents[1]
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
-RECORDER: Final = 'asi_analysis.recorder_node'
+RECORDER: Final = 'asi_analysis.bags.nodes.recorder_node'
 SINE: Final = {'reference.shape': 'sine'}
 REALTIME_HZ: Final = (500.0, 1000.0, 2000.0)
 PATIENCE_S: Final = 60.0

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.closed_loop import Loops, close_many, loops_of
+from asi_analysis.loop.closed_loop import Loops, close_many, loops_of
 from bench.result import Result, interleaved, ratios, show
 
 DURATION_S: Final = 0.05

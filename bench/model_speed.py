@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.actuator import STATE_DTYPE, rest, simulate
-from asi_actuator.parameters import ACTUATOR_DTYPE, RING, Value, as_record
+from asi_actuator.parameters import ACTUATOR_DTYPE, RING, as_record
+from asi_common.parameter import Value
 from bench.result import Result, deviation, interleaved, ratios, show
 
 Array = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ import jinja2
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asi_analysis import figures
+from asi_analysis.reporting import figures
 from bench.result import Result
 
 Measured = Mapping[str, Mapping[str, Any]]

@@ -22,9 +22,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from asi_analysis.bag import read_bag, write_bag
-from asi_analysis.bag_file import Topic, read_contents
-from asi_analysis.run import Run
+from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.bag_file import Topic, read_contents
+from asi_analysis.bags.run import Run
 from bench.result import Result, ratios
 
 ROOT: Final = Path(__file__).parents[1]
@@ -59,10 +59,10 @@ def processor_s(pid: int) -> float:
 def record(folder: Path, played: Path, rate_hz: float) -> tuple[float, int, float, Path]:
     """Record a replay; return ticks a second, messages lost, processor share and the bag."""
     bag = folder / f'at_{rate_hz}'
-    recorder = node('asi_analysis.recorder_node', output=bag)
+    recorder = node('asi_analysis.bags.nodes.recorder_node', output=bag)
     # The replay needs this long to start and to read the bag, and then waits for the recorder.
-    replay = node('asi_analysis.replay_node', bag=played, rate=rate_hz / 1000.0, delay=5.0,
-                  await_recorder='true')
+    replay = node('asi_analysis.bags.nodes.replay_node', bag=played, rate=rate_hz / 1000.0,
+                  delay=5.0, await_recorder='true')
     time.sleep(7.0)
     begin, used = time.perf_counter(), processor_s(recorder.pid)
     replay.wait()

@@ -33,7 +33,8 @@ from asi_actuator.model.valve_characteristic import (
     valve_position,
 )
 from asi_actuator.model.valve_hysteresis import command_rate, half_width, play, saturated
-from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record, defaults
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
+from asi_common.parameter import Value, defaults
 from bench.result import Result, interleaved, show
 
 Array = npt.NDArray[np.float64]

@@ -17,14 +17,14 @@ HELP: Final = 'asi_analysis.cli', '--help'
 # Prints the seconds from the end of the import to the end of the first simulation.
 FIRST: Final = """
 import time
-from asi_analysis.closed_loop import simulate_loop
+from asi_analysis.loop.closed_loop import simulate_loop
 begin = time.perf_counter()
 simulate_loop({}, {'reference.shape': 'step'}, 0.01)
 print(time.perf_counter() - begin)
 """
 NODES: Final = {'actuator': 'asi_actuator.actuator_node',
                 'controller': 'asi_controller.controller_node',
-                'recorder': 'asi_analysis.recorder_node'}
+                'recorder': 'asi_analysis.bags.nodes.recorder_node'}
 PATIENCE_S: Final = 60.0
 
 
@@ -63,7 +63,7 @@ def measure(quick: bool) -> list[Result]:
     warm = [float(run('-c', FIRST)) for _ in range(rounds)]
     with tempfile.TemporaryDirectory() as cache:
         cold = float(run('-c', FIRST, cache=cache))
-    imported = interleaved({'import': partial(run, '-c', 'import asi_analysis.closed_loop')},
+    imported = interleaved({'import': partial(run, '-c', 'import asi_analysis.loop.closed_loop')},
                            rounds)['import']
     results = [
         Result('start.help', 'asi --help', float(np.median(helped)), 's', target='<= 0.5'),

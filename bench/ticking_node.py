@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator import actuator_node
-from asi_actuator.diagnostics import LoopStatistics
+from asi_common.node.diagnostics import LoopStatistics
 
 
 def jitter_p99_ms(periods_s: npt.NDArray[np.float64]) -> float:

@@ -23,9 +23,11 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from asi_actuator import actuator_node, safety, spin, wire
-from asi_actuator.diagnostics import LoopStatistics
+from asi_actuator import actuator_node, safety
 from asi_actuator.driver.simulated import SimulatedActuator
+from asi_common.node import executor as spin
+from asi_common.node import messages as wire
+from asi_common.node.diagnostics import LoopStatistics
 from asi_controller import controller_node
 from asi_controller.controller import Controller
 from bench import empty_nodes

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from asi_analysis.running import claimed
+from asi_analysis.experiments.running import claimed
 
 ROOT = Path(__file__).parents[1]
 # Domains whose ports stay below those that Linux gives to clients.
@@ -182,8 +182,8 @@ def ros_node(ros_environment: dict[str, str]) -> Iterator[Any]:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from asi_actuator.discovery import RECORDER
-    from asi_actuator.spin import LoopExecutor
+    from asi_common.node.discovery import RECORDER
+    from asi_common.node.executor import LoopExecutor
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     # Named as a recorder, so that nodes with await_recorder wait for it.

@@ -10,8 +10,8 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from asi_actuator.spin import run_node
-from asi_actuator.topics import CONTROL_QOS
+from asi_common.node.executor import run_node
+from asi_common.node.topics import CONTROL_QOS
 
 TOPICS: Final = ((JointState, 'joint_states'), (WrenchStamped, 'valve_command'),
                  (Clock, '/clock'))

@@ -1,6 +1,6 @@
 """The parameter set of the first study (its fit S10), for tests that need known numbers."""
 
-from asi_actuator.parameters import Value
+from asi_common.parameter import Value
 
 STUDY: dict[str, Value] = {
     'valve_hysteresis.radius': 14.0,

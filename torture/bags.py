@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.bag import read_bag, write_bag
-from asi_analysis.bag_writer import BagWriter, typestore
+from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.bag_writer import BagWriter, typestore
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.run import Run
 from torture.rig import Rig, Tally
 
 SAMPLES: Final = 3000

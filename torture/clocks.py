@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from asi_actuator.topics import nanoseconds
-from asi_analysis.bag_file import read_contents
+from asi_analysis.bags.bag_file import read_contents
+from asi_common.node.topics import nanoseconds
 from torture.rig import ACTUATOR, CONTROLLER, RECORDER, Rig, Tally, is_alive, until
 
 SOURCE: Final = Path(__file__).with_name('system_clock.c')

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from typing import Final
 
-from asi_analysis.bag import read_bag
+from asi_analysis.bags.bag import read_bag
 from asi_analysis.errors import InputError
 from torture.rig import ACTUATOR, CONTROLLER, RECORDER, Rig, Tally
 

@@ -10,10 +10,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from asi_actuator.model.actuator import measure, rest, step
 from asi_actuator.parameters import as_record
-from asi_actuator.topics import nanoseconds, set_time
-from asi_analysis.bag import read_bag
-from asi_analysis.closed_loop import simulate_loop
-from asi_analysis.run import Run
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import Run
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_common.node.topics import nanoseconds, set_time
 from torture.rig import ACTUATOR, CONTROLLER, RECORDER, NodeProcess, Rig, Tally, is_alive, pause
 
 DURATION_S: Final = 0.4

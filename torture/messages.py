@@ -10,7 +10,7 @@ from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from asi_actuator.topics import set_time
+from asi_common.node.topics import set_time
 from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive, until
 
 NUMBERS: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e5, 0.0, -0.0, 5e-324)

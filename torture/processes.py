@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import Final
 
-from asi_actuator.topics import nanoseconds
-from asi_analysis.bag_file import read_contents
+from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.errors import InputError
+from asi_common.node.topics import nanoseconds
 from torture.rig import (
     ACTUATOR,
     CONTROLLER,

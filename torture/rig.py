@@ -20,14 +20,14 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from asi_actuator.spin import LoopExecutor
+from asi_common.node.executor import LoopExecutor
 
 ROOT: Final = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / 'test'))
 from conftest import NodeProcess  # noqa: E402
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
-RECORDER, PEER = 'asi_analysis.recorder_node', 'asi_actuator.can_actuator'
+RECORDER, PEER = 'asi_analysis.bags.nodes.recorder_node', 'asi_actuator.can_actuator'
 # How long a busy machine may take to start a process or to answer a service.
 PATIENCE_S: Final = 60.0
 # A thread that sleeps for so long and wakes so much later has seen the machine stand still, s.

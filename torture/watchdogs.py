@@ -27,7 +27,7 @@ from asi_actuator.driver.can_bus import (
     received,
 )
 from asi_actuator.driver.frames import Frames
-from asi_actuator.parameters import Value
+from asi_common.parameter import Value
 from torture.rig import NotThere, Rig, Tally, until
 from torture.wire import Wire
 

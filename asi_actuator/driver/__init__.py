@@ -10,13 +10,13 @@ from importlib import import_module
 from typing import Final, NamedTuple, Protocol
 
 from asi_actuator.model.actuator import Measurement
-from asi_actuator.parameters import Value
+from asi_common.parameter import Value
 
 # Module and class of each driver, by the value of the parameter `driver`.
 DRIVERS: Final = {
     'simulated': ('asi_actuator.driver.simulated', 'SimulatedActuator'),
     'can': ('asi_actuator.driver.can_bus', 'CanActuator'),
-    'replay': ('asi_analysis.replay_driver', 'ReplayedActuator'),
+    'replay': ('asi_analysis.bags.nodes.replay_driver', 'ReplayedActuator'),
 }
 
 

@@ -12,7 +12,7 @@ from can.interfaces.slcan import slcanBus
 from asi_actuator.driver import Health
 from asi_actuator.driver.frames import COUNTER, Frames
 from asi_actuator.model.actuator import Measurement
-from asi_actuator.parameters import ParameterError, Value
+from asi_common.parameter import ParameterError, Value
 
 # How long an slcan adapter takes to start, s.
 ADAPTER_START_S: Final = 2.0

@@ -12,7 +12,7 @@ from typing import Final
 import cantools
 from cantools.database.can import Database, Message, Signal
 
-from asi_actuator.parameters import ParameterError
+from asi_common.parameter import ParameterError
 
 FILE: Final = 'asi_actuator.dbc'
 # The signals that this code works with, by frame. A file of the user's own must have them all.

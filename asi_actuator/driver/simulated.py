@@ -6,8 +6,9 @@ import numpy as np
 
 from asi_actuator.driver import Health
 from asi_actuator.model.actuator import Measurement, measure, rest, step
-from asi_actuator.model.jit import compiled_for, jit
-from asi_actuator.parameters import ACTUATOR_PARAMETERS, Value, as_record
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
+from asi_common.jit import compiled_for, jit
+from asi_common.parameter import Value
 
 NAMES = frozenset(parameter.name for parameter in ACTUATOR_PARAMETERS)
 HEALTHY, SATURATED = Health(), Health(saturated=True)

@@ -15,7 +15,6 @@ from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain
 from asi_actuator.model.force_sensor import SensorStep, force_sensor, reading, sensor_step
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
-from asi_actuator.model.jit import FULL, inlined, jit
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, felt_force, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
@@ -25,7 +24,9 @@ from asi_actuator.model.valve_characteristic import (
 )
 from asi_actuator.model.valve_flexure import FlexureStep, flexure_gain, flexure_step, valve_flexure
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
-from asi_actuator.parameters import RING, ParameterError
+from asi_actuator.parameters import RING
+from asi_common.jit import FULL, inlined, jit
+from asi_common.parameter import ParameterError
 
 # The longest delay, 0.01 s, is RING - 2 sub-steps of 9.8 us.
 SHORTEST_PERIOD_S: Final = 1e-5

@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from asi_actuator.model.jit import jit
 from asi_actuator.parameters import RING
+from asi_common.jit import jit
 
 
 class DelaySteps(NamedTuple):

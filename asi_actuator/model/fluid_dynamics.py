@@ -1,7 +1,7 @@
 """Fluid dynamics: the oil in valve and cylinder, lumped to a first-order lag (paper, 4.1)."""
 
-from asi_actuator.model.jit import FULL, LINEAR, jit
 from asi_actuator.model.linear_lag import FirstOrder, first_order
+from asi_common.jit import FULL, LINEAR, jit
 
 
 @jit

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from asi_actuator.model.delay import DelaySteps, delay, delay_steps
-from asi_actuator.model.jit import FULL, LINEAR, jit
 from asi_actuator.model.linear_lag import SecondOrder, second_order, second_order_step
+from asi_common.jit import FULL, LINEAR, jit
 
 CARD_DAMPING: Final = math.sqrt(0.5)
 

@@ -10,7 +10,7 @@ that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends
 import math
 from typing import Final, NamedTuple
 
-from asi_actuator.model.jit import FULL, LINEAR, inlined, jit
+from asi_common.jit import FULL, LINEAR, inlined, jit
 
 # Share of the breakaway deflection below which the seals deform without any sliding.
 ELASTIC_SHARE: Final = 0.7

@@ -7,7 +7,7 @@ valve opening, as the paper fitted them, plus a viscous part, bounded by 1200 N.
 
 import math
 
-from asi_actuator.model.jit import FULL, LINEAR, jit
+from asi_common.jit import FULL, LINEAR, jit
 
 
 @jit

@@ -7,7 +7,7 @@ Each is second order in the sub-step and stable for any.
 import math
 from typing import NamedTuple
 
-from asi_actuator.model.jit import jit
+from asi_common.jit import jit
 
 
 class FirstOrder(NamedTuple):

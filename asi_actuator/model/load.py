@@ -10,12 +10,12 @@ from typing import Final
 
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
-from asi_actuator.model.jit import inlined, jit
+from asi_common.jit import inlined, jit
 
 LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
 # A Newton step (m/s) so small that the damping is straight over it: for the default damping the
-# rest is below 1e-4 N (test/test_model_convergence.py compares with full convergence).
+# rest is below 1e-4 N (test/actuator/test_model_convergence.py compares with full convergence).
 STRAIGHT: Final = 2e-5
 # Enough for the halving of the bracket that a Newton step falls back to.
 MOST_ROUNDS: Final = 60

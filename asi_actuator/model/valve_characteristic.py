@@ -4,7 +4,7 @@ Valve static characteristic: force against valve opening (paper, section 2.2, Fi
 Linear until the maximum opening is reached; then the actuator saturates.
 """
 
-from asi_actuator.model.jit import FULL, LINEAR, jit
+from asi_common.jit import FULL, LINEAR, jit
 
 
 @jit

@@ -8,8 +8,8 @@ import math
 from typing import NamedTuple
 
 from asi_actuator.model.delay import DelaySteps, delay, delay_steps
-from asi_actuator.model.jit import FULL, LINEAR, jit
 from asi_actuator.model.linear_lag import SecondOrder, second_order, second_order_step
+from asi_common.jit import FULL, LINEAR, jit
 
 
 class FlexureStep(NamedTuple):

@@ -8,7 +8,7 @@ limit cycle needs. A play of constant width cannot do both.
 
 import math
 
-from asi_actuator.model.jit import FULL, LINEAR, jit
+from asi_common.jit import FULL, LINEAR, jit
 
 
 @jit

@@ -7,19 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from asi_actuator.parameters import Value
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.gap import next_experiment, quality, where
-from asi_analysis.gap.effects import BLOCK_OF, NO_GAP, UNKNOWN
-from asi_analysis.gap.fit import Fitted
-from asi_analysis.gap.group import TOLERANCE, Group, Values, make_group
-from asi_analysis.gap.joint import drive_of, joint_groups
-from asi_analysis.gap.next_motion import choose_motion
-from asi_analysis.gap.predict import plant_record
-from asi_analysis.gap.prepare import prepare
-from asi_analysis.gap.shrink import Shrink, shrink_of
-from asi_analysis.gap.uncertainty import Likelihood, interval, likelihood
-from asi_analysis.gap.verdict import (
+from asi_analysis.gap.experiment import next_experiment
+from asi_analysis.gap.experiment.next_motion import choose_motion
+from asi_analysis.gap.inference import quality, where
+from asi_analysis.gap.inference.fit import Fitted
+from asi_analysis.gap.inference.shrink import Shrink, shrink_of
+from asi_analysis.gap.inference.uncertainty import Likelihood, interval, likelihood
+from asi_analysis.gap.inference.verdict import (
     Candidate,
     Names,
     Weighed,
@@ -28,7 +24,12 @@ from asi_analysis.gap.verdict import (
     marginals,
     weigh_groups,
 )
-from asi_analysis.run import Run
+from asi_analysis.gap.model.effects import BLOCK_OF, NO_GAP, UNKNOWN
+from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group
+from asi_analysis.gap.model.joint import drive_of, joint_groups
+from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.prepare import prepare
+from asi_common.parameter import Value
 
 Report = Callable[[str, float | None], None]
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import coherence, resample_poly, welch
 
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.run import Run
 
 Array = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]

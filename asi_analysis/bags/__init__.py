@@ -1,0 +1,1 @@
+"""Recordings: a run as arrays, read from and written to bags."""

@@ -1,0 +1,315 @@
+"""Bag → `Run`, `Run` → bag."""
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.bags import cdr
+from asi_analysis.bags.bag_file import Topic, read_contents
+from asi_analysis.bags.bag_writer import BagWriter, typestore
+from asi_analysis.bags.run import SIGNALS, Array, Run, StateChange
+from asi_analysis.errors import InputError, InputWarning
+
+JOINT_STATE: Final = 'sensor_msgs/msg/JointState'
+JOINTS: Final = ('piston', 'valve')
+WRENCH: Final = 'geometry_msgs/msg/WrenchStamped'
+FLOAT: Final = 'std_msgs/msg/Float64'
+# `reference` stands for `force_reference` where a recording's reference is no force.
+TYPES: Final = {'joint_states': JOINT_STATE, 'force': WRENCH, 'valve_command': WRENCH,
+                'force_reference': WRENCH, 'reference': FLOAT, 'valve_position': FLOAT,
+                'velocity': FLOAT}
+
+DIAGNOSTICS: Final = 'diagnostics'
+DIAGNOSTIC_ARRAY: Final = 'diagnostic_msgs/msg/DiagnosticArray'
+# The end of the name of the status that tells a change of state (asi_common/node/diagnostics.py).
+STATE: Final = ': state'
+
+Nanoseconds = npt.NDArray[np.int64]
+
+
+class Series(NamedTuple):
+    """One topic, decoded: times (ns) of n messages, and their numbers by name."""
+
+    stamp_ns: Nanoseconds       # 0 where there is none
+    publish_ns: Nanoseconds
+    values: dict[str, Array]
+
+
+def read_bag(path: str | Path) -> Run:
+    """
+    Return what a bag of this package, or one that `ros2 bag record` made of its topics, holds.
+
+    path: rosbag2 directory, .mcap or .db3 file. The time base is that of the stamps of
+    joint_states (or, without it, of the first of force, valve_command, ... that is there), from
+    0; what is published with other stamps is held until the next message. Whatever a damaged
+    file still holds is returned, with an InputWarning. Raises InputError if that is nothing.
+    """
+    path = Path(path)
+    contents = read_contents(path, lambda name: _base(name) in (*TYPES, DIAGNOSTICS))
+    problems = list(contents.problems)
+    series: dict[str, Series] = {}
+    changes = []
+    for topic in contents.topics.values():
+        name = _base(topic.name)
+        if name == DIAGNOSTICS:
+            changes = _state_changes(topic)
+        elif topic.type != TYPES[name]:
+            problems.append(f'{path}: {topic.name} is left out: it is of type {topic.type}, '
+                            f'expected {TYPES[name]}')
+        elif len(topic):
+            if name in series:
+                raise InputError(f'{path} has several topics named {name}: expected one actuator '
+                                 'a bag')
+            try:
+                decoded = decode(topic)
+            except cdr.LayoutError as error:
+                problems.append(f'{path}: {topic.name} is left out: {error}')
+                continue
+            joints = {key.rpartition(' ')[0] for key in decoded.values} - {''}
+            if joints and not joints & set(JOINTS):
+                problems.append(f'{path}: {topic.name} is left out: it is of the joints '
+                                f'{", ".join(sorted(joints))}, expected {" and ".join(JOINTS)} '
+                                '(asi import takes others)')
+            else:
+                series[name] = decoded
+    if not series:
+        why = f' ({problems[0]})' if problems else ''
+        raise InputError(f'{path} holds no message of the topics {", ".join(TYPES)}{why}')
+    for problem in problems:
+        warnings.warn(problem, InputWarning, stacklevel=2)
+    return _assemble(series, changes, str(path), contents.information)
+
+
+def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
+    """
+    Write a run as the bag that a recorder would have made; the first stamp is one period.
+
+    information: what the bag says of its run; that of the run itself if None.
+    Raises InputError if the bag exists already.
+    """
+    writer = BagWriter(Path(path))
+    writer.add_information(run.information if information is None else information)
+    stamps = np.round((run.time_s - run.time_s[0]) * 1e9).astype(np.int64)
+    stamps += round((run.period_s if len(run) > 1 else 1e-3) * 1e9)
+    rows: list[tuple[int, int, int, bytes]] = []
+    for name, values in _outgoing(run).items():
+        channel = writer.add_topic(f'/{name}', TYPES[name])
+        known = np.flatnonzero(~np.all([np.isnan(column) for column in values.values()], axis=0)
+                               | (name == 'joint_states'))
+        messages = _encode(TYPES[name], stamps[known],
+                           {key: column[known] for key, column in values.items()})
+        rows += [(stamp, channel, number, data) for number, (stamp, data)
+                 in enumerate(zip(stamps[known].tolist(), messages, strict=True), 1)]
+    for stamp, channel, number, data in sorted(rows, key=lambda row: row[:2]):
+        writer.write(channel, stamp, stamp, number, data)
+    writer.close()
+
+
+def _base(topic: str) -> str:
+    return topic.rpartition('/')[2]
+
+
+def numbers_of_a_run(place: cdr.Layout) -> dict[str, cdr.Path]:
+    """Return where the numbers are that a run is made of, by a name for each."""
+    joints = {path[1]: name for path, name in place.strings.items() if path[0] == 'name'}
+    named: dict[str, cdr.Path] = {}
+    for path in place.numbers:
+        match path:
+            case ('header', 'stamp', part):
+                named[str(part)] = path
+            case ('wrench', 'force', 'x') | ('data',):
+                named['value'] = path
+            case (str(quantity), int(joint)) if joint in joints:
+                named[f'{joints[joint]} {quantity}'] = path
+    return named
+
+
+def decode(topic: Topic, named: Callable[[cdr.Layout], dict[str, cdr.Path]] = numbers_of_a_run
+           ) -> Series:
+    """
+    Decode the messages of a topic, those of one layout at a time. Raises cdr.LayoutError.
+
+    named: says which numbers of a layout are wanted, and their names; `sec`, `nanosec`: the stamp.
+    """
+    count = len(topic)
+    stamp_ns = np.zeros(count, np.int64)
+    values: dict[str, Array] = {}
+    layouts: dict[bytes, cdr.Layout] = {}      # by a message of that layout
+    for places, table in topic.tables():
+        left = np.ones(len(places), bool)
+        while left.any():
+            template = _known(layouts, topic.type, table[np.argmax(left)])
+            group = left & cdr.same_layout(table, template, layouts[template])
+            left &= ~group
+            paths = named(layouts[template])
+            found = dict(zip(paths, cdr.columns(
+                topic.type, table if group.all() else table[group], list(paths.values()),
+                layouts[template]), strict=True))
+            if 'sec' in found:
+                stamp_ns[places[group]] = (found.pop('sec').astype(np.int64) * 10**9
+                                           + found.pop('nanosec').astype(np.int64))
+            for name, column in found.items():
+                values.setdefault(name, np.full(count, np.nan))[places[group]] = column
+    return Series(stamp_ns, topic.publish_ns, values)
+
+
+def _known(layouts: dict[bytes, cdr.Layout], type_: str, message: npt.NDArray[np.uint8]) -> bytes:
+    """Return the key of a message's layout, which is added if it is a new one."""
+    for template, place in layouts.items():
+        if len(template) == len(message) and cdr.same_layout(message[None], template, place)[0]:
+            return template
+    template = message.tobytes()
+    layouts[template] = cdr.layout(type_, template)
+    return template
+
+
+def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
+    """Return the changes of the actuator's state that /diagnostics tells, by their stamps (ns)."""
+    if topic.type != DIAGNOSTIC_ARRAY:
+        return []
+    changes = []
+    # Most are about the loop, twice a second.
+    for data in (data for data in topic.data if f'{STATE}\0'.encode() in data):
+        try:
+            message: Any = typestore().deserialize_cdr(data, DIAGNOSTIC_ARRAY)
+        except Exception:  # noqa: B902 - whatever rosbags makes of bytes that are damaged
+            continue
+        stamp = message.header.stamp
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            if status.name.endswith(STATE) and 'state' in values:
+                changes.append((stamp.sec * 10**9 + stamp.nanosec, StateChange(
+                    0.0, values['state'], values.get('reason', ''))))
+    return changes
+
+
+def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
+              information: dict[str, Any]) -> Run:
+    """Put the topics onto one time base."""
+    base = time_base(next(series[name] for name in TYPES if name in series))
+    state = series.get('joint_states')
+    signals: dict[str, Any] = {}
+    for name, field, topics, joint in (
+            ('reference', 'reference_n', ('force_reference', 'reference'), ''),
+            ('command', 'command_n', ('valve_command',), ''),
+            ('force', 'force_n', ('force',), 'piston effort'),
+            ('valve_position', 'valve_position_m', ('valve_position',), 'valve position'),
+            ('position', 'position_m', (), 'piston position'),
+            ('velocity', 'velocity_m_s', ('velocity',), 'piston velocity')):
+        found = next((series[topic] for topic in topics if topic in series), None)
+        values = None
+        # joint_states holds all that is measured, on the time base itself.
+        if state is not None and joint in state.values:
+            values = onto(base, state, state.values[joint], lasting=False)
+        if found is not None and (values is None or np.isnan(values).all()):
+            values = onto(base, found, found.values['value'],
+                           lasting=name in ('reference', 'command'))
+        if values is not None and not np.isnan(values).all():
+            signals[field] = values
+    if 'command_n' not in signals and state is not None and 'valve effort' in state.values:
+        # The command that was applied up to a state: the answer to the one before.
+        applied = onto(base, state, state.values['valve effort'], lasting=False)
+        if not np.isnan(applied).all():
+            signals['command_n'] = np.append(applied[1:], np.nan)
+    time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
+    states = tuple(change._replace(time_s=(stamp_ns - int(base.stamp_ns[0])) / 1e9)
+                   for stamp_ns, change in changes)
+    return replace(Run(time_s, source=source, information=information, states=states), **signals)
+
+
+def time_base(series: Series) -> Series:
+    """Return the times that a run is put on: rising stamps, or times of publication."""
+    ticks = series.stamp_ns if series.stamp_ns.any() else series.publish_ns
+    ticks, first = np.unique(ticks, return_index=True)
+    return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
+
+
+def onto(base: Series, series: Series, values: Array, lasting: bool) -> Array:
+    """
+    Return values on the time base, NaN where there is none.
+
+    A message goes to the tick with its stamp; without a stamp, to the tick published next to it.
+    It lasts from the tick next to it until the next message where most ticks have none, or most
+    messages no tick; and so does, if it is `lasting`, one without a stamp, and one of real time:
+    there a state that has no answer leaves the valve as it was. In lock-step every state has one,
+    so a gap is a loss.
+    """
+    ticks, times = base.stamp_ns, series.stamp_ns
+    if not times.any():
+        ticks, times = base.publish_ns, series.publish_ns
+        place, hold = _nearest(ticks, times), lasting
+    else:
+        place = np.minimum(np.searchsorted(ticks, times), len(ticks) - 1)
+        own = ticks[place] == times
+        if not own.any() and (times.max() < ticks[0] or times.min() > ticks[-1]):
+            # Stamps of another clock.
+            ticks, times = base.publish_ns, series.publish_ns
+        lockstep = np.array_equal(series.publish_ns, series.stamp_ns)
+        hold = (own.sum() < 0.5 * max(len(ticks), len(times))) or (lasting and not lockstep)
+        place = np.where(own, place, -1)
+    if hold:
+        order = np.argsort(times, kind='stable')
+        # What is stamped as it is sent, a little after the tick that it answers, is that tick's.
+        late = ticks + int(np.median(np.diff(ticks))) // 2 if len(ticks) > 1 else ticks
+        last = np.searchsorted(times[order], late, side='right') - 1
+        return np.where(last >= 0, values[order][last], np.nan)
+    out = np.full(len(ticks), np.nan)
+    out[place[place >= 0]] = values[place >= 0]
+    return out
+
+
+def _nearest(ticks: Nanoseconds, times: Nanoseconds) -> npt.NDArray[np.intp]:
+    after = np.clip(np.searchsorted(ticks, times), 1, max(len(ticks) - 1, 1))
+    if len(ticks) == 1:
+        return np.zeros(len(times), np.intp)
+    return np.where(times - ticks[after - 1] < ticks[after] - times, after - 1, after)
+
+
+def _outgoing(run: Run) -> dict[str, dict[str, Array]]:
+    """Return the numbers of each topic that a run fills."""
+    missing = np.full(len(run), np.nan)
+    signals = {signal.name: values if (values := getattr(run, signal.field)) is not None
+               else missing for signal in SIGNALS}
+    reference = 'force_reference' if run.unit('reference') == 'N' else 'reference'
+    topics = {
+        'joint_states': {
+            'piston position': signals['position'], 'valve position': signals['valve_position'],
+            'piston velocity': signals['velocity'], 'piston effort': signals['force']},
+        'force': {'value': signals['force']},
+        'valve_position': {'value': signals['valve_position']},
+        'velocity': {'value': signals['velocity']},
+        reference: {'value': signals['reference']},
+        'valve_command': {'value': signals['command']}}
+    present = {'joint_states', *run.signals()} | {
+        topic for name, topic in (('reference', reference), ('command', 'valve_command'))
+        if name in run.signals()}
+    return {topic: values for topic, values in topics.items() if topic in present}
+
+
+def _encode(type_: str, stamps: Nanoseconds, values: Mapping[str, Array]) -> list[bytes]:
+    """Return one message a stamp (ns)."""
+    if not len(stamps):
+        return []
+    types = typestore().types
+    stamp = types['builtin_interfaces/msg/Time'](0, 0)
+    header = types['std_msgs/msg/Header'](stamp, 'piston')
+    if type_ == JOINT_STATE:
+        gap = np.full(2, np.nan)
+        message = types[type_](header, ['piston', 'valve'], gap, gap, gap)
+    elif type_ == WRENCH:
+        zero = types['geometry_msgs/msg/Vector3'](0.0, 0.0, 0.0)
+        message = types[type_](header, types['geometry_msgs/msg/Wrench'](zero, zero))
+    else:
+        message = types[type_](0.0)
+    template = bytes(typestore().serialize_cdr(message, type_))
+    place = cdr.layout(type_, template)
+    paths = numbers_of_a_run(place)
+    numbers: dict[cdr.Path, npt.NDArray] = {paths[key]: column for key, column in values.items()}
+    if 'sec' in paths:
+        numbers |= {paths['sec']: stamps // 10**9, paths['nanosec']: stamps % 10**9}
+    return cdr.filled(template, place, numbers)

@@ -1,0 +1,380 @@
+"""The messages of a bag: whatever rosbag2 has written, also if it was killed or cut off."""
+
+import json
+import sqlite3
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from numpy.lib.stride_tricks import sliding_window_view
+from rosbags.interfaces import ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2.metadata import dump_qos_v9
+
+from asi_analysis.bags.bag_writer import INFORMATION
+from asi_analysis.errors import InputError
+
+# What broken bytes make the libraries raise.
+BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError,
+                 RuntimeError, KeyError, IndexError, TypeError, AssertionError, MemoryError,
+                 OverflowError, EOFError, sqlite3.Error)
+_RECORD: Final = struct.Struct('<BQ')
+_MESSAGE: Final = struct.Struct('<HIQQ')
+_INDEX: Final = struct.Struct('<HI')
+# The head of a record, and that of the message in it.
+_HEAD: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
+                         ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
+_MESSAGE_OPCODE: Final = bytes([Opcode.MESSAGE])
+# As much fits a processor's cache.
+ENOUGH_BYTES: Final = 2**20
+
+
+class _Index(NamedTuple):
+    """Where the messages of one channel are in the chunk before: still as bytes."""
+
+    data: bytes
+
+
+class _Records(StreamReader):
+    """The records of a file; an index is not taken apart, which would take as long as all else."""
+
+    def _read_record(self, opcode: int, length: int) -> Any:
+        if opcode == Opcode.MESSAGE_INDEX:
+            return _Index(self._stream.read(length))
+        return super()._read_record(opcode, length)
+
+
+class Messages(NamedTuple):
+    """Messages of one topic: times (ns) and bytes, in a table if all n have one length."""
+
+    log_ns: npt.NDArray[np.int64]
+    publish_ns: npt.NDArray[np.int64]
+    data: list[bytes] | npt.NDArray[np.uint8]       # n, or n x length
+
+
+class Topic:
+    """The messages of one topic in the order of the file."""
+
+    def __init__(self, name: str, type_: str) -> None:
+        self.name = name
+        self.type = type_
+        self.offered: list[dict[str, Any]] = []
+        self._parts: list[Messages] = []
+        self._single: list[tuple[int, int, bytes]] = []
+
+    def __len__(self) -> int:
+        return sum(len(part.data) for part in self.parts())
+
+    def add(self, log_ns: int, publish_ns: int, data: bytes) -> None:
+        """Add a message."""
+        self._single.append((log_ns, publish_ns, data))
+
+    def add_many(self, messages: Messages) -> None:
+        """Add messages that were found together."""
+        self.parts().append(messages)
+
+    def parts(self) -> list[Messages]:
+        """Return the messages as they were found together."""
+        if self._single:
+            log_ns, publish_ns, data = zip(*self._single, strict=True)
+            self._parts.append(Messages(np.array(log_ns, np.uint64).astype(np.int64),
+                                        np.array(publish_ns, np.uint64).astype(np.int64),
+                                        list(data)))
+            self._single = []
+        return self._parts
+
+    @property
+    def log_ns(self) -> list[int]:
+        """Log times, ns."""
+        return [int(time) for part in self.parts() for time in part.log_ns]
+
+    @property
+    def publish_ns(self) -> npt.NDArray[np.int64]:
+        """Times of publication, ns."""
+        return np.concatenate([part.publish_ns for part in self.parts()])
+
+    @property
+    def data(self) -> list[bytes]:
+        """The messages as they came from the wire."""
+        return [bytes(data) for part in self.parts() for data in part.data]
+
+    def tables(self) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.uint8]]]:
+        """Yield messages of one length each: which of the topic, and as a table n x length."""
+        begin = 0
+        for part in self.parts():
+            places = np.arange(begin, begin + len(part.data))
+            begin += len(part.data)
+            if not isinstance(part.data, list):
+                yield places, part.data
+                continue
+            lengths = np.array([len(data) for data in part.data])
+            for length in np.unique(lengths):
+                group = np.flatnonzero(lengths == length)
+                joined = b''.join([part.data[i] for i in group])
+                yield places[group], np.frombuffer(joined, np.uint8).reshape(len(group), length)
+
+
+class Contents(NamedTuple):
+    """What a bag holds; `problems` says in words what could not be read."""
+
+    topics: dict[str, Topic]
+    information: dict[str, Any]
+    problems: list[str]
+
+
+def read_contents(path: Path, wanted: Callable[[str], bool]) -> Contents:
+    """
+    Return the messages of the topics whose name is `wanted`, and what the bag says of its run.
+
+    path: rosbag2 directory (MCAP or sqlite3, with or without metadata.yaml), .mcap or .db3 file.
+    Reads as far as a damaged file can be read. Raises InputError if `path` is no bag.
+    """
+    contents = Contents({}, {}, [])
+    for file in _files(path, contents.problems):
+        read = _read_mcap if file.suffix == '.mcap' else _read_by_rosbags
+        try:
+            read(file, wanted, contents)
+        except OSError as error:
+            raise InputError(f'{file} cannot be read: {error.strerror or error}') from None
+        except BROKEN as error:
+            what = 'it ends too early' if isinstance(error, EndOfFile) else str(error)
+            contents.problems.append(f'{file} is damaged or was cut off ({what})')
+    return contents
+
+
+def _files(path: Path, problems: list[str]) -> list[Path]:
+    """Return what has to be read one after the other."""
+    if not path.exists():
+        raise InputError(f'{path} does not exist: expected a bag')
+    if path.is_file():
+        if path.suffix not in ('.mcap', '.db3'):
+            raise InputError(f'{path} is not a bag: expected a rosbag2 directory, a .mcap or a '
+                             '.db3 file')
+        if path.stat().st_size == 0:
+            raise InputError(f'{path} is empty: expected a .mcap or .db3 file')
+        return [path]
+    try:
+        described = yaml.safe_load((path / 'metadata.yaml').read_text())
+        described = described['rosbag2_bagfile_information']
+        if described['storage_identifier'] != 'mcap' or described.get('compression_mode'):
+            return [path]
+        files = [path / Path(name).name for name in described['relative_file_paths']]
+    except FileNotFoundError:
+        problems.append(f'{path} has no metadata.yaml: its recording was not ended properly')
+        files = sorted([*path.glob('*.mcap'), *path.glob('*.db3')], key=_number)
+    except (OSError, yaml.YAMLError, *BROKEN):
+        problems.append(f'{path / "metadata.yaml"} cannot be read')
+        files = sorted([*path.glob('*.mcap'), *path.glob('*.db3')], key=_number)
+    present = [file for file in files if file.is_file() and file.stat().st_size]
+    problems += [f'{file} is missing or empty' for file in files if file not in present]
+    if not present:
+        raise InputError(f'{path} is not a bag: expected a rosbag2 directory with a .mcap or .db3 '
+                         'file that is not empty')
+    return present
+
+
+def _number(file: Path) -> tuple[int, str]:
+    """Sort name_2 before name_10."""
+    digits = file.stem.rpartition('_')[2]
+    return (int(digits) if digits.isdigit() else 0), file.name
+
+
+def _read_mcap(file: Path, wanted: Callable[[str], bool], contents: Contents) -> None:
+    found = _Found(wanted, contents)
+    announced = None
+    with file.open('rb') as stream:
+        try:
+            for record in _Records(stream, emit_chunks=True,
+                                   record_size_limit=file.stat().st_size).records:
+                if isinstance(record, _Index):
+                    found.indices.append(record)
+                    continue
+                found.finish_chunk()
+                if isinstance(record, Chunk):
+                    found.begin_chunk(record)
+                elif isinstance(record, Message):
+                    found.add(record.channel_id, record.log_time, record.publish_time,
+                              record.data)
+                elif isinstance(record, Schema):
+                    found.schemas[record.id] = record.name
+                elif isinstance(record, Channel):
+                    found.add_channel(record)
+                elif isinstance(record, Metadata) and record.name == INFORMATION:
+                    contents.information.update(
+                        {name: json.loads(value) for name, value in record.metadata.items()})
+                elif isinstance(record, Statistics):
+                    announced = record.message_count
+        finally:
+            found.finish_chunk()
+            found.finish()
+    if announced not in (None, found.count):
+        contents.problems.append(f'{file} is damaged: {found.count} of its {announced} messages '
+                                 'are there')
+
+
+class _Found:
+    """
+    What has been found in a file so far.
+
+    Chunks that hold nothing but messages wait until there are many bytes: numpy cuts them out
+    together, at the places that the indices behind the chunks tell. Only if those account for
+    every byte; where they do not, a chunk is walked, record by record.
+    """
+
+    def __init__(self, wanted: Callable[[str], bool], contents: Contents) -> None:
+        self.wanted = wanted
+        self.contents = contents
+        self.schemas: dict[int, str] = {}
+        self.channels: dict[int, Topic | None] = {}     # None: not wanted
+        self.count = 0
+        self.indices: list[_Index] = []     # of the chunk
+        self._chunk: bytes | None = None
+        self._waiting: list[bytes] = []
+        self._size = 0
+        self._places: dict[int, list[npt.NDArray[np.int64]]] = {}
+
+    def add(self, channel: int, log_ns: int, publish_ns: int, data: bytes) -> None:
+        """Add a message."""
+        self.count += 1
+        topic = self.channels.get(channel)
+        if topic is not None:
+            topic.add(log_ns, publish_ns, data)
+
+    def add_channel(self, channel: Channel) -> None:
+        """Note whose messages a channel holds."""
+        self.channels[channel.id] = None
+        if self.wanted(channel.topic):
+            topic = self.contents.topics.setdefault(
+                channel.topic, Topic(channel.topic, self.schemas[channel.schema_id]))
+            topic.offered = yaml.safe_load(
+                channel.metadata.get('offered_qos_profiles', '')) or []
+            self.channels[channel.id] = topic
+
+    def begin_chunk(self, chunk: Chunk) -> None:
+        """Take the bytes of a chunk; its indices come next. Raises if its checksum is wrong."""
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        self._chunk = stream.read(size)
+        self.indices = []
+
+    def finish_chunk(self) -> None:
+        """Put the chunk to those that wait, or walk it."""
+        if self._chunk is None:
+            return
+        chunk, self._chunk = self._chunk, None
+        places = [_places(index.data) for index in self.indices]
+        if (places and chunk[:1] == _MESSAGE_OPCODE
+                and all(channel in self.channels for channel, _ in places)):
+            for channel, starts in places:
+                self._places.setdefault(channel, []).append(starts + self._size)
+            self._waiting.append(chunk)
+            self._size += len(chunk)
+            if self._size > ENOUGH_BYTES:
+                self.finish()
+        else:
+            self.finish()
+            self._walk(chunk)
+
+    def finish(self) -> None:
+        """Take the messages of all the chunks that wait."""
+        waiting, self._waiting, self._size = self._waiting, [], 0
+        places = {channel: np.concatenate(starts) for channel, starts in self._places.items()}
+        self._places = {}
+        data = b''.join(waiting)
+        if _accounted(data, places):
+            for channel, starts in places.items():
+                self.count += len(starts)
+                topic = self.channels[channel]
+                if topic is not None:
+                    topic.add_many(_cut(data, starts))
+        else:
+            for chunk in waiting:
+                self._walk(chunk)
+
+    def _walk(self, data: bytes) -> None:
+        """Take the records of a chunk one by one. Raises EndOfFile if the last is not whole."""
+        start, size = 0, len(data)
+        while start < size:
+            opcode, length = _RECORD.unpack_from(data, start)
+            start += _RECORD.size
+            end = start + length
+            if end > size:
+                raise EndOfFile
+            if opcode == Opcode.MESSAGE:
+                channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, start)
+                self.add(channel, log_ns, publish_ns, data[start + _MESSAGE.size:end])
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(ReadDataStream(BytesIO(data[start:end])))
+                self.schemas[schema.id] = schema.name
+            elif opcode == Opcode.CHANNEL:
+                self.add_channel(Channel.read(ReadDataStream(BytesIO(data[start:end]))))
+            start = end
+
+
+def _places(index: bytes) -> tuple[int, npt.NDArray[np.int64]]:
+    """Return the channel of an index, and where its messages begin in their chunk."""
+    channel, length = _INDEX.unpack_from(index)
+    pairs = np.frombuffer(index[_INDEX.size:_INDEX.size + length // 16 * 16], '<i8')
+    return channel, pairs[1::2]
+
+
+def _heads(data: bytes, starts: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+    """Return what stands before each message."""
+    everything = np.frombuffer(data, np.uint8)
+    rows = sliding_window_view(everything, _HEAD.itemsize)[starts]
+    return rows.view(_HEAD)[:, 0]
+
+
+def _accounted(data: bytes, places: Mapping[int, npt.NDArray[np.int64]]) -> bool:
+    """Tell whether the messages at the places, of these channels, fill the data without a gap."""
+    if not places:
+        return not data
+    starts = np.concatenate(list(places.values()))
+    channels = np.repeat(list(places), [len(found) for found in places.values()])
+    order = np.argsort(starts)
+    starts, channels = starts[order], channels[order]
+    if starts[0] != 0 or starts[-1] > len(data) - _HEAD.itemsize:
+        return False
+    heads = _heads(data, starts)
+    ends = starts + _RECORD.size + heads['length'].astype(np.int64)
+    return bool((heads['opcode'] == Opcode.MESSAGE).all()
+                and (heads['channel'] == channels).all()
+                and (heads['length'] >= _MESSAGE.size).all()
+                and (ends[:-1] == starts[1:]).all() and ends[-1] == len(data))
+
+
+def _cut(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
+    """Return the messages of one channel that begin at some places."""
+    heads = _heads(data, starts)
+    log_ns, publish_ns = heads['log_ns'].astype(np.int64), heads['publish_ns'].astype(np.int64)
+    lengths = heads['length'].astype(np.int64) - _MESSAGE.size
+    begins = starts + _HEAD.itemsize
+    if (lengths == lengths[0]).all() and lengths[0]:
+        windows = sliding_window_view(np.frombuffer(data, np.uint8), lengths[0])
+        return Messages(log_ns, publish_ns, windows[begins])
+    return Messages(log_ns, publish_ns, [
+        data[begin:end] for begin, end in zip(begins, begins + lengths, strict=True)])
+
+
+def _read_by_rosbags(path: Path, wanted: Callable[[str], bool], contents: Contents) -> None:
+    """Read sqlite3, and compressed files; they tell no time of publication."""
+    with Reader(path) as reader:
+        connections = [c for c in reader.connections if wanted(c.topic)]
+        for connection in connections:
+            topic = contents.topics.setdefault(connection.topic,
+                                               Topic(connection.topic, connection.msgtype))
+            assert isinstance(connection.ext, ConnectionExtRosbag2)
+            topic.offered = [dict(qos) for qos in dump_qos_v9(connection.ext.offered_qos_profiles)]
+        if connections:
+            for connection, time_ns, data in reader.messages(connections):
+                contents.topics[connection.topic].add(time_ns, time_ns, bytes(data))

@@ -1,0 +1,1 @@
+"""Import of other people's recordings, and export as tables."""

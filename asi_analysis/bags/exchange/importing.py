@@ -1,0 +1,112 @@
+"""Someone else's recording (CSV, MAT, Parquet, rosbag2, …) → `Run` and bag; doc/importing.md."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
+from asi_analysis.bags.exchange.column_mapping import (
+    Assignment,
+    evaluate,
+    own_mapping,
+    parse_mapping,
+)
+from asi_analysis.bags.exchange.table_file import Table, read_table
+from asi_analysis.bags.run import SIGNALS, Array, Run
+from asi_analysis.errors import InputError, InputWarning
+
+
+def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
+                     skip_lines: int = 0, delimiter: str | None = None,
+                     columns: Sequence[str] | None = None, zero_s: float = 0.0,
+                     out: str | Path | None = None) -> Run:
+    """
+    Return someone else's recording as a run; written as the bag `out` too, if that is given.
+
+    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet or a bag; mapping: texts
+    SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]], none for the columns that `asi export` writes; rate_hz:
+    samples a second, where no column is mapped to time (a bag has times of its own); skip_lines:
+    lines before the header;
+    columns: names for a file without a header; zero_s: take off each signal its mean over so many
+    seconds from the start. Raises InputError.
+    """
+    path = Path(path)
+    if not zero_s >= 0.0:
+        raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
+    if is_bag(path):
+        mappings = [parse_mapping(text) for text in mapping]
+        table = read_bag_table(path, [each.term for each in mappings if each.signal != 'time'])
+        if rate_hz is None and all(each.signal != 'time' for each in mappings):
+            mappings.append(parse_mapping('time=time'))
+    else:
+        table = read_table(path, skip_lines, delimiter, columns)
+        mappings = [parse_mapping(text) for text in mapping or own_mapping(table)]
+    signals = _evaluated(mappings, table, path)
+    length = len(next(iter(signals.values()))[0])
+    time_s = _time(signals.pop('time', None), length, rate_hz, path)
+    new = np.isfinite(time_s)
+    new[new] = np.diff(time_s[new], prepend=-1.0) > 0.0
+    if not new.all():
+        warnings.warn(f'{path}: {np.sum(~new)} of {length} samples have no time, or that of the '
+                      'one before, and are left out', InputWarning, stacklevel=2)
+    time_s = time_s[new]
+    units = {name: unit for name, (_, unit) in signals.items()}
+    values = {name: column[new] - _start(column[new], time_s, zero_s, name, path)
+              for name, (column, _) in signals.items()}
+    information: dict[str, Any] = {'imported': {
+        'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
+    usual = {signal.name: signal.unit for signal in SIGNALS}
+    unusual = {name: unit for name, unit in units.items() if unit != usual[name]}
+    if unusual:
+        information['signals'] = unusual
+    arrays: dict[str, Any] = {signal.field: values.get(signal.name) for signal in SIGNALS}
+    run = Run(time_s, **arrays, source=str(path), information=information)
+    if out is not None:
+        write_bag(run, out)
+    return run
+
+
+def _evaluated(mappings: Sequence[Assignment], table: Table, path: Path
+               ) -> dict[str, tuple[Array, str]]:
+    """Return values and unit of each signal, of one length. Raises InputError."""
+    signals = {each.signal: evaluate(each, table, path) for each in mappings}
+    if not signals.keys() - {'time'}:
+        raise InputError(f'{path}: no signal is mapped; it has the columns {", ".join(table)}')
+    if len(signals) < len(mappings):
+        raise InputError('a signal is mapped twice: ' + ', '.join(each.text for each in mappings))
+    lengths = {name: len(values) for name, (values, _) in signals.items()}
+    if len(set(lengths.values())) > 1:
+        raise InputError(f'{path}: the columns differ in length: {lengths}')
+    if max(lengths.values()) < 2:
+        raise InputError(f'{path} has a single sample: at least 2 are needed')
+    return signals
+
+
+def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, path: Path
+          ) -> Array:
+    if (mapped is None) == (rate_hz is None):
+        raise InputError(f'{path}: expected either a mapping time=COLUMN or a rate in Hz')
+    if mapped is None:
+        if rate_hz is None or not 0.0 < rate_hz < np.inf:
+            raise InputError(f'rate = {rate_hz} Hz is not allowed: it must be above 0')
+        return np.arange(count) / rate_hz
+    known = np.flatnonzero(np.isfinite(mapped[0]))
+    steps = np.diff(mapped[0][known])
+    if not (steps > 0.0).any() or (steps < 0.0).any():
+        row = known[int(np.argmax(steps < 0.0)) + 1] + 1 if len(steps) else 1
+        raise InputError(f'{path}: time does not rise at row {row}')
+    return mapped[0] - mapped[0][known[0]]
+
+
+def _start(values: Array, time_s: Array, zero_s: float, name: str, path: Path) -> float:
+    """Return the mean of the first `zero_s` seconds; 0 for none."""
+    if not zero_s:
+        return 0.0
+    first = values[time_s < zero_s]
+    if np.isnan(first).all():
+        raise InputError(f'{path}: {name} has no value in the first {zero_s:g} s')
+    return float(np.nanmean(first))

@@ -1,0 +1,1 @@
+"""The ROS nodes that record a bag and play one back."""

@@ -1,0 +1,54 @@
+"""Quality of service as a bag describes it: the dictionary of rosbag2's metadata, version 9."""
+
+from typing import Any
+
+from rclpy.duration import Duration, Infinite
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from asi_common.node.topics import STREAM_QOS
+
+_SECOND = 10**9
+
+
+def as_dictionary(profile: QoSProfile) -> dict[str, Any]:
+    """Return what a bag says of a profile."""
+    return {
+        'history': profile.history.name.lower(),
+        'depth': profile.depth,
+        'reliability': profile.reliability.name.lower(),
+        'durability': profile.durability.name.lower(),
+        'deadline': _time(profile.deadline),
+        'lifespan': _time(profile.lifespan),
+        'liveliness': profile.liveliness.name.lower(),
+        'liveliness_lease_duration': _time(profile.liveliness_lease_duration),
+        'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+    }
+
+
+def as_profile(offered: dict[str, Any]) -> QoSProfile:
+    """Return the profile that a bag describes; the history is not told over DDS, so it is ours."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=max(offered['depth'], STREAM_QOS.depth),
+        reliability=ReliabilityPolicy[offered['reliability'].upper()],
+        durability=DurabilityPolicy[offered['durability'].upper()],
+        deadline=_duration(offered['deadline']),
+        lifespan=_duration(offered['lifespan']),
+        liveliness=LivelinessPolicy[offered['liveliness'].upper()],
+        liveliness_lease_duration=_duration(offered['liveliness_lease_duration']))
+
+
+def _time(duration: Duration) -> dict[str, int]:
+    seconds, nanoseconds = divmod(duration.nanoseconds, _SECOND)
+    return {'sec': seconds, 'nsec': nanoseconds}
+
+
+def _duration(time: dict[str, int]) -> Duration:
+    nanoseconds = time['sec'] * _SECOND + time['nsec']
+    return Infinite if nanoseconds >= Infinite.nanoseconds else Duration(nanoseconds=nanoseconds)

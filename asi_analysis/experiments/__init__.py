@@ -1,0 +1,1 @@
+"""Experiments over ROS: what is to be run, and running it as processes."""

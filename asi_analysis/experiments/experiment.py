@@ -1,0 +1,200 @@
+"""
+What is to be run: an experiment, and its parameters from files, --set and options.
+
+`running.py` runs it.
+"""
+
+import importlib.metadata
+import platform
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.errors import InputError
+from asi_common.loop_parameters import DEFAULT_RATE_HZ
+from asi_common.parameter import Parameter, ParameterError, Value, completed
+from asi_controller.parameters import (
+    COMPENSATOR_PARAMETERS,
+    CONTROLLER_NODE_PARAMETERS,
+    REFERENCE_PARAMETERS,
+)
+
+CONTROLLER_PARAMETERS: Final = COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS
+TABLES: Final = {'actuator': ACTUATOR_PARAMETERS, 'controller': CONTROLLER_PARAMETERS}
+OF_THE_NODE: Final = frozenset(
+    parameter.name for parameter in ACTUATOR_NODE_PARAMETERS + CONTROLLER_NODE_PARAMETERS)
+@dataclass(frozen=True)
+class Experiment:
+    """What is to be run: parameters by name, the rest at their defaults."""
+
+    actuator: Mapping[str, Value] = field(default_factory=dict)
+    controller: Mapping[str, Value] = field(default_factory=dict)
+    duration_s: float = 1.0
+    mode: str = 'lockstep'
+    rate_hz: float = 0.0      # 0: the default of the mode
+
+    @property
+    def control_rate_hz(self) -> float:
+        """The rate at which the loop is closed."""
+        return self.rate_hz or DEFAULT_RATE_HZ[self.mode]
+
+    @property
+    def of_the_node(self) -> dict[str, Value]:
+        """What the actuator's node is told around the physics."""
+        return {'mode': self.mode, 'rate_hz': float(self.rate_hz),
+                'duration': float(self.duration_s)}
+
+    @property
+    def ticks(self) -> int:
+        """How many states the actuator is to publish."""
+        return round(self.duration_s * self.control_rate_hz)
+
+
+def checked(experiment: Experiment) -> Experiment:
+    """Return the experiment with every parameter; raises InputError if one is not allowed."""
+    try:
+        from asi_controller.compensator import design, discretise
+        completed(experiment.of_the_node, ACTUATOR_NODE_PARAMETERS)
+        controller = completed(experiment.controller, CONTROLLER_PARAMETERS)
+        discretise(design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS}),
+                   experiment.control_rate_hz)
+        complete = Experiment(completed(experiment.actuator, ACTUATOR_PARAMETERS), controller,
+                              experiment.duration_s, experiment.mode, experiment.rate_hz)
+    except ParameterError as error:
+        raise InputError(str(error)) from None
+    if complete.ticks < 1:
+        raise InputError(f'duration = {complete.duration_s:g} s is not allowed: it takes at least '
+                         f'a period of {1.0 / complete.control_rate_hz:g} s')
+    return complete
+
+
+def read_parameters(path: Path, which: str) -> dict[str, Value]:
+    """
+    Return the parameters of a ROS parameter file for 'actuator' or 'controller', by dotted name.
+
+    The node may be named asi_actuator, /asi_actuator, /**/asi_actuator or /**. Parameters of the
+    node alone, such as its mode, are left out: `asi run` sets them. Raises InputError.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
+    names = ('/**', f'/**/asi_{which}', f'/asi_{which}', f'asi_{which}')
+    values: dict[str, Value] = {}
+    found = [content[name] for name in names
+             if isinstance(content, dict) and name in content]
+    for section in found:
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise InputError(f'{path}: ros__parameters is missing under the node')
+        values |= dict(_flat(section['ros__parameters']))
+    if not found:
+        raise InputError(f'{path} has nothing for the node asi_{which}: it takes a ROS parameter '
+                         f'file with asi_{which}: ros__parameters: ...')
+    known = {parameter.name: parameter for parameter in TABLES[which]}
+    return {name: _as_meant(known[name], value) if name in known else value
+            for name, value in values.items() if name not in OF_THE_NODE}
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Value]]:
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f'{prefix}{name}.')
+        else:
+            yield prefix + str(name), value
+
+
+def _as_meant(parameter: Parameter, value: Value) -> Value:
+    """Return 8 as 8.0 where a number is wanted; a text of digits stays what YAML says it is."""
+    if isinstance(parameter.default, float) and type(value) is int:
+        return float(value)
+    return value
+
+
+def parse_setting(text: str) -> tuple[str, str, Value]:
+    """
+    Return (actuator or controller, parameter, value) of 'actuator.load.type=spring'.
+
+    Raises InputError if it is not of that form or names no parameter.
+    """
+    name, sign, value = text.partition('=')
+    which, _, parameter = name.strip().partition('.')
+    if not sign or which not in TABLES:
+        raise InputError(f'--set {text}: it takes actuator.NAME=VALUE or controller.NAME=VALUE')
+    known = {each.name: each for each in TABLES[which]}
+    if parameter not in known:
+        import difflib
+        near = difflib.get_close_matches(parameter, known, 3)
+        hint = f'; did you mean {", ".join(near)}?' if near else ''
+        raise InputError(f'--set {text}: {parameter!r} is not a parameter of the {which}{hint}')
+    table_entry = known[parameter]
+    if isinstance(table_entry.default, str):
+        return which, parameter, value.strip()
+    try:
+        return which, parameter, _as_meant(table_entry, yaml.safe_load(_as_number(value)))
+    except yaml.YAMLError:
+        raise InputError(f'--set {text}: {value!r} is not a value') from None
+
+
+def _as_number(text: str) -> str:
+    """Return 1e5 as 1.0e+5: YAML 1.1 takes the first for a text."""
+    try:
+        return repr(float(text)) if re.search(r'\d[eE]', text) else text
+    except ValueError:
+        return text
+
+
+def gather(files: Mapping[str, Path | None], settings: list[str],
+           named: Mapping[str, Mapping[str, Value | None]], duration_s: float
+           ) -> dict[str, dict[str, Value]]:
+    """
+    Return the parameters of 'actuator' and 'controller' from files, --set and named options.
+
+    The later wins; a named option that is None is not given. With no reference at all it is a
+    step; a chirp or ramp without a duration of its own lasts to the end of the run.
+    """
+    values = {which: read_parameters(path, which) if path else {}
+              for which, path in files.items()}
+    for text in settings:
+        which, name, value = parse_setting(text)
+        values[which][name] = value
+    for which, options in named.items():
+        values[which] |= {name: value for name, value in options.items() if value is not None}
+    controller = values['controller']
+    shape = controller.setdefault('reference.shape', 'step')
+    if shape in ('chirp', 'ramp') and 'reference.duration' not in controller:
+        start = float(controller.get('reference.start', 0.05))
+        controller['reference.duration'] = max(duration_s - start, 1e-3)
+    return values
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what a run depends on."""
+    names = ('asi_actuator', 'numpy', 'numba', 'scipy', 'ros-jazzy-rclpy', 'rosbags')
+    found = {'python': platform.python_version()}
+    for name in names:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def information(experiment: Experiment) -> dict[str, Any]:
+    """Return what goes into the bag as `asi.run`; the same experiment gives the same."""
+    return {
+        'experiment': {'mode': experiment.mode, 'rate_hz': experiment.control_rate_hz,
+                       'duration_s': experiment.duration_s, 'ticks': experiment.ticks},
+        'actuator': dict(experiment.actuator),
+        'controller': dict(experiment.controller),
+        'seed': {'noise': experiment.actuator['force_sensor.noise_seed'],
+                 'reference': experiment.controller['reference.seed']},
+        'versions': versions(),
+    }

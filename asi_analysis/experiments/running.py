@@ -1,0 +1,268 @@
+"""
+`asi run`: one experiment. Recorder, controller and actuator as processes, from start to stop.
+
+The actuator ends by itself when the time is up; the others are asked to (SIGINT). Whatever
+happens, Ctrl-C and errors included, no process is left behind and the bag so far is whole.
+"""
+
+import ctypes
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from asi_analysis.errors import InputError
+from asi_analysis.experiments.experiment import Experiment, checked, information
+from asi_analysis.terminal import Progress, silent
+from asi_common.parameter import Value
+
+# Started in this order, asked to end in the reverse: while the recorder waits for the last
+# messages, the controller is still there to send a lost one again.
+MODULES: Final = {'controller': 'asi_controller.controller_node',
+                  'recorder': 'asi_analysis.bags.nodes.recorder_node',
+                  'actuator': 'asi_actuator.actuator_node'}
+# The ports of these domains are clear of those that Linux hands out.
+DOMAINS: Final = range(42, 102)
+# A node that is asked to end and does not within this time is killed.
+PATIENCE_S: Final = 15.0
+POLL_S: Final = 0.1
+# Loaded here, not between fork and exec, where a lock of another thread may be held.
+LIBC: Final = ctypes.CDLL(None)
+
+
+class RunFailedError(RuntimeError):
+    """A node failed; the text names it and its last words."""
+
+
+def run_experiment(experiment: Experiment, out: Path, progress: Progress = silent) -> Path:
+    """
+    Run an experiment over ROS and return its bag.
+
+    out: a directory that does not exist or is empty; gets `bag`, `log`, and what was run:
+    `experiment.json` and the parameter files of the nodes. Raises InputError for what cannot be
+    run, RunFailedError if a node fails. Its ROS domain is ROS_DOMAIN_ID, or one of its own.
+    """
+    experiment = checked(experiment)
+    bag = out / 'bag'
+    with (_environment() as environment,
+          _nodes(experiment, out, environment) as nodes, _watched(environment) as ticks):
+        progress('starting the nodes', None)
+        while nodes['actuator'].poll() is None:
+            _complain_of_dead(nodes, out)
+            done, text = ticks()
+            _complain_of_fault(text, bag)
+            if done:
+                progress(f'{experiment.mode}: {done} of {experiment.ticks} ticks',
+                         done / experiment.ticks)
+            else:
+                progress(text, None)
+        if nodes['actuator'].returncode:
+            raise RunFailedError(_last_words('actuator', nodes['actuator'], out)
+                                 + f'; the bag so far: {bag}')
+        progress('finishing the bag', 1.0)
+    return bag
+
+
+def _complain_of_fault(text: str, bag: Path) -> None:
+    """Raise if the actuator says that it is in fault: from there on the valve was shut."""
+    if text.startswith('fault'):
+        raise RunFailedError(f'the actuator ended in a {text}; the bag so far: {bag}')
+
+
+def _prepare(experiment: Experiment, out: Path) -> None:
+    """Write what the nodes are to read."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()):
+            raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
+        (out / 'log').mkdir()
+        (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
+        node = experiment.of_the_node | {'await_recorder': True}
+        _write_parameters(out, 'actuator', {**experiment.actuator, **node})
+        del node['duration']
+        _write_parameters(out, 'controller', {**experiment.controller, **node})
+    except OSError as error:
+        raise InputError(f'{out}: {error.strerror}') from None
+
+
+def _write_parameters(out: Path, which: str, values: Mapping[str, Value]) -> None:
+    (out / f'{which}.yaml').write_text(yaml.safe_dump(
+        {f'asi_{which}': {'ros__parameters': dict(values)}}, sort_keys=False))
+
+
+@contextmanager
+def _environment() -> Iterator[dict[str, str]]:
+    """
+    Give the environment of the nodes: by default alone on this machine, in a free domain.
+
+    No other `asi run` uses that domain meanwhile: its nodes would answer ours, and be recorded.
+    """
+    given = os.environ.get('ROS_DOMAIN_ID')
+    if given is not None and not (given.isascii() and given.isdigit() and int(given) <= 232):
+        raise InputError(f'ROS_DOMAIN_ID = {given!r} is not allowed: it takes a whole number '
+                         'from 0 to 232')
+    domains = DOMAINS if given is None else [int(given)]
+    for domain in domains:
+        if claim := claimed(f'asi_run_domain_{domain}'):
+            break
+    else:
+        raise InputError('another asi run is using ' + (
+            'every ROS domain' if given is None else f'ROS_DOMAIN_ID = {given}: unset it'))
+    with claim:
+        yield {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ,
+               'ROS_DOMAIN_ID': str(domain)}
+
+
+def claimed(name: str) -> socket.socket | None:
+    """
+    Return what keeps a name ours until it is closed; None if another process has it.
+
+    The kernel gives the name once, to whichever user, in a network (as far as DDS reaches).
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    try:
+        claim.bind(f'\0{name}')
+    except OSError:
+        claim.close()
+        return None
+    return claim
+
+
+def _end_with_parent() -> None:
+    """Have Linux send SIGINT to this node when the process that started it dies."""
+    if sys.platform == 'linux':
+        LIBC.prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
+
+
+@contextmanager
+def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
+           ) -> Iterator[dict[str, subprocess.Popen]]:
+    """Start the nodes; at the end, whatever happened, ask them to end and see that they do."""
+    _prepare(experiment, out)
+    arguments = {
+        'recorder': ['-p', f'output:={out / "bag"}',
+                     '-p', f'configuration:={out / "experiment.json"}'],
+        'controller': ['--params-file', str(out / 'controller.yaml')],
+        'actuator': ['--params-file', str(out / 'actuator.yaml')],
+    }
+    nodes: dict[str, subprocess.Popen] = {}
+    try:
+        for name, module in MODULES.items():
+            with open(out / 'log' / f'{name}.log', 'w') as log:
+                # A session of its own: Ctrl-C in the terminal comes to us alone.
+                nodes[name] = subprocess.Popen(
+                    [sys.executable, '-m', module, '--ros-args', *arguments[name]],
+                    stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                    env=dict(environment), start_new_session=True, preexec_fn=_end_with_parent)
+        yield nodes
+    finally:
+        _stop(nodes)
+    failed = [name for name, process in nodes.items() if process.returncode]
+    if failed:
+        raise RunFailedError(_last_words(failed[0], nodes[failed[0]], out))
+
+
+def _stop(nodes: Mapping[str, subprocess.Popen]) -> None:
+    for name in reversed(MODULES):
+        process = nodes.get(name)
+        if process is None or process.poll() is not None:
+            continue
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(PATIENCE_S)
+        except (subprocess.TimeoutExpired, KeyboardInterrupt):
+            process.kill()
+            process.wait()
+
+
+def _complain_of_dead(nodes: Mapping[str, subprocess.Popen], out: Path) -> None:
+    for name, process in nodes.items():
+        if name != 'actuator' and process.poll() is not None:
+            raise RunFailedError(_last_words(name, process, out))
+
+
+def _last_words(name: str, process: subprocess.Popen, out: Path) -> str:
+    """Say how a node ended and the last line of its log."""
+    path = out / 'log' / f'{name}.log'
+    lines = [line for line in path.read_text(errors='replace').splitlines() if line.strip()]
+    status = process.returncode
+    how = (f'killed by {signal.Signals(-status).name}' if status is not None and status < 0
+           else f'ended with status {status}')
+    return f'the {name} {how}: {lines[-1] if lines else "it said nothing"} (see {path})'
+
+
+@contextmanager
+def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int, str]]]:
+    """
+    Give a function that waits a moment and returns the actuator's ticks and its state in words.
+
+    From /diagnostics, which comes twice a second: the loop does not notice.
+    """
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE',
+                          environment['ROS_AUTOMATIC_DISCOVERY_RANGE'])
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    ticks, state = 0, 'starting the nodes'
+
+    def hear(message: DiagnosticArray) -> None:
+        nonlocal ticks, state
+        for status in message.status:
+            if status.name == 'asi_actuator: loop':
+                values = {value.key: value.value for value in status.values}
+                ticks, state = int(values.get('ticks', 0)), status.message
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
+               signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
+                             start_parameter_services=False)
+    node.create_subscription(DiagnosticArray, '/diagnostics', hear, 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def look() -> tuple[int, str]:
+        executor.spin_once(timeout_sec=POLL_S)
+        return ticks, state
+
+    try:
+        yield look
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def run_as_dict(experiment: Experiment, bag: Path) -> dict[str, Any]:
+    """Return what `asi run --json` prints of a finished run."""
+    from asi_analysis.measures.analysis import analyze_bag
+    return {'bag': str(bag), 'mode': experiment.mode, 'ticks': experiment.ticks,
+            'compensator': experiment.controller['compensator'], **analyze_bag(bag)}
+
+
+def run_as_text(document: Mapping[str, Any]) -> str:
+    """Return what `asi run` says of a finished run for people."""
+    from asi_analysis.measures.analysis import as_text
+    return (f'{document["compensator"]}, {document["mode"]}, {document["ticks"]} ticks\n'
+            + as_text(document))
+
+
+def free_directory(parent: Path, name: str) -> Path:
+    """Return runs/<time>-<name>, a directory that does not exist."""
+    stem = f'{time.strftime("%Y-%m-%d_%H-%M-%S")}-{name}'
+    for number in range(1, 1000):
+        path = parent / (stem if number == 1 else f'{stem}-{number}')
+        if not path.exists():
+            return path
+    raise InputError(f'{parent}: no free name left for {stem}')

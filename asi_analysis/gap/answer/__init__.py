@@ -1,0 +1,1 @@
+"""The answer for people and scripts: document, report, pictures, model file."""

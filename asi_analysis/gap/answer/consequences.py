@@ -1,0 +1,119 @@
+"""
+What the gap does to the closed loop: limit cycle and step of the nominal and the improved model.
+
+The loop is the recording's own, where the bag tells its controller; otherwise a proportional one.
+The improved model is the one that `improved.yaml` holds; its interval comes from models drawn from
+the uncertainty of the fits.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.inference.uncertainty import draw, likelihood
+from asi_analysis.gap.model.model_file import improved_model
+from asi_analysis.limit_cycle.prediction.predict import simulated_onset
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.analysis import analyze
+from asi_common.parameter import ParameterError, Value
+from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
+
+Values = Mapping[str, Value]
+
+DRAWS = 6
+LOWEST_GAINS = (1.0, 10.0)   # where the search for the onset begins
+NEAR = 0.6             # of a known onset gain: where that of a model much alike is looked for
+ACCURACY = 0.02        # of the onset gain
+LONGEST_S = 3.0        # of a simulated run
+RATES_HZ = (500.0, 5000.0)
+# Without a controller in the bag: a loop that follows, and stays clear of the onset.
+PLAIN: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'step',
+                           'reference.amplitude': 100.0, 'reference.start': 0.1}
+STEP_KEYS = ('rise_time_s', 'overshoot_percent', 'bandwidth_hz')
+
+
+class Consequence(NamedTuple):
+    """One quantity of the loop; None where there is none, such as no onset or no step."""
+
+    quantity: str
+    nominal: float | None
+    improved: float | None
+    improved_low: float | None
+    improved_high: float | None
+    measured: float | None
+
+
+def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Consequence]:
+    """
+    Return what the loop does with the nominal and with the improved model, and what was measured.
+
+    model: nominal parameters of the actuator; run: the recording that may show the loop.
+    """
+    known = {p.name for p in (*COMPENSATOR_PARAMETERS, *REFERENCE_PARAMETERS)}
+    told = {name: value for name, value in run.information.get('controller', {}).items()
+            if name in known}
+    recorded = bool(told) and run.reference_n is not None
+    controller = told if recorded else PLAIN
+    rate_hz = float(np.clip(1.0 / run.period_s, *RATES_HZ))
+    duration_s = min(run.duration_s, LONGEST_S) if recorded else 1.0
+    best = [diagnosis.best(weighed) for weighed in diagnosis.groups]
+
+    def loop(records: Sequence[np.void], lowest: Sequence[float]) -> dict[str, float | None]:
+        return loop_figures(improved_model(model, records)[0], controller, rate_hz, duration_s,
+                            lowest)
+
+    nominal = loop_figures(model, controller, rate_hz, duration_s, LOWEST_GAINS)
+    improved = loop([candidate.fitted.record for candidate in best], LOWEST_GAINS)
+    onset = improved['onset_gain']
+    lowest = [NEAR * onset] if onset else []
+    rng = np.random.default_rng(1)
+    fits = [(candidate.fitted, likelihood(candidate.fitted)) for candidate in best]
+    others = [loop([draw(fitted, found, rng) for fitted, found in fits], lowest)
+              for _ in range(DRAWS)]
+    measured = _figures_of(run) if recorded else {}
+    return [Consequence(name, nominal[name], improved[name],
+                        *_interval(improved[name], [each[name] for each in others]),
+                        measured.get(name)) for name in improved]
+
+
+def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_s: float,
+                 lowest: Sequence[float]) -> dict[str, float | None]:
+    """
+    Return onset gain, frequency and amplitude of the limit cycle, and the figures of a run.
+
+    lowest: gains from which the onset is looked for, one after the other.
+    """
+    found: dict[str, float | None] = dict.fromkeys(
+        ('onset_gain', 'onset_frequency_hz', 'onset_amplitude_n'))
+    try:
+        onsets = (simulated_onset(actuator, {**controller, 'reference.shape': 'step'}, rate_hz,
+                                  low, ACCURACY) for low in lowest)
+        onset = next((each for each in onsets if each is not None), None)
+        if onset is not None:
+            found = dict(zip(found, onset, strict=True))
+        simulated = simulate_loop(actuator, controller, duration_s, rate_hz)
+    except ParameterError:   # a compensator that this rate does not allow
+        return found | dict.fromkeys((*STEP_KEYS, 'oscillation_frequency_hz',
+                                      'oscillation_amplitude_n'))
+    return found | _figures_of(Run(**simulated._asdict()))
+
+
+def _figures_of(run: Run) -> dict[str, float | None]:
+    told: dict[str, Any] = analyze(run)
+    swing = told['oscillation'] if told['oscillation']['sustained'] else {}
+    return {**{key: told[key] for key in STEP_KEYS},
+            'oscillation_frequency_hz': swing.get('frequency_hz'),
+            'oscillation_amplitude_n': swing.get('amplitude_n')}
+
+
+def _interval(value: float | None, drawn: Sequence[float | None]
+              ) -> tuple[float | None, float | None]:
+    """Return the 95 % interval; none where the value, or that of a drawn model, is missing."""
+    known = [each for each in drawn if each is not None]
+    if value is None or len(known) < len(drawn):
+        return None, None
+    half = 1.96 * float(np.sqrt(np.mean((np.array(known) - value) ** 2)))
+    return value - half, value + half

@@ -1,0 +1,126 @@
+"""The report of `asi gap`: one HTML file that needs nothing else, its pictures, a model file."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.signal import welch
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.answer import pictures
+from asi_analysis.gap.diagnose import Diagnosis, sentences, told
+from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.model.model_file import improved_model, write_model
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import BURN_IN_S
+from asi_analysis.reporting.report import write_report
+from asi_common.parameter import Value
+
+STRETCH_S = 2.0     # of the overlay
+CAPTIONS = {
+    'overlay': 'Real, nominal and improved, and what each model leaves',
+    'ranking': 'What each hypothesis leaves on held-out data',
+    'plane': 'What the model leaves, before and after, in the plane of the effect',
+    'spectrum': 'Spectrum of the signal and of what each model leaves of it',
+    'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
+
+
+def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, out: Path,
+                     model: Mapping[str, Value] | None = None) -> Path:
+    """
+    Write report.html and its pictures into `out`; with a model, improved.yaml too.
+
+    answer: the document of the diagnosis; run: one of its recordings; model: nominal parameters of
+    the actuator, None of a joint. Returns the path of report.html.
+    """
+    channel = answer['gap']['channel']
+    weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
+    name = _followed(channel, run, joint=model is None)
+    label, unit = name.replace('_', ' '), run.unit(name)
+    drawn = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
+             'ranking': _ranking(weighed, channel, diagnosis.best(weighed).names, answer),
+             'plane': _plane(diagnosis, weighed, channel, run, unit),
+             'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
+             'regimes': pictures.regimes(answer['regimes'])}
+    missing = None
+    if model is not None and diagnosis.verdict:
+        values, missing = improved_model(model, [diagnosis.best(w).fitted.record
+                                                 for w in diagnosis.groups])
+        out.mkdir(parents=True, exist_ok=True)
+        write_model(out / 'improved.yaml', values)
+    return write_report(
+        out, 'gap.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
+        answer=answer, sentences=sentences(answer), missing=missing)
+
+
+def _followed(channel: str, run: Run, joint: bool) -> str:
+    """Return which signal a channel tells of; a joint's drive or servo stands for the valve."""
+    if channel != 'valve':
+        return 'force' if run.force_n is not None else 'command'
+    if not joint:
+        return 'valve_position'
+    return 'force' if run.command_n is not None else run.controlled()
+
+
+def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, unit: str) -> Any:
+    recording = weighed.group.recordings[-1]
+    real = measured(recording, channel)
+    nominal = predict(recording, channel, weighed.group.nominal)
+    improved = predict(recording, channel, diagnosis.best(weighed).fitted.record)
+    count = int(STRETCH_S / recording.period_s)
+    # The stretch where the nominal model is worst, for that is where to look.
+    power = np.convolve((real - nominal) ** 2 * recording.held_out, np.ones(count), 'same')
+    middle = int(np.argmax(power))
+    chosen = slice(max(0, middle - count // 2), middle + count // 2)
+    return pictures.overlay(recording.time_s[chosen], real[chosen], nominal[chosen],
+                            improved[chosen], recording.held_out[chosen], label, unit)
+
+
+def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, unit: str) -> Any:
+    recording = weighed.group.recordings[-1]
+    real = measured(recording, channel)
+    left = {'real': real} | {name: real - predict(recording, channel, p) for name, p in (
+        ('nominal', weighed.group.nominal), ('refitted', weighed.candidates[()].fitted.record),
+        ('improved', diagnosis.best(weighed).fitted.record))}
+    kept = slice(int(BURN_IN_S / recording.period_s), None)
+    frequency, _ = welch(real[kept], 1.0 / recording.period_s, nperseg=_window(real))
+    powers = {name: welch(values[kept], 1.0 / recording.period_s, nperseg=_window(real))[1]
+              for name, values in left.items()}
+    return pictures.spectrum(frequency, powers, label, unit)
+
+
+def _window(values: Any) -> int:
+    return min(values.size // 4, 2048)
+
+
+def _ranking(weighed: Weighed, channel: str, verdict: Names, answer: Mapping[str, Any]) -> Any:
+    size = math.sqrt(float(np.mean([np.mean(measured(r, channel)[r.held_out] ** 2)
+                                    for r in weighed.group.recordings])))
+    left = sorted((math.sqrt(c.fitted.held_out[channel]) / size, told(names))
+                  for names, c in weighed.candidates.items() if names)[:12]
+    null = math.sqrt(weighed.candidates[()].fitted.held_out[channel]) / size
+    return pictures.ranking([name for _, name in left], [error for error, _ in left],
+                            told(verdict), null, max(answer['gap']['noise_floor_nrmse'], 1e-6))
+
+
+def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str, run: Run, unit: str) -> Any:
+    recording = weighed.group.recordings[-1]
+    real = measured(recording, channel)
+    if channel == 'valve':
+        x, driven = recording.command, 'reference' if run.command_n is None else 'command'
+        label = f'{driven} ({run.unit(driven)})'
+    else:
+        motion = recording.motion
+        if motion is not None:
+            x = motion.velocity[motion.pad:motion.pad + real.size]
+            label = 'velocity ({})'.format(run.unit('velocity') if run.velocity_m_s is not None
+                                           else run.unit('position') + '/s')
+        else:
+            x, label = recording.valve_position, 'valve position (m)'
+    assert x is not None
+    kept = recording.held_out
+    before = real - predict(recording, channel, weighed.candidates[()].fitted.record)
+    after = real - predict(recording, channel, diagnosis.best(weighed).fitted.record)
+    return pictures.plane(x[kept], before[kept], after[kept], label, unit)

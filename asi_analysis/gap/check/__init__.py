@@ -1,0 +1,1 @@
+"""The check on blind cases, and the calibration of the probabilities."""

@@ -1,0 +1,253 @@
+"""
+`asi gap check`: a directory of blind cases through the diagnosis, and how often it was right.
+
+Any examiner may write such a directory (doc/gap.md). The diagnosis sees bags and model files; the
+sealed answers are opened only after the last case is done.
+"""
+
+import base64
+import json
+import math
+import time
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.answer import pictures
+from asi_analysis.gap.answer.command import nominal_model
+from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink, plain
+from asi_analysis.gap.inference.verdict import as_plain, evidence_of
+from asi_analysis.gap.model.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import prepare
+from asi_analysis.parallel import each
+from asi_analysis.reporting import figures
+
+CONFIDENT = 0.9
+BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.97, 1.0001)
+
+Told = Callable[[str, float | None], None]
+Row = dict[str, Any]
+
+
+def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
+    """Return the shrink that the diagnosis reaches on another recording of the same machine."""
+    shrink = main_shrink(diagnosis)
+    weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
+    recording = prepare([run])[0]
+    kept = recording.fit | recording.held_out
+    errors = []
+    for p in (weighed.group.nominal, diagnosis.best(weighed).fitted.record):
+        left = measured(recording, shrink.channel) - predict(recording, shrink.channel, p)
+        errors.append(math.sqrt(float(np.mean(left[kept] ** 2))))
+    return 1.0 - errors[1] / errors[0]
+
+
+def examine(folder: Path, entry: Mapping[str, str]) -> Row:
+    """Return what the diagnosis says of one case, without looking at its answer."""
+    started = time.process_time()
+    try:
+        diagnosis = diagnose([read_bag(folder / entry['bag'])],
+                             nominal_model(folder / entry['model']))
+        answer = plain(document(diagnosis))
+        row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
+                                            'ambiguity_set', 'gap')}
+        row['seconds'] = time.process_time() - started
+        row['evidence'] = [as_plain(evidence_of(w.group, w.candidates))
+                           for w in diagnosis.groups]
+        if 'fresh' in entry:
+            row['fresh_shrink'] = fresh_shrink(diagnosis, read_bag(folder / entry['fresh']))
+    except InputError as error:
+        row = {'verdict': 'refused', 'probability': 0.0, 'where': [], 'which': [],
+               'ambiguity_set': [], 'gap': None, 'why': str(error),
+               'seconds': time.process_time() - started}
+    return {'bag': entry['bag'], **row}
+
+
+def run_cases(folder: Path, told: Told) -> list[Row]:
+    """
+    Return what the diagnosis says of every case of a directory.
+
+    Each is kept in rows.jsonl as it is done, so that a check which was stopped goes on there.
+    """
+    try:
+        index = json.loads((folder / 'cases.json').read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(f'{folder / "cases.json"} cannot be read: {_reason(error)}') from None
+    kept = folder / 'rows.jsonl'
+    lines = kept.read_text().splitlines(keepends=True) if kept.exists() else []
+    whole = [line for line in lines if line.endswith('\n')]   # a kill may have torn the last
+    rows = [json.loads(line) for line in whole]
+    done = {row['bag'] for row in rows}
+    with kept.open('w') as file:
+        file.writelines(whole)
+        file.flush()
+        for row in each(examine, ((folder, entry) for entry in index if entry['bag'] not in done)):
+            rows.append(row)
+            file.write(json.dumps(rows[-1]) + '\n')
+            file.flush()
+            told(f'{len(rows)} of {len(index)} cases', len(rows) / len(index))
+    return sorted(rows, key=lambda row: row['bag'])
+
+
+def truth_of(answer: Mapping[str, Any]) -> str:
+    """Return the verdict that is right: the effects joined by +, no_gap or unknown."""
+    if answer['kind'] in ('none', 'small') or not answer['effects']:
+        return NO_GAP
+    if answer['kind'] == 'outside' or not set(answer['effects']) <= set(BLOCK_OF):
+        return UNKNOWN
+    return '+'.join(sorted(answer['effects']))
+
+
+def is_right(row: Row, answer: Mapping[str, Any]) -> bool:
+    """Return whether a verdict is right; of an effect too small to see, its name is right too."""
+    small = answer['kind'] == 'small' and row['verdict'] in answer['effects']
+    return row['verdict'] == truth_of(answer) or small
+
+
+def sizes_held(row: Row, answer: Mapping[str, Any]) -> list[bool]:
+    """Return, for each size that is known of the effects in a verdict, if an interval holds it."""
+    right = [entry for entry in row['which'] if entry['effect'] in answer['effects']
+             and entry['effect'] in row['verdict'].split('+')]
+    return [entry['parameters_low'][name] <= size <= entry['parameters_high'][name]
+            for name, size in answer.get('sizes', {}).items()
+            for entry in right if name in entry['parameters']]
+
+
+def _share(values: Sequence[bool]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the figures of `asi gap check`, from what was said and the opened answers."""
+    both = [(row, answers[row['bag']]) for row in rows]
+    single = [(r, a) for r, a in both if a['kind'] == 'effect']
+    pairs = [(r, a) for r, a in both if a['kind'] == 'pair']
+    kinds = {kind: [(r, a) for r, a in both if a['kind'] == kind]
+             for kind in ('none', 'small', 'outside')}
+
+    def first(row: Row) -> str | None:
+        return row['which'][0]['effect'] if row['which'] else None
+
+    named = [[w['effect'] for w in r['which'] if w['probability'] > 0.5] for r, _ in pairs]
+    right = [is_right(r, a) for r, a in both]
+    said = [r['probability'] for r, _ in both]
+    bins = [[i for i, p in enumerate(said) if low <= p < high]
+            for low, high in zip(BINS[:-1], BINS[1:], strict=True)]
+    reliability = [{'said': float(np.mean([said[i] for i in chosen])),
+                    'right': float(np.mean([right[i] for i in chosen])), 'cases': len(chosen)}
+                   for chosen in bins if chosen]
+    fresh = [(r['gap'], r['fresh_shrink']) for r, a in both
+             if r.get('fresh_shrink') is not None and r['verdict'] not in (NO_GAP, UNKNOWN)]
+    seconds = [r['seconds'] for r in rows]
+    by_excitation = {kind: _share([first(r) == a['effects'][0] for r, a in single
+                                   if a['excitation'] == kind])
+                     for kind in sorted({a['excitation'] for _, a in single})}
+    by_effect = {name: _share([first(r) == name for r, a in single if a['effects'] == [name]])
+                 for name in BLOCK_OF}
+    return {
+        'cases': len(rows),
+        'block_accuracy': _share([bool(r['where']) and r['where'][0]['block'] == a['blocks'][0]
+                                  for r, a in single]),
+        'effect_accuracy': _share([first(r) == a['effects'][0] and r['verdict'] not in
+                                   (NO_GAP, UNKNOWN) for r, a in single]),
+        'ambiguity_coverage': _share([truth_of(a) in r['ambiguity_set'] for r, a in single]),
+        'mean_ambiguity_size': float(np.mean([len(r['ambiguity_set']) for r, _ in single]))
+        if single else None,
+        'false_alarm_rate': _share([r['verdict'] not in (NO_GAP, 'refused')
+                                    for r, _ in kinds['none']]),
+        'small_wrong_rate': _share([not is_right(r, a) for r, a in kinds['small']]),
+        'unknown_rate': _share([UNKNOWN in r['verdict'] for r, _ in kinds['outside']]),
+        'pair_rate': _share([set(a['effects']) <= set(names)
+                             for names, (_, a) in zip(named, pairs, strict=True)]),
+        'pair_one_rate': _share([bool(set(a['effects']) & set(names))
+                                 for names, (_, a) in zip(named, pairs, strict=True)]),
+        'confidently_wrong_rate': _share([p >= CONFIDENT and not ok
+                                          for p, ok in zip(said, right, strict=True)]),
+        'calibration_error': float(sum(abs(b['said'] - b['right']) * b['cases']
+                                       for b in reliability) / len(rows)),
+        'shrink_within_005': _share([abs(gap['shrink'] - value) <= 0.05 for gap, value in fresh]),
+        'interval_coverage': _share([gap['shrink_low'] <= value <= gap['shrink_high']
+                                     for gap, value in fresh]),
+        'size_coverage': _share([held for r, a in both for held in sizes_held(r, a)]),
+        'median_seconds': float(np.median(seconds)),
+        'refused': sum(r['verdict'] == 'refused' for r in rows),
+        'by_kind': {kind: len(chosen) for kind, chosen in (
+            ('effect', single), ('pair', pairs), *kinds.items())},
+        'by_excitation': by_excitation, 'by_effect': by_effect, 'reliability': reliability,
+        'wrong': [{'bag': r['bag'], 'truth': truth_of(a), 'verdict': r['verdict'],
+                   'probability': r['probability']}
+                  for (r, a), ok in zip(both, right, strict=True) if not ok],
+    }
+
+
+def unseal(path: Path) -> dict[str, Any]:
+    """Return the answers of a directory of cases: sealed (base 85 of zlib) or plain JSON."""
+    try:
+        raw = path.read_bytes()
+        return json.loads(raw if raw[:1] == b'{' else zlib.decompress(base64.b85decode(raw)))
+    except (OSError, ValueError, zlib.error) as error:
+        raise InputError(f'{path} cannot be read as answers: {_reason(error)}') from None
+
+
+def _reason(error: Exception) -> str:
+    """Return what went wrong, without the path that a message has named already."""
+    return getattr(error, 'strerror', None) or str(error)
+
+
+def check(folder: Path, told: Told) -> dict[str, Any]:
+    """Diagnose every case of a directory, then open the answers; return the document."""
+    rows = run_cases(folder, told)
+    answers = unseal(folder / 'answers.sealed')
+    absent = [row['bag'] for row in rows if row['bag'] not in answers]
+    if absent:
+        raise InputError(f'{folder / "answers.sealed"} has no answer for {absent[0]}')
+    result = score(rows, answers)
+    (folder / 'answers.json').write_text(json.dumps(answers, indent=1))
+    draw(rows, answers, result, folder)
+    return {**result, 'directory': str(folder)}
+
+
+def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: Mapping[str, Any],
+         out: Path) -> None:
+    """Write confusion.png and reliability.png."""
+    names = [*(effect.name for effect in EFFECTS), NO_GAP, UNKNOWN]
+    columns = [*names, 'refused']
+    counts = np.zeros((len(names), len(columns)))
+    for row in rows:
+        truth = truth_of(answers[row['bag']])
+        said = row['verdict'].split('+')[0] if '+' not in truth else None
+        if said is not None:
+            counts[names.index(truth), columns.index(said)] += 1
+    kept = counts.sum(axis=1) > 0
+    bars = result['reliability']
+    with figures.style():
+        pictures.confusion([n for n, k in zip(names, kept, strict=True) if k], columns,
+                           counts[kept]).savefig(out / 'confusion.png')
+        pictures.reliability([b['said'] for b in bars], [b['right'] for b in bars],
+                             [b['cases'] for b in bars]).savefig(out / 'reliability.png')
+
+
+def as_text(result: Mapping[str, Any]) -> str:
+    """Return the figures of a check beside those to reach, for people."""
+    reach = {'block_accuracy': '0.97', 'effect_accuracy': '0.95', 'ambiguity_coverage': '0.97',
+             'mean_ambiguity_size': 'at most 1.5', 'false_alarm_rate': 'at most 0.03',
+             'unknown_rate': '0.90', 'pair_rate': '0.85', 'pair_one_rate': '0.99',
+             'confidently_wrong_rate': 'at most 0.02', 'calibration_error': 'at most 0.05',
+             'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99',
+             'size_coverage': ''}
+    lines = [f'{result["cases"]} cases: ' + ', '.join(
+        f'{count} {kind}' for kind, count in result['by_kind'].items())]
+    for key in (*reach, 'small_wrong_rate', 'median_seconds', 'refused'):
+        value = result[key]
+        lines.append(f'{key:<26}{"-" if value is None else f"{value:.3f}":>8}   '
+                     + reach.get(key, ''))
+    lines += [f'wrong: {row["bag"]}: {row["truth"]} was called {row["verdict"]} '
+              f'({100 * row["probability"]:.0f} %)' for row in result['wrong']]
+    return '\n'.join(lines)

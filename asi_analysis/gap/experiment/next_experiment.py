@@ -1,0 +1,167 @@
+"""The experiment that would separate the hypotheses which are left, from how they predict it."""
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.model.group import Group, Values
+from asi_analysis.gap.model.predict import predict
+from asi_analysis.gap.prepare import Recording, prepare
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_common.parameter import Value
+
+RATE_HZ, DURATION_S = 1000.0, 6.0
+LOADS = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type').choices
+# So small a gain leaves the reference alone, which goes straight to the valve.
+OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
+LOOP: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
+# Options of `asi run` by the parameter that they set; what is missing goes by --set.
+OPTIONS = {'compensator': '--compensator', 'gain': '--gain', 'reference.shape': '--reference',
+           'reference.amplitude': '--amplitude', 'reference.offset': '--offset',
+           'reference.frequency': '--frequency', 'reference.end_frequency': '--end-frequency'}
+
+
+class Experiment(NamedTuple):
+    """
+    An excitation of the catalogue.
+
+    controller: parameters of the controller, but for the size; size, offset: shares of the largest
+    force; load: its type, None for that of the recordings.
+    """
+
+    name: str
+    controller: Mapping[str, Value]
+    size: float = 1.0
+    offset: float = 0.0
+    load: str | None = None
+
+
+def _reference(shape: str, frequency: float, **more: Value) -> dict[str, Value]:
+    return {'reference.shape': shape, 'reference.frequency': frequency,
+            **{f'reference.{name}': value for name, value in more.items()}}
+
+
+_TRIANGLE = _reference('triangle', 0.25)
+_CHIRP = _reference('chirp', 0.5, end_frequency=150.0)
+_SINES = _reference('multisine', 0.5, end_frequency=60.0, tones=30)
+_STEPS = _reference('prbs', 1.5)
+CATALOGUE = (
+    Experiment('slow triangle through zero', {**OPEN, **_TRIANGLE}),
+    Experiment('small slow triangle', {**OPEN, **_TRIANGLE}, 0.2),
+    Experiment('chirp to 150 Hz', {**OPEN, **_CHIRP}),
+    Experiment('small chirp to 150 Hz', {**OPEN, **_CHIRP}, 0.2),
+    Experiment('multisine to 60 Hz', {**OPEN, **_SINES}),
+    Experiment('steps that are held', {**OPEN, **_STEPS}),
+    Experiment('sine about a bias', {**OPEN, **_reference('sine', 5.0)}, 0.4, 0.6),
+    Experiment('steps in a closed loop', {**LOOP, **_STEPS}),
+    Experiment('multisine in a closed loop', {**LOOP, **_SINES}),
+    Experiment('slow triangle in a closed loop', {**LOOP, **_TRIANGLE}),
+    Experiment('steps against a locked piston', {**LOOP, **_STEPS}, load='locked'),
+)
+
+
+def settings(experiment: Experiment, force: float) -> dict[str, Value]:
+    """Return the controller's parameters of an experiment; force: the largest, N."""
+    return {**experiment.controller, 'reference.amplitude': experiment.size * force,
+            'reference.offset': experiment.offset * force, 'reference.start': 0.05} | (
+        {'reference.duration': DURATION_S - 0.05}
+        if experiment.controller['reference.shape'] == 'chirp' else {})
+
+
+def command_line(experiment: Experiment, force: float, load: str) -> str:
+    """Return the `asi run` that plays an experiment."""
+    words = ['asi run']
+    for name, value in settings(experiment, force).items():
+        if name in ('reference.start', 'reference.duration') or value == 0.0:
+            continue   # what asi run takes of itself
+        text = f'{value:g}' if isinstance(value, float) else str(value)
+        if name in OPTIONS:
+            words.append(f'{OPTIONS[name]} {text}')
+        else:
+            words.append(f'--set controller.{name}={text}')
+    return ' '.join([*words, f'--load {experiment.load or load}', f'--rate {RATE_HZ:g}',
+                     f'--duration {DURATION_S:g}'])
+
+
+def imagined(experiment: Experiment, nominal: Mapping[str, Value], force: float) -> Recording:
+    """
+    Return what the nominal actuator would record in an experiment.
+
+    Raises InputError if it would not move.
+    """
+    load = {'load.type': experiment.load} if experiment.load else {}
+    run = simulate_loop({**nominal, **load}, settings(experiment, force), DURATION_S, RATE_HZ)
+    return prepare([Run(**run._asdict(), source=experiment.name)])[0]
+
+
+def separation(group: Group, recording: Recording, first: np.void, second: np.void) -> float:
+    """Return how differently two hypotheses predict a recording, in multiples of the floor."""
+    kept = recording.fit | recording.held_out
+    apart = 0.0
+    for channel in group.channels:
+        difference = (predict(recording, channel, first) - predict(recording, channel, second))
+        apart += float(np.mean(difference[kept] ** 2)) / group.floor[channel]
+    return math.sqrt(apart)
+
+
+def pairs_of(groups: list[Weighed], left: list[Names]) -> list[tuple[Group, np.void, np.void]]:
+    """
+    Return each two predictions that are to be told apart, with their group.
+
+    Where `unknown` leaves a group a single prediction, it is told from the next most probable.
+    """
+    pairs = []
+    wanted = set().union(*map(set, left))
+    for weighed in groups:
+        own = {tuple(name for name in names if any(name in key for key in weighed.candidates))
+               for names in left}
+        known = [names for names in own if names in weighed.candidates]
+        if len(known) == 1 and wanted & {'unknown'}:
+            others = sorted((names for names in weighed.candidates if names not in known),
+                            key=lambda names: -weighed.probability[names])
+            known += others[:1]
+        records = [weighed.candidates[names].fitted.record for names in sorted(known)]
+        pairs += [(weighed.group, a, b) for a, b in itertools.combinations(records, 2)]
+    return pairs
+
+
+def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value], force: float
+           ) -> dict[str, object] | None:
+    """
+    Return the experiment of the catalogue that separates the hypotheses `left` best.
+
+    It is judged by the pair that it separates worst; one in which the nominal actuator would not
+    move is left out. model: the actuator's nominal parameters; force: the largest, N. None if
+    fewer than two hypotheses with a prediction are left.
+    """
+    pairs = pairs_of(groups, left)
+    own = str(model.get('load.type', LOADS[0]))
+    worst: Values = {}
+    for experiment in CATALOGUE if pairs else ():
+        try:
+            recording = imagined(experiment, model, force)
+        except InputError:   # too small to overcome the nominal friction
+            continue
+        load = LOADS.index(experiment.load or own)
+        worst[experiment.name] = min(separation(group, recording, _under(a, load), _under(b, load))
+                                     for group, a, b in pairs)
+    if not worst:
+        return None
+    best = max((experiment for experiment in CATALOGUE if experiment.name in worst),
+               key=lambda experiment: worst[experiment.name])
+    return {'excitation': best.name, 'separation': worst[best.name], 'separations': worst,
+            'command': command_line(best, force, own)}
+
+
+def _under(record: np.void, load: int) -> np.void:
+    """Return a record with another type of load."""
+    changed = record.copy()
+    changed['load_type'] = load
+    return changed

@@ -1,0 +1,102 @@
+"""
+The motion of a joint that would separate the hypotheses which are left.
+
+A joint's controller is its own, so what is suggested is a course: of the joint, or of the command
+of a drive that should follow it. None leaves the range, or is faster or sharper, than what was
+recorded.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import chirp, sawtooth
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.experiment.next_experiment import pairs_of, separation
+from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.prepare import Recording, prepare
+
+DURATION_S = 20.0
+Array = npt.NDArray[np.float64]
+Course = Callable[[Array, float], Array]
+
+
+def _triangle(time: Array, frequency: float) -> Array:
+    return np.asarray(sawtooth(2.0 * np.pi * frequency * (time + 0.25 / frequency), 0.5))
+
+
+def _sine(time: Array, frequency: float) -> Array:
+    return np.sin(2.0 * np.pi * frequency * time)
+
+
+def _sweep(time: Array, frequency: float) -> Array:
+    return np.asarray(chirp(time, 0.1 * frequency, time[-1], frequency, 'logarithmic', -90.0))
+
+
+def _steps(time: Array, frequency: float) -> Array:
+    """Return courses to and fro at a constant speed, with a rest after each."""
+    return np.clip(1.5 * _triangle(time, frequency / 1.5), -1.0, 1.0)
+
+
+# A course and its size, as a share of the range, and its speed, as a share of the highest.
+CATALOGUE: dict[str, tuple[Course, float, float]] = {
+    'slow triangle over the whole range': (_triangle, 1.0, 0.1),
+    'small slow triangle': (_triangle, 0.1, 0.05),
+    'triangle at full speed': (_triangle, 1.0, 1.0),
+    'sine over the whole range': (_sine, 1.0, 1.0),
+    'small quick sine': (_sine, 0.1, 1.0),
+    'sweep over the whole range': (_sweep, 1.0, 1.0),
+    'small sweep': (_sweep, 0.1, 1.0),
+    'to and fro with rests': (_steps, 1.0, 0.5),
+}
+
+
+def choose_motion(groups: list[Weighed], left: list[Names]) -> dict[str, object] | None:
+    """
+    Return the course of the catalogue that separates the hypotheses `left` best, with its size.
+
+    It is judged by the pair that it separates worst. None if fewer than two hypotheses with a
+    prediction are left.
+    """
+    pairs = pairs_of(groups, left)
+    if not pairs:
+        return None
+    worst = {name: min(separation(group, imagined(group, name)[0], a, b) for group, a, b in pairs)
+             for name in CATALOGUE}
+    best = max(worst, key=lambda name: worst[name])
+    _, size, frequency = imagined(pairs[0][0], best)
+    return {'excitation': f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for '
+            f'{DURATION_S:g} s', 'separation': worst[best], 'separations': worst, 'command': None}
+
+
+def _rounded(position: Array, known: Array) -> Array:
+    """Return a course whose corners are no sharper than those of a known one."""
+    bend, sharpest = (float(np.quantile(np.abs(np.diff(course, 2)), 0.999))
+                      for course in (position, known))
+    # A corner that is spread over n samples is a mean of n: n times less sharp.
+    spread = int(np.clip(np.ceil(bend / max(sharpest, 1e-300)), 1, position.size // 20))
+    return np.asarray(uniform_filter1d(position, spread, mode='nearest'))
+
+
+def imagined(group: Group, name: str) -> tuple[Recording, float, float]:
+    """Return a recording of a course, its size (in the unit of the motion) and frequency (Hz)."""
+    known = group.recordings[0]
+    course, share, speed = CATALOGUE[name]
+    follows = known.motion is None
+    moved = np.asarray(known.command if known.motion is None else known.motion.position, float)
+    size = share * 0.5 * float(np.ptp(moved))
+    fastest = float(np.quantile(np.abs(np.gradient(moved, known.period_s)), 0.999))
+    time: Array = np.arange(int(DURATION_S / known.period_s)) * np.float64(known.period_s)
+    # So that the course, whatever its form, is nowhere faster.
+    slope = float(np.abs(np.gradient(course(time, 1.0), known.period_s)).max())
+    frequency = speed * fastest / (size * slope)
+    position = _rounded(size * course(time, frequency), moved)
+    if follows:
+        run = Run(time, reference_n=position, force_n=position, source=name)
+        return prepare([run], 'position')[0], size, frequency
+    force = np.asarray(np.gradient(position, known.period_s))   # any: only the motion counts
+    run = Run(time, position_m=position, force_n=force, source=name)
+    return prepare([run], 'force')[0], size, frequency

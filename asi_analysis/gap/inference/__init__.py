@@ -1,0 +1,1 @@
+"""From recordings to probabilities: fits, hypotheses, where the gap lies."""

@@ -1,0 +1,187 @@
+"""
+Refuse, or warn of, recordings that would lead to a confident wrong answer.
+
+What a model error cannot do, but a mistake in the recording can: a sign reversed, a factor of ten
+or a thousand, one clock ahead of another, no excitation, another robot.
+"""
+
+import numpy as np
+from scipy.signal import correlate
+
+from asi_analysis.bags.run import SIGNALS, Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import (
+    MEASURED,
+    Array,
+    Recording,
+    agree,
+    clipped,
+    velocity_over_derivative,
+)
+
+LEAST_SWING = 5.0      # times the noise that a signal must move
+FACTOR = 4.0           # no actuator differs so much from its own model
+SOFTER = 2.0           # times as much: what a load may give way more than its model
+UNLIKE = 0.3           # correlation with the model below which it is another machine
+ALIKE = 0.6            # correlation above which a factor or a sign is told apart from the shape
+FAR = 20.0             # a factor that is refused whatever the shape
+BRAKED = 0.2           # correlation of force and velocity that no load has against the motion
+EARLY_S, LATE_S = 0.004, 0.08
+EARLY_SAMPLES = 1.5    # or so many samples: a reply may be logged beside the next command
+SAME = 0.93            # correlation above which a shift is all that differs
+IMPROVED = 0.1         # by which a shift of the clock must raise the correlation
+
+# What a channel compares: what is measured, and what it is driven by.
+COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
+            'load': ('force', 'velocity or position')}
+
+
+def check_signals(run: Run) -> list[str]:
+    """Return a warning of each signal that is constant, or cut off at its extremes."""
+    notes = []
+    for name, values in run.signals().items():
+        known = values[np.isfinite(values)]
+        if known.size and np.ptp(known) == 0.0:
+            notes.append(f'{run.source}: {name} is constant, and taken as not recorded')
+        elif name in MEASURED and known.size and (cut := clipped(known)).any():
+            notes.append(f'{run.source}: {name} is cut off at its extremes, in '
+                         f'{100 * cut.mean():.1f} % of the samples; these are left out')
+    return notes
+
+
+def check_units(run: Run) -> None:
+    """Refuse a recording whose signals are not in the actuator's units."""
+    for signal in SIGNALS:
+        unit = run.unit(signal.name)
+        if signal.name in run.signals() and signal.name != 'reference' and unit != signal.unit:
+            raise InputError(f"{run.source}: {signal.name} is in {unit}, the actuator's in "
+                             f'{signal.unit}; of a joint or drive: --plant joint')
+
+
+def check_joint(group: Group) -> None:
+    """Refuse a joint whose signals have nothing in common, or the opposite sign."""
+    for recording in group.recordings:
+        for channel in group.channels:
+            real, model = measured(recording, channel), predict(recording, channel, group.nominal)
+            kept = recording.fit | recording.held_out
+            if channel == 'load':
+                what = 'force (or command) against what the motion takes'
+                against = recording.motion
+                assert against is not None
+                inner = slice(against.pad, against.pad + real.size)
+                # A load takes power, whatever it is made of, and friction always does.
+                velocity = against.velocity[inner]
+                with_velocity = float(np.corrcoef(real[kept], velocity[kept])[0, 1])
+                # But a command that acts late turns against the velocity of a mass.
+                with_acceleration = float(np.corrcoef(
+                    real[kept], np.gradient(velocity)[kept])[0, 1])
+                reversed_ = with_velocity < -BRAKED and with_acceleration < BRAKED
+                real_size, model_size = float(np.std(real[kept])), float(np.std(model[kept]))
+                # Friction and gravity take more than the model, not less.
+                if FAR * real_size < model_size:
+                    raise InputError(f'{recording.source}: {what}: a factor of '
+                                     f'{real_size / model_size:.3g}; check the units, or '
+                                     'load.mass and load.damping of the model')
+            else:
+                what = 'what the drive did against its command'
+                reversed_ = float(np.corrcoef(real[kept], model[kept])[0, 1]) < -ALIKE
+                shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
+                if abs(shifted) < UNLIKE and not reversed_:
+                    raise InputError(f'{recording.source}: {what}: nothing in common')
+                slope = float(np.std(real[kept]) / np.std(model[kept]))
+                if shifted > ALIKE and not 1.0 / FACTOR < slope < FACTOR:
+                    raise InputError(f'{recording.source}: {what}: a factor of {slope:.3g}; check '
+                                     'the units')
+                if shift < -_earliest(recording) and shifted > ALIKE:
+                    raise InputError(f'{recording.source}: {what}: it comes {-1e3 * shift:.0f} ms '
+                                     'before it; the clocks differ')
+            if reversed_:
+                raise InputError(f'{recording.source}: {what}: the sign is reversed; check the '
+                                 'signs of both')
+
+
+def check_excitation(recording: Recording) -> None:
+    """Refuse a recording whose signals do not move."""
+    for name in ('command', 'force'):
+        values = getattr(recording, name)
+        if (values is not None and np.std(values) < LEAST_SWING * recording.noise[name]
+                and not (name == 'command' and _moves_something(recording))):
+            raise InputError(
+                f'{recording.source}: no excitation: {name} swings by {np.std(values):.3g} (rms), '
+                f'its noise is {recording.noise[name]:.3g}; record a run in which it moves')
+
+
+def _moves_something(recording: Recording) -> bool:
+    """Return whether a command that looks like noise is answered: it is a fast random one."""
+    answer = recording.valve_position
+    answer = recording.force if answer is None else answer
+    return (answer is not None and recording.command is not None
+            and best_shift(answer, recording.command, recording.period_s)[1] > UNLIKE)
+
+
+def check_motion(run: Run) -> list[str]:
+    """Return a warning if velocity is not the derivative of position; it is then not used."""
+    if run.velocity_m_s is None or run.position_m is None:
+        return []
+    known = np.isfinite(run.velocity_m_s) & np.isfinite(run.position_m)
+    position, velocity = run.position_m[known], run.velocity_m_s[known]
+    if agree(position, velocity, run.period_s):
+        return []
+    slope = 1.0 / velocity_over_derivative(position, velocity, run.period_s)
+    return [f'{run.source}: velocity is not the derivative of position: that is {slope:.3g} times '
+            'as large; check sign and unit of velocity, which is left out']
+
+
+def _earliest(recording: Recording) -> float:
+    """Return by how much (s) an effect may be stamped before its cause."""
+    return max(EARLY_S, EARLY_SAMPLES * recording.period_s)
+
+
+def check_against_model(group: Group) -> list[str]:
+    """Refuse what no effect could do to these channels; return a warning of what is too early."""
+    notes = []
+    for recording in group.recordings:
+        # The load before the force, which takes its velocity from the same motion.
+        for channel in sorted(group.channels, reverse=True):
+            real, model = measured(recording, channel), predict(recording, channel, group.nominal)
+            kept = recording.fit | recording.held_out
+            output, driven = COMPARED[channel]
+            where = f'{recording.source}: {output} against what the model makes of {driven}'
+            if np.std(model[kept]) == 0.0:
+                raise InputError(f'{where}: the model says that it never moves')
+            alike = float(np.corrcoef(real[kept], model[kept])[0, 1])
+            slope = float(np.std(real[kept]) / np.std(model[kept]))
+            if alike < -ALIKE:
+                raise InputError(f'{where}: the sign is reversed (correlation {alike:.2f}); check '
+                                 f'the sign of {output} and of {driven}')
+            least = 1.0 / FACTOR if channel != 'load' else 1.0 / (SOFTER * FACTOR)
+            if (alike > ALIKE and not least < slope < FACTOR) or not 1.0 / FAR < slope < FAR:
+                raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
+                                 f'and of {driven}, or the model')
+            shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
+            if shifted < UNLIKE:
+                raise InputError(f'{where}: nothing in common (correlation {alike:.2f}): this is '
+                                 'not the actuator of the model, or not the signal that it says')
+            early = shift < -_earliest(recording)
+            off = (f'{where}: {"late" if shift > 0.0 else "early"} by {abs(shift) * 1e3:.0f} ms '
+                   f'(correlation {alike:.3f}, shifted {shifted:.3f}): the clocks of {output} and '
+                   f'{driven}')
+            # With a wrong damping a free load may be ahead of its model too, but not so alike.
+            if (early or shift > LATE_S) and shifted > max(alike + IMPROVED, SAME):
+                raise InputError(f'{off} differ')
+            if early and 1.0 - shifted < 0.5 * (1.0 - alike):
+                notes.append(f'{off} may differ')
+    return notes
+
+
+def best_shift(real: Array, model: Array, period: float) -> tuple[float, float]:
+    """Return the delay (s) of `real` behind `model` at which they are most alike, and how much."""
+    a, b = real - real.mean(), model - model.mean()
+    most = min(int(1.0 / period), a.size // 4)
+    both = correlate(a, b, 'full', 'fft') / (np.linalg.norm(a) * np.linalg.norm(b))
+    middle = b.size - 1
+    window = both[middle - most:middle + most + 1]
+    best = int(np.argmax(window))
+    return (best - most) * period, float(window[best])

@@ -1,0 +1,73 @@
+"""How far the gap shrinks, on data that no fit has seen, with an interval."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import Array
+
+STRETCHES = 24   # that the held-out samples are cut into: longer than their errors remember
+DRAWS = 1000
+# How much wider than the bootstrap says: stretches of one recording do not tell how the next will
+# differ. Measured: so wide, 94 % of 62 development cases (seeds from 88000 on) hold the shrink on
+# their fresh recording.
+FRESH = 2.4
+
+
+class Shrink(NamedTuple):
+    """
+    The gap of one channel before and after, as a share of the signal's rms.
+
+    nominal: the model as it was given; refitted: its uncertain parameters fitted; after: with the
+    effects of the verdict. shrink = 1 - after / nominal, with a 95 % interval.
+    """
+
+    channel: str
+    nominal: float
+    refitted: float
+    after: float
+    noise_floor: float
+    shrink: float
+    low: float
+    high: float
+
+
+def stretches_error(group: Group, channel: str, p: np.void) -> Array:
+    """Return the mean square left in each of STRETCHES stretches of the held-out samples."""
+    left = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
+        recording.held_out] for recording in group.recordings])
+    return np.array([np.mean(part ** 2) for part in np.array_split(left, STRETCHES)])
+
+
+def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> Shrink:
+    """Return how far the gap of a channel shrinks."""
+    square = np.concatenate([measured(r, channel)[r.held_out] ** 2 for r in group.recordings])
+    size = math.sqrt(float(square.mean())) or 1.0
+    errors = {name: stretches_error(group, channel, p)
+              for name, p in (('nominal', group.nominal), ('refitted', refitted),
+                              ('after', after))}
+    rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
+    shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
+    low, high = _interval(errors['nominal'], errors['after'])
+    # Another recording may show of the nominal nonlinearities what this one does not.
+    unseen = math.sqrt(1.0 + group.formulation[channel] / max(rms['after'] ** 2, 1e-300))
+    low, high = 1.0 - (1.0 - low) * unseen, 1.0 - (1.0 - high) / unseen
+    return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
+                  group.noise[channel] / size, shrink, low, high)
+
+
+def _interval(nominal: Array, after: Array) -> tuple[float, float]:
+    """
+    Return the 95 % interval of the shrink on a fresh recording, by a bootstrap over stretches.
+
+    nominal, after: mean squares left in each stretch.
+    """
+    times = np.random.default_rng(1).multinomial(nominal.size, np.full(nominal.size,
+                                                                       1.0 / nominal.size), DRAWS)
+    drawn = 1.0 - np.sqrt((times @ after) / np.maximum(times @ nominal, 1e-300))
+    best = 1.0 - math.sqrt(after.sum() / max(nominal.sum(), 1e-300))
+    low, high = best + FRESH * (np.quantile(drawn, (0.025, 0.975)) - best)
+    return float(low), min(float(high), 1.0)

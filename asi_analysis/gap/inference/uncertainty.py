@@ -1,0 +1,88 @@
+"""
+How surely the parameters of a fit are known.
+
+The likelihood about the fit, taken as quadratic, within the bounds: so a parameter whose effect
+errors of the nominal model can take over is as uncertain as their tolerances leave it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from asi_analysis.gap.inference.bounded import least_step
+from asi_analysis.gap.inference.fit import Fitted, independent_samples
+from asi_analysis.gap.inference.verdict import CONSTANTS
+from asi_analysis.gap.prepare import Array
+
+RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the cost, at the end of a 95 % interval
+HALVINGS = 24
+THIN = 1e-9       # of the way between bounds, within which a parameter counts as held
+AT_BOUND = 1e-6   # of the way between bounds
+
+
+class Likelihood(NamedTuple):
+    """Less the log likelihood about a fit: 0.5 step' square step + slope' step, of shares."""
+
+    square: Array
+    slope: Array
+
+
+def likelihood(fitted: Fitted) -> Likelihood:
+    """
+    Return the likelihood of the parameters about a fit.
+
+    A channel counts as many samples as are independent in what it leaves, and its model error as
+    the few that the verdict counts.
+    """
+    problem, theta = fitted.problem, fitted.theta
+    group = problem.group
+    count = len(group.channels)
+    left = problem.residual(theta).reshape(count, -1)
+    slopes = problem.jacobian(theta).reshape(count, left.shape[1], -1)
+    worth = independent_samples(group, fitted.record)
+    square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
+    for channel, rest, change in zip(group.channels, left, slopes, strict=True):
+        model_error = 1.0 - group.noise[channel] ** 2 / group.floor[channel]
+        variance = (float(np.mean(rest ** 2)) / worth[channel] + model_error / CONSTANTS.samples)
+        square += change.T @ change / (rest.size * variance)
+        slope += change.T @ rest / (rest.size * variance)
+    # Where a fit ends inside its bounds it has no slope; what it has there was not worth a round.
+    inside = (theta > AT_BOUND) & (theta < 1.0 - AT_BOUND)
+    return Likelihood(square, np.where(inside, 0.0, slope))
+
+
+def draw(fitted: Fitted, found: Likelihood, rng: np.random.Generator) -> np.void:
+    """Return the record of a fit drawn from its uncertainty; what nothing tells is drawn too."""
+    triangle = np.linalg.cholesky(found.square + np.eye(fitted.theta.size))
+    step = np.linalg.solve(triangle.T, rng.standard_normal(fitted.theta.size))
+    return fitted.problem.record(np.clip(fitted.theta + step, 0.0, 1.0))
+
+
+def interval(fitted: Fitted, found: Likelihood, name: str) -> tuple[float, float]:
+    """Return the 95 % interval of a free parameter of a fit, in its unit."""
+    number = [free.field for free in fitted.free].index(name)
+    values = []
+    for bound in (0.0, 1.0):
+        theta = fitted.theta.copy()
+        theta[number] = end(found, fitted.theta, number, bound)
+        values.append(float(fitted.problem.record(theta)[name]))
+    return values[0], values[1]
+
+
+def end(found: Likelihood, theta: Array, number: int, bound: float) -> float:
+    """Return how far towards a bound a parameter goes until the cost, all others free, rises."""
+    low, high = -theta, 1.0 - theta
+
+    def cost(way: float) -> float:
+        step = way * (bound - theta[number])
+        low[number], high[number] = step - THIN, step + THIN
+        return -least_step(found.square, found.slope, low, high)[1]
+
+    least, below, above = cost(0.0), 0.0, 1.0
+    if cost(1.0) < least + RISE:
+        return bound
+    for _ in range(HALVINGS):
+        middle = 0.5 * (below + above)
+        below, above = (middle, above) if cost(middle) < least + RISE else (below, middle)
+    return float(theta[number] + above * (bound - theta[number]))

@@ -1,0 +1,229 @@
+"""Where the gap lies: by block, along the chain, and by regime."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from asi_analysis.gap.inference.verdict import Weighed
+from asi_analysis.gap.model.blocks import impedance, load_constants
+from asi_analysis.gap.model.effects import BLOCK_OF, BLOCKS
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass
+
+BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
+# Without a verdict about a channel its gap is laid at the blocks that it goes through.
+ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
+         'load': ('mechanics', 'sensor')}
+
+
+LEAST_SHARE = 0.01     # of the samples: what is rarer is no regime
+BINS = 16
+TOLD_SHARE = 0.2       # of what is left, that is worth a word
+TOLD_FACTOR = 1.6      # between the regime with most and that with least
+
+
+class Regime(NamedTuple):
+    """
+    The gap in one regime, over its rms everywhere: of the refitted model, and of the verdict.
+
+    share: of the samples.
+    """
+
+    kind: str
+    regime: str
+    relative: float
+    after: float
+    share: float
+
+
+def by_block(groups: list[Weighed]) -> dict[str, float]:
+    """
+    Return the share of each block in the gap, most first.
+
+    The gap of a channel (what the refitted nominal model leaves beyond the noise, over the size
+    of the signal) belongs to the blocks of the effects that may explain it, by their probability.
+    """
+    share = dict.fromkeys(BLOCKS, 0.0)
+    for weighed in groups:
+        group = weighed.group
+        null = weighed.candidates[()].fitted.held_out
+        for channel in group.channels:
+            size = np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings])
+            gap = max(null[channel] - group.floor[channel], 0.0) / float(size)
+            blocks: dict[str, float] = {}
+            for names, probability in weighed.probability.items():
+                known = [BLOCK_OF[name] for name in names if name in BLOCK_OF]
+                for block in known or ALONG[channel]:
+                    blocks[block] = (blocks.get(block, 0.0)
+                                     + probability / len(known or ALONG[channel]))
+            for block, probability in blocks.items():
+                share[block] += gap * probability
+    total = sum(share.values())
+    if total > 0.0:
+        share = {block: value / total for block, value in share.items()}
+    return dict(sorted(share.items(), key=lambda item: -item[1]))
+
+
+def _load_velocity(recording: Recording, p: np.void) -> Array:
+    """Return the velocity (m/s) that the nominal load takes under the measured force."""
+    force = recording.force
+    assert force is not None
+    frequency = np.fft.rfftfreq(force.size, recording.period_s)
+    omega = 2.0 * np.pi * frequency
+    stiffness = load_constants(p)[2]
+    whole = impedance(omega, p) * 1j * omega + stiffness
+    whole[0] = whole[0] or 1.0
+    velocity = 1j * omega / whole * np.fft.rfft(force) * low_pass(
+        frequency, 0.2 / recording.period_s)
+    return np.fft.irfft(velocity, force.size)
+
+
+def along_the_chain(valve: Group, force: Group, p_valve: np.void, p_force: np.void
+                    ) -> dict[str, float]:
+    """
+    Return the share of each part of the chain in the gap of the force.
+
+    Shapley values over swapping the measured for the simulated valve position and velocity; what
+    is left with both measured belongs to hydraulics and sensor.
+    """
+    recording = valve.recordings[0]
+    simulated = {'valve_position': predict(recording, 'valve', p_valve),
+                 'velocity': _load_velocity(recording, p_force)}
+    kept = recording.fit | recording.held_out
+
+    def error(*swapped: str) -> float:
+        changed: dict[str, Any] = {name: simulated[name] for name in swapped}
+        mixed = replace(recording, **changed)
+        left = measured(recording, 'force') - predict(mixed, 'force', p_force)
+        return float(np.mean(left[kept] ** 2))
+
+    none, z, v = error(), error('valve_position'), error('velocity')
+    both = error('valve_position', 'velocity')
+    parts = {'command_path and valve': 0.5 * ((z - none) + (both - v)),
+             'mechanics': 0.5 * ((v - none) + (both - z)), 'hydraulics and sensor': none}
+    total = sum(max(part, 0.0) for part in parts.values()) or 1.0
+    return {name: max(part, 0.0) / total for name, part in parts.items()}
+
+
+def regimes_of(recording: Recording, channel: str) -> dict[tuple[str, str], Mask]:
+    """Return the samples in each regime of amplitude, motion, valve and time."""
+    real = measured(recording, channel)
+    size = np.abs(real - np.median(real))
+    low, high = np.quantile(size, [1 / 3, 2 / 3])
+    found = {('amplitude', 'small'): size <= low, ('amplitude', 'medium'):
+             (size > low) & (size <= high), ('amplitude', 'large'): size > high}
+    velocity = velocity_of(recording)
+    if velocity is not None:
+        fast = np.quantile(np.abs(velocity), 0.5)
+        turns = np.flatnonzero(np.diff(np.signbit(velocity)))
+        last = np.searchsorted(turns, np.arange(real.size)) - 1
+        since = np.where(last >= 0, np.arange(real.size) - turns[last], np.inf) \
+            * recording.period_s if turns.size else np.full(real.size, np.inf)
+        found |= {
+            ('velocity', 'forward, fast'): velocity > fast,
+            ('velocity', 'forward, slow'): (velocity > 0.0) & (velocity <= fast),
+            ('velocity', 'backward, slow'): (velocity <= 0.0) & (velocity >= -fast),
+            ('velocity', 'backward, fast'): velocity < -fast,
+            ('time since reversal', 'below 5 ms'): since < 0.005,
+            ('time since reversal', '5 to 50 ms'): (since >= 0.005) & (since < 0.05),
+            ('time since reversal', 'above 50 ms'): since >= 0.05}
+    if recording.valve_position is not None and channel != 'valve':
+        opening = np.abs(recording.valve_position)
+        middle = np.quantile(opening, 0.5)
+        found |= {('valve opening', 'small'): opening <= middle,
+                  ('valve opening', 'large'): opening > middle}
+    third = np.arange(real.size) * 3 // real.size
+    return found | {('time in the run', name): third == number for number, name in enumerate(
+        ('first third', 'second third', 'last third'))}
+
+
+def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> list[Regime]:
+    """
+    Return where in frequency, amplitude, motion and time the gap of a channel is large.
+
+    before, after: records of the refitted nominal model and of the verdict.
+    """
+    square: dict[tuple[str, str], Array] = {}   # sums over all recordings: before, after, samples
+    total = np.zeros(3)
+    for recording in group.recordings:
+        kept = recording.fit | recording.held_out
+        real = measured(recording, channel)
+        left = np.array([real - predict(recording, channel, p) for p in (before, after)])
+        total += [*np.sum(left[:, kept] ** 2, axis=1), kept.sum()]
+        inner = slice(*np.flatnonzero(kept)[[0, -1]])   # without what is not judged at the start
+        for low, high in BANDS_HZ:
+            if high < 0.45 / recording.period_s:
+                edge = (high if low == 0.0 else np.array([low, high])) * 2.0 * recording.period_s
+                kind = 'lowpass' if low == 0.0 else 'bandpass'
+                band = sosfiltfilt(butter(2, edge, kind, output='sos'), left[:, inner])
+                _add(square, ('frequency', f'{low:g} to {high:g} Hz'), band, kept[inner])
+        for regime, mask in regimes_of(recording, channel).items():
+            _add(square, regime, left, kept & mask)
+    whole = np.sqrt(total[:2] / total[2])
+    return [Regime(kind, name, float(np.sqrt(part[0] / part[2]) / (whole[0] or 1.0)),
+                   float(np.sqrt(part[1] / part[2]) / (whole[0] or 1.0)),
+                   float(part[2] / total[2]))
+            for (kind, name), part in square.items() if part[2] > LEAST_SHARE * total[2]]
+
+
+def _add(square: dict[tuple[str, str], Array], regime: tuple[str, str], left: Array, kept: Mask
+         ) -> None:
+    sums = np.array([*np.sum(left[:, kept] ** 2, axis=1), kept.sum()])
+    square[regime] = square.get(regime, np.zeros(3)) + sums
+
+
+def velocity_of(recording: Recording) -> Array | None:
+    """Return the velocity (m/s), measured or from the position; None if nothing tells it."""
+    motion = recording.motion
+    if recording.velocity is not None or motion is None:
+        return recording.velocity
+    return motion.velocity[motion.pad:motion.pad + recording.fit.size]
+
+
+def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
+    """
+    Return how much of what a model leaves is a function of one quantity alone, 0 to 1.
+
+    The share of its mean square that the means in BINS bins explain, less what chance would.
+    """
+    left, kinds = [], []
+    for recording in group.recordings:
+        kept = recording.fit | recording.held_out
+        left.append((measured(recording, channel) - predict(recording, channel, p))[kept])
+        motion = recording.motion
+        inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
+        kinds.append({name: values[kept] for name, values in (
+            ('position', motion.position[inner] if motion and motion.measured else None),
+            ('velocity', velocity_of(recording)), ('command', recording.command),
+            ('valve position', recording.valve_position),
+            ('force', recording.force), ('time in the run', recording.time_s),
+            ) if values is not None and not (name == 'valve position' and channel == 'valve')})
+    rest = np.concatenate(left)
+    found = {}
+    for name in set.intersection(*(set(kind) for kind in kinds)):
+        values = np.concatenate([kind[name] for kind in kinds])
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+        place = np.clip(np.searchsorted(edges, values, 'right') - 1, 0, max(edges.size - 2, 0))
+        count = np.maximum(np.bincount(place), 1)
+        mean = np.bincount(place, rest) / count
+        found[name] = float(np.sum(count * mean ** 2) / max(float(rest @ rest), 1e-300))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
+    """Return what the unexplained part of a gap depends on, in a sentence."""
+    said = [f'{100 * share:.0f} % of it is a function of the {name}'
+            for name, share in list(depends.items())[:2] if share > TOLD_SHARE]
+    for kind in dict.fromkeys(regime.kind for regime in regimes):
+        own = [regime for regime in regimes if regime.kind == kind]
+        most = max(own, key=lambda regime: regime.after)
+        least = min(own, key=lambda regime: regime.after)
+        if most.after > TOLD_FACTOR * least.after:
+            said.append(f'by {kind} it is largest at {most.regime}'
+                        if kind != 'frequency' else f'it is strongest at {most.regime}')
+    return ('What is left: ' + '; '.join(said) + '.' if said else
+            'What is left depends on nothing that was recorded more than on anything else.')

@@ -1,0 +1,721 @@
+"""
+The blocks, each driven by its measured input, with every effect of the vocabulary built in.
+
+valve:   command -> valve position          (command path and valve)
+force:   valve position, velocity -> force  (hydraulics and seals, then the sensor)
+load:    motion -> force                    (mechanics, then the sensor)
+
+The load is run backwards, from the measured motion to the force that it takes: an error does not
+pile up in an integral, and a closed loop does no harm. It is linear but for friction, backlash and
+compliance, and so computed in the frequency domain, where a derivative is exact.
+All parameters are one record: those of the actuator, and those of the effects, which do nothing
+at zero.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.delay import delay, delay_steps
+from asi_actuator.model.force_sensor import CARD_DAMPING
+from asi_actuator.model.friction import friction
+from asi_actuator.model.hydraulic_damping import hydraulic_damping
+from asi_actuator.model.linear_lag import second_order, second_order_step
+from asi_actuator.model.valve_characteristic import valve_position
+from asi_actuator.model.valve_hysteresis import (
+    command_rate,
+    half_width,
+    play,
+    rate_decay,
+    saturated,
+    valve_hysteresis,
+)
+from asi_actuator.parameters import ACTUATOR_DTYPE, RING
+from asi_common.jit import FULL, LINEAR, jit
+
+Array = npt.NDArray[np.floating[Any]]
+Complex = npt.NDArray[np.complexfloating[Any, Any]]
+
+EFFECT_FIELDS = (
+    'command_delay',            # s
+    'command_quantum',          # N
+    'command_phase',            # of its steps: 0 has a step's middle at zero, 0.5 an edge
+    'command_truncated',        # 1: cut off towards zero, as a cast to integers does
+    'command_bias',             # N
+    'loop_width',               # N, largest half width of the plays
+    'loop_share',               # of the command that goes through the plays; above 1: see loop
+    'loop_spread',              # 0: all plays equally wide, 1: from nothing to loop_width
+    'command_deadband',         # N, half width
+    'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0 all alike
+    'valve_hysteresis_lagged',  # share of its growth with the rate that is a lag instead
+    'valve_lag',                # s, of two lags one after the other
+    'valve_lag_split',          # share of the second
+    'valve_limit',              # m, 0: none
+    'orifice_deadband',         # m, half width
+    'orifice_bias',             # m
+    'force_limit',              # N, 0: none
+    'corner',                   # how round the corner of a saturation is, 0: hard
+    'damping_viscous',          # N s/m
+    'damping_quadratic',        # N s2/m2
+    'damping_opening',          # N s/m at full opening
+    'supply_drop',              # share of the force
+    'supply_sag',               # share of the force when the valve has long been open
+    'supply_time',              # s
+    'leakage_linear',           # N/N
+    'leakage_quadratic',        # N/N at force_scale
+    'force_scale',              # N
+    'air_time',                 # s, at no force
+    'air_stiffening',           # how much faster at force_scale
+    'friction_slipping',        # share of the nominal friction that is a Maxwell slip instead
+    'friction_level',           # N
+    'friction_asymmetry',       # -1 to 1
+    'friction_breakaway',       # breakaway over sliding friction, less one
+    'friction_stribeck',        # m/s
+    'friction_bristle',         # m, deflection of the seals at breakaway
+    'friction_rounding',        # 0: all gives way at once; 0.5: bit by bit; 1: as Dahl's bristle
+    'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
+    'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
+    'viscous',                  # N s/m, at velocity_scale
+    'viscous_exponent',         # of the velocity
+    'velocity_scale',           # m/s
+    'viscous_asymmetry',        # -1 to 1
+    'backlash',                 # m, half width
+    'backlash_memory',          # 1: the load stays where it was left, 0: springs back
+    'backlash_floating',        # 1: it goes on by its own inertia, until it touches
+    'compliance',               # m/N
+    'compliance_damping',       # s
+    'piston_share',             # share of the mass before the compliance
+    'disturbance',              # N
+    'disturbance_wave',         # N
+    'disturbance_frequency',    # Hz
+    'disturbance_phase',        # turns
+    'disturbance_pulse',        # N
+    'disturbance_start',        # s
+    'disturbance_end',          # s
+    'sensor_offset',            # N
+    'sensor_gain_error',        # N/N
+    'sensor_lag',               # s, of two lags one after the other
+    'sensor_lag_split',         # share of the second
+    'sensor_drift',             # N/s
+    'sensor_drift_curve',       # N/s2
+    'sensor_drift_bend',        # N/s3
+    'load_offset',              # N, a constant that a joint's nominal model declares
+    'drive_hold',               # s, how late a joint's command acts, held as it is: below a sample
+    'drive_delay',              # s, more than that
+    'drive_lag',                # s, the same
+)
+EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
+PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
+
+PLAYS = 4         # elements of a hysteresis, and of a friction
+QUARTILE = 0.38   # four elements evenly spread over the normal law lie at -3, -1, 1, 3 of these
+
+
+@jit
+def clip_round(x, corner):
+    """Return x held within -1 to 1, its corner rounded: x / (1 + |x|^n)^(1/n), corner = 1/n."""
+    size = abs(x)
+    if corner <= 0.01 or size < 0.3:
+        return min(max(x, -1.0), 1.0)
+    if size > 3.0:
+        return 1.0 if x > 0.0 else -1.0
+    return x / (1.0 + size ** (1.0 / corner)) ** corner
+
+
+@jit
+def dead_zone(x, width):
+    """Return x less `width` towards zero."""
+    if x > width:
+        return x - width
+    if x < -width:
+        return x + width
+    return 0.0
+
+
+@jit
+def in_steps(u, quantum, phase, truncated):
+    """Return a command in steps of a quantum; phase, truncated: see EFFECT_FIELDS."""
+    if truncated > 0.5:
+        return quantum * int(u / quantum)
+    return quantum * (math.floor(u / quantum + 0.5 - phase) + phase)
+
+
+@jit
+def held_command(command, position, step):
+    """
+    Return the mean of a held command over `step` samples from `position` samples on.
+
+    Before its first sample the command is that sample. The mean, so that a delay moves the result
+    smoothly and can be fitted.
+    """
+    first = int(math.floor(position))
+    last = int(math.floor(position + step))
+    limit = command.shape[0] - 1
+    here = command[min(max(first, 0), limit)]
+    if first == last:
+        return here
+    share = (last - position) / step
+    return share * here + (1.0 - share) * command[min(max(last, 0), limit)]
+
+
+@jit
+def lag_weights(time, h):
+    """
+    Return how a first-order lag of `time` s goes on over `h` s: weights of output, input, input.
+
+    Of its old output, and of its input before and after; exact for an input that moves straight.
+    """
+    if time <= 0.0:
+        return 0.0, 0.0, 1.0
+    a = h / time
+    decay = math.exp(-a)
+    ramp = (1.0 - decay) / a
+    return decay, ramp - decay, 1.0 - ramp
+
+
+@jit
+def valve(command, p, e, period, count, out):
+    """
+    Put the valve position (m) at each sample into `out`.
+
+    command: n valve commands, N, each held for `period` s; `count` sub-steps a sample.
+    """
+    h = period / count
+    wait = e.command_delay / period
+    if p.valve_flexure_model == FULL:
+        # All that follows is invariant in time but for the command, so the delays can be one.
+        wait += p.valve_flexure_delay / period
+    decay = rate_decay(p, h)
+    coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
+    flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
+    # Of an input that is held over each step, as the command is.
+    keep, _, _ = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
+    keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
+    start = command[0] + e.command_bias
+    widths = spread(e.valve_hysteresis_spread)
+    # What remembers has come from rest: each play lags behind the first command by its width.
+    plays, fluxes = np.zeros(PLAYS), np.zeros(PLAYS)
+    magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
+    filtered, flux, slow_flux = start, start, start
+    rest = dead_zone(start, e.command_deadband)
+    first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
+    for k in range(out.shape[0]):
+        position = valve_position(pipe, p)
+        if e.valve_limit > 0.0:
+            position = e.valve_limit * clip_round(position / e.valve_limit, e.corner)
+        out[k] = position
+        for j in range(count):
+            u = held_command(command, k + j / count - wait, 1.0 / count)
+            u = min(max(u, -p.command_limit), p.command_limit)
+            if e.command_quantum > 0.0:
+                u = in_steps(u, e.command_quantum, e.command_phase, e.command_truncated)
+            u += e.command_bias
+            filtered = u + (filtered - u) * decay
+            flux_before = flux
+            flux = magnetised(fluxes, widths, u, filtered, p, e)
+            slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
+            drive = loop(plays, saturated(slow_flux, p), e)
+            after = dead_zone(drive, e.command_deadband)
+            lagged_before = lagged
+            first_before = first
+            first = keep * first + (1.0 - keep) * after
+            lagged = keep_2 * lagged + old_2 * first_before + new_2 * first
+            if p.valve_flexure_model == FULL:
+                mean = 0.5 * (lagged_before + lagged) if e.valve_lag > 0.0 else lagged
+                coil_before = coil
+                coil = mean + (coil - mean) * coil_decay
+                pipe, pipe_rate = second_order_step(
+                    pipe, pipe_rate, 0.5 * (coil_before + coil), flexure)
+            else:
+                pipe = lagged
+                if p.valve_flexure_model == LINEAR:
+                    pipe *= p.valve_flexure_linear_gain
+
+
+@jit
+def steps_promise(values, counts, sums, quanta, phase, truncated, e, out):
+    """
+    Put into `out` how much steps of each quantum (N) promise to explain, as if nothing were slow.
+
+    values: m commands (N); counts: how often each came; sums: of what steps of one newton there
+    could explain. Less what a gain and an offset of the command could do as well.
+    """
+    plain, total, mean, square = np.empty(values.size), 0.0, 0.0, 0.0
+    for i in range(values.size):
+        plain[i] = dead_zone(values[i] + e.command_bias, e.command_deadband)
+        total += counts[i]
+        mean += counts[i] * plain[i]
+    mean /= total
+    for i in range(values.size):
+        square += counts[i] * (plain[i] - mean) ** 2
+    for k in range(quanta.size):
+        even, along, size, product = 0.0, 0.0, 0.0, 0.0
+        for i in range(values.size):
+            stepped = in_steps(values[i], quanta[k], phase, truncated) + e.command_bias
+            change = dead_zone(stepped, e.command_deadband) - plain[i]
+            even += counts[i] * change
+            along += counts[i] * change * (plain[i] - mean)
+            size += counts[i] * change * change
+            product += sums[i] * change
+        size -= even * even / total + along * along / max(square, 1e-300)
+        out[k] = max(product, 0.0) ** 2 / max(size, 1e-3 * total * quanta[k] ** 2)
+
+
+@jit
+def magnetised(fluxes, widths, command, filtered, p, e):
+    """
+    Return the flux (N) of the nominal hysteresis, whose shape is left open; updates its plays.
+
+    The plays of asi_actuator/model/valve_hysteresis.py with widths that spread, and only a part
+    of their growth with the rate, where the rest is a lag: a rounded loop behind a lag measures
+    the same. filtered: state of the rate filter, N.
+    """
+    if p.valve_hysteresis_model != FULL:
+        return valve_hysteresis(0.0, command, filtered, p)
+    grown = half_width(command_rate(command, filtered, p), p) - p.valve_hysteresis_radius
+    flux = 0.0
+    for i in range(PLAYS):
+        width = p.valve_hysteresis_radius * widths[i] + (1.0 - e.valve_hysteresis_lagged) * grown
+        fluxes[i] = play(fluxes[i], command, width)
+        flux += fluxes[i] / PLAYS
+    return flux
+
+
+@jit
+def spread(wide):
+    """
+    Return the relative sizes of the elements of the nominal hysteresis or friction: 1 in the mean.
+
+    After a log-normal law: not wide gives one sharp corner, wide a smooth loop.
+    """
+    sizes = np.exp(QUARTILE * wide * np.arange(1.0 - PLAYS, PLAYS, 2.0))
+    return sizes / np.mean(sizes)
+
+
+@jit
+def loop(plays, drive, e):
+    """
+    Return what is left of a drive (N) after the effects' hysteresis; updates its plays.
+
+    A sum of plays of evenly spread widths (Prandtl, Ishlinskii), and a share that goes past them;
+    less than nothing where the loop, as one of Bouc and Wen may, first goes back as it turns.
+    """
+    if e.loop_width <= 0.0:
+        return drive
+    through = 0.0
+    for i in range(PLAYS):
+        radius = e.loop_width * (1.0 - e.loop_spread * (i + 0.5) / PLAYS)
+        plays[i] = min(max(plays[i], drive - radius), drive + radius)
+        through += plays[i] / PLAYS
+    return (1.0 - e.loop_share) * drive + e.loop_share * through
+
+
+@jit
+def seized(e):
+    """Return the elements of the effects' friction at rest, and the reach (m) of its slips."""
+    apart = min(2.0 * e.friction_rounding, 1.0)
+    places = (np.arange(PLAYS) + 0.5) / PLAYS
+    return np.zeros(PLAYS + 1), e.friction_bristle * (1.0 + apart * (2.0 * places - 1.0))
+
+
+@jit
+def slide(elements, reach, moved, velocity, e):
+    """
+    Return friction (N) at a velocity (m/s) after a way (m); updates the elements.
+
+    Generalised Maxwell slip: elements that deform (-1 to 1, in units of their own reach, m) and
+    then slide; and a bristle (the last) that gives way from the first, after Dahl. Breakaway
+    falls to sliding friction over the Stribeck velocity.
+    """
+    rise = 1.0
+    if e.friction_breakaway > 0.0:
+        relative = abs(velocity) / e.friction_stribeck
+        if relative < 20.0:
+            rise += e.friction_breakaway * math.exp(-relative ** e.friction_falling)
+    share = 0.0
+    for i in range(PLAYS):
+        elements[i] = min(max(elements[i] + moved / reach[i], -1.0), 1.0)
+        share += elements[i] / PLAYS
+    bristled = max(2.0 * e.friction_rounding - 1.0, 0.0)
+    if bristled > 0.0:
+        end = math.copysign(1.0, moved)
+        elements[PLAYS] = end + (elements[PLAYS] - end) * math.exp(
+            -abs(moved) / e.friction_bristle)
+        share += bristled * (elements[PLAYS] - share)
+    uneven = 1.0 + e.friction_asymmetry if share >= 0.0 else 1.0 - e.friction_asymmetry
+    return e.friction_level * uneven * rise * share
+
+
+@jit
+def slipping(elements, sizes, moved, velocity, p):
+    """
+    Return the nominal friction (N) in another formulation; updates the elements.
+
+    Maxwell slip whose force, not whose deflection, follows the Stribeck curve: after a stop it is
+    at once that of breakaway, where the bristle stays where it slid.
+    """
+    reach = 0.5 * (p.friction_stiction_push + p.friction_stiction_pull) / (
+        p.friction_presliding_stiffness)
+    share = 0.0
+    for i in range(PLAYS):
+        elements[i] = min(max(elements[i] + moved / (reach * sizes[i]), -1.0), 1.0)
+        share += elements[i] / PLAYS
+    stiction = p.friction_stiction_push if share >= 0.0 else p.friction_stiction_pull
+    fall = math.exp(-abs(velocity) / p.friction_stribeck_velocity)
+    return share * (p.friction_coulomb + (stiction - p.friction_coulomb) * fall)
+
+
+@jit
+def inner_friction(seal, slips, sizes, extra, reach, v, mean, p, e, h):
+    """
+    Return the deflection (m) of the nominal seals and the friction (N) before the force sensor.
+
+    slips, sizes: elements of the nominal friction in its other formulation; extra, reach: those of
+    the effects' friction; v, mean: velocity (m/s) at the end of `h` s and its mean.
+    """
+    rub = friction(seal, mean, v, p, h)
+    total = rub.force
+    if e.friction_slipping > 0.0:
+        total += e.friction_slipping * (slipping(slips, sizes, mean * h, v, p) - rub.force)
+    if e.friction_inside > 0.5:
+        if e.friction_level > 0.0:
+            total += slide(extra, reach, mean * h, v, e)
+        total += viscous_force(v, e)
+    return rub.seal, total
+
+
+@jit
+def viscous_force(v, e):
+    """Return the viscous friction (N) that the effects add at a velocity (m/s)."""
+    size = abs(v)
+    bent = 1.0 if e.viscous_exponent == 1.0 or size == 0.0 else (
+        (size / e.velocity_scale) ** (e.viscous_exponent - 1.0))
+    return e.viscous * (bent * v + e.viscous_asymmetry * size)
+
+
+@jit
+def seals(velocity, p, e, h, out):
+    """Put the friction (N) before the force sensor into `out`; velocity: m/s, each `h` s."""
+    seal, before = 0.0, velocity[0]
+    extra, reach = seized(e)
+    slips, sizes = np.zeros(PLAYS), spread(0.6)
+    for i in range(out.shape[0]):
+        v = velocity[i]
+        seal, out[i] = inner_friction(seal, slips, sizes, extra, reach, v, 0.5 * (before + v), p,
+                                      e, h)
+        before = v
+
+
+@jit
+def asked(position, velocity, p, e, h, out):
+    """
+    Put the force (N) that valve and motion ask of the fluid into `out`.
+
+    position: of the valve, m; velocity: of the piston, m/s; each `h` s.
+    """
+    keep = math.exp(-h / e.supply_time)
+    opened = 0.0
+    for i in range(out.shape[0]):
+        out[i], opened = supplied(position[i], velocity[i], opened, p, e, keep if i > 0 else 0.0)
+
+
+@jit
+def fluid_time(p):
+    """Return how late (s) the nominal fluid is."""
+    if p.fluid_dynamics_model == FULL:
+        return 1.0 / (2.0 * math.pi * p.fluid_dynamics_frequency)
+    return 0.0
+
+
+@jit
+def pressed(hydraulic, before, after, oil, p, e, h):
+    """
+    Return the force (N) of the fluid after `h` s in which what is asked of it (N) moved straight.
+
+    oil: how it goes on without leakage and air, as `lag_weights` says.
+    """
+    if e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0:
+        return oil[0] * hydraulic + oil[1] * before + oil[2] * after
+    size = abs(hydraulic) / e.force_scale
+    leak = 1.0 + e.leakage_linear + e.leakage_quadratic * size
+    time = fluid_time(p) + e.air_time / (1.0 + e.air_stiffening * size)
+    keep, old, new = lag_weights(time / leak, h)
+    return keep * hydraulic + (old * before + new * after) / leak
+
+
+@jit
+def travel(position, p, e, damping, stiffness, period, count, out):
+    """
+    Put the velocity (m/s) at each sample into `out` that piston and load take by themselves.
+
+    Where no motion was measured. position: n valve positions, m; damping N s/m, stiffness N/m of
+    the load; `count` sub-steps a sample of `period` s, of half a time constant at most.
+    """
+    h = period / count
+    oil = lag_weights(fluid_time(p), h)
+    keep = math.exp(-h / e.supply_time)
+    extra, reach = seized(e)
+    slips, sizes = np.zeros(PLAYS), spread(0.6)
+    x, v, v_before, seal = 0.0, 0.0, 0.0, 0.0
+    wanted, opened = supplied(position[0], 0.0, 0.0, p, e, 0.0)
+    hydraulic = 0.0
+    for k in range(out.shape[0]):
+        out[k] = v
+        if k == out.shape[0] - 1:
+            break
+        for j in range(count):
+            z = position[k] + (j + 1.0) / count * (position[k + 1] - position[k])
+            before, hydraulic_before = wanted, hydraulic
+            # In the middle of the step, and at its end, the velocity goes on as it did.
+            wanted, opened = supplied(z, 2.0 * v - v_before, opened, p, e, keep)
+            hydraulic = pressed(hydraulic, before, wanted, oil, p, e, h)
+            middle = 1.5 * v - 0.5 * v_before
+            seal, rub = inner_friction(seal, slips, sizes, extra, reach, middle, middle, p, e, h)
+            v_before = v
+            v += h / p.load_mass * (0.5 * (hydraulic_before + hydraulic) - rub - damping * middle
+                                    - stiffness * (x + 0.5 * h * middle))
+            x += 0.5 * h * (v_before + v)
+
+
+@jit
+def force(wanted, rub, acceleration, p, e, period, count, out):
+    """
+    Put the measured force (N) at each sample into `out`.
+
+    wanted, rub: what `asked` and `seals` give at (n - 1) count + 1 sub-steps; acceleration: of the
+    piston at n samples, m/s2; `count` sub-steps a sample of `period` s.
+    """
+    h = period / count
+    ring = np.zeros(RING)
+    # At such steps the second-order filter of the sensor's card does no more than a delay.
+    card = CARD_DAMPING / (math.pi * p.force_sensor_card_frequency)
+    wait = delay_steps(p.force_sensor_delay + card, h)
+    flexure = second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
+    sensor_gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
+
+    oil = lag_weights(fluid_time(p), h)
+    slow = lag_weights(e.sensor_lag * (1.0 - e.sensor_lag_split), h)
+    slower = lag_weights(e.sensor_lag * e.sensor_lag_split, h)
+
+    # What the sensor feels: not the inertia of the mass before it.
+    mass = p.force_sensor_mass_share * p.load_mass
+    if e.compliance > 0.0:
+        mass *= e.piston_share
+    hydraulic = wanted[0]
+    felt = hydraulic - rub[0] - mass * acceleration[0]
+    sensor, sensor_rate, sensed = felt, 0.0, felt
+    first, lagged = felt, felt
+    ring[:] = felt
+    index = 0
+    for k in range(out.shape[0]):
+        out[k] = reading(lagged, k * period, p, e)
+        if k == out.shape[0] - 1:
+            break
+        for j in range(count):
+            i = k * count + j + 1
+            inertia = mass * (acceleration[k] + (j + 1.0) / count * (acceleration[k + 1]
+                                                                     - acceleration[k]))
+            hydraulic = pressed(hydraulic, wanted[i - 1], wanted[i], oil, p, e, h)
+            felt_before = felt
+            felt = hydraulic - rub[i] - inertia
+            sensed_before = sensed
+            if p.force_sensor_model == FULL:
+                sensor, sensor_rate = second_order_step(
+                    sensor, sensor_rate, 0.5 * (felt_before + felt), flexure)
+                index = (index + 1) & (RING - 1)
+                sensed = delay(ring, index, sensor, wait)
+            else:
+                sensed = sensor_gain * felt
+            first_before = first
+            first = slow[0] * first + slow[1] * sensed_before + slow[2] * sensed
+            lagged = slower[0] * lagged + slower[1] * first_before + slower[2] * first
+
+
+@jit
+def supplied(z, v, opened, p, e, keep):
+    """
+    Return the force (N) that valve and motion ask of the fluid, and how long the valve was open.
+
+    z: valve position, m; v: velocity, m/s; opened: the opening, lagged, of which `keep` is left.
+    """
+    opened_by = dead_zone(z + e.orifice_bias, e.orifice_deadband)
+    relative = opened_by / p.valve_characteristic_full_opening
+    opening = clip_round(relative, e.corner)
+    if p.valve_characteristic_model == FULL:
+        relative = opening
+    elif p.valve_characteristic_model == LINEAR:
+        relative *= p.valve_characteristic_linear_gain
+    static = relative * p.valve_characteristic_maximum_force
+    if e.force_limit > 0.0:
+        static = e.force_limit * clip_round(static / e.force_limit, e.corner)
+    if e.supply_sag != 0.0:
+        opened = abs(opening) + keep * (opened - abs(opening))
+    static *= 1.0 - e.supply_drop - e.supply_sag * opened
+    against = v * (e.damping_viscous + e.damping_opening * abs(opening)
+                   + e.damping_quadratic * abs(v))
+    if p.hydraulic_damping_model == FULL:
+        against += hydraulic_damping(v, opening, p)
+    elif p.hydraulic_damping_model == LINEAR:
+        against += p.hydraulic_damping_linear_gain * v
+    fluid_gain = p.fluid_dynamics_linear_gain if p.fluid_dynamics_model == LINEAR else 1.0
+    return fluid_gain * (static - against), opened
+
+
+@jit
+def reading(sensed, time, p, e):
+    """Return what the sensor reads (N) of a sensed force (N) at a time (s)."""
+    return (p.force_sensor_gain * (1.0 + e.sensor_gain_error) * sensed + p.force_sensor_offset
+            + e.sensor_offset + drift(time, e))
+
+
+@jit
+def drift(time, e):
+    """
+    Return the drift (N) of the sensor's zero at a time (s).
+
+    Of third order: of a sensor that warms up in a third of the recording it leaves a hundredth.
+    """
+    return time * (e.sensor_drift + time * (e.sensor_drift_curve + time * e.sensor_drift_bend))
+
+
+@jit
+def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
+    """
+    Put into `out` the force (N) of the load that is not linear in its motion.
+
+    Friction beyond the sensor and disturbance; into `slack` how far (m) the load is behind the
+    piston for backlash. position m, velocity m/s: of the piston; damping N s/m of the load; start:
+    time of the first sample, s. Friction and backlash remember nothing of before time 0, where
+    the motion is made up.
+    """
+    elements, reach = seized(e)
+    left, before = position[0], position[0]
+    pulse = e.disturbance_end > e.disturbance_start
+    omega = 2.0 * math.pi * e.disturbance_frequency
+    for k in range(out.shape[0]):
+        x, v = position[k], velocity[k]
+        if start + k * period < 0.5 * period:
+            left, before = x, x
+        total = e.load_offset - e.disturbance
+        if e.friction_inside < 0.5:
+            if e.friction_level > 0.0:
+                total += slide(elements, reach, x - before, v, e)
+            total += viscous_force(v, e) + damping * e.viscous_asymmetry * abs(v)
+        if e.backlash > 0.0:
+            left = min(max(left, x - e.backlash), x + e.backlash)
+            seat = e.backlash_memory * left + (1.0 - e.backlash_memory) * dead_zone(x, e.backlash)
+            slack[k] = x - seat
+        if e.disturbance_frequency > 0.0:
+            time = start + k * period
+            total -= e.disturbance_wave * math.sin(omega * time
+                                                   + 2.0 * math.pi * e.disturbance_phase)
+        if pulse:
+            time = start + k * period
+            # Edges one sample wide, so that their places can be fitted.
+            rise = min(max((time - e.disturbance_start) / period + 0.5, 0.0), 1.0)
+            fall = min(max((time - e.disturbance_end) / period + 0.5, 0.0), 1.0)
+            total -= e.disturbance_pulse * (rise - fall)
+        before = x
+        out[k] = total
+
+
+@jit
+def floating(position, velocity, load, e, period, count, out):
+    """
+    Put the force (N) that a load behind a gap takes of the piston at each sample into `out`.
+
+    In the gap it goes on by itself, until it touches.
+    position m, velocity m/s: of the piston, n samples of `period` s in `count` sub-steps; load:
+    its mass kg, damping N s/m, stiffness N/m. What touches is a spring and a damper. By the
+    implicit midpoint, so that a stiff contact stays stable and loses nothing.
+    """
+    mass, damping, stiffness = load
+    h = period / count
+    push, brake = 1.0 / e.compliance, e.compliance_damping / e.compliance
+    x, v, y, w = position[0], velocity[0], position[0], velocity[0]
+    contact = 0.0
+    for k in range(out.shape[0]):
+        out[k] = contact
+        if k == out.shape[0] - 1:
+            break
+        for j in range(count):
+            share = (j + 1.0) / count
+            x_before, v_before = x, v
+            v = velocity[k] + share * (velocity[k + 1] - velocity[k])
+            # Straight between samples, and bent as the change of velocity says.
+            x = (position[k] + share * (position[k + 1] - position[k])
+                 - 0.5 * share * (1.0 - share) * period * (velocity[k + 1] - velocity[k]))
+            ahead = 0.5 * (x_before + x) - y - 0.5 * h * w
+            touch = min(max(ahead, -e.backlash), e.backlash)
+            pull, drag, rest = stiffness, damping, -stiffness * y
+            if touch != ahead:
+                pull, drag = pull + push, drag + brake
+                rest += push * (0.5 * (x_before + x) - touch - y) + brake * 0.5 * (v_before + v)
+            middle = ((w + 0.5 * h / mass * rest)
+                      / (1.0 + 0.5 * h / mass * (drag + 0.5 * h * pull)))
+            y, w = y + h * middle, 2.0 * middle - w
+            contact = push * (x - y - touch) + brake * (v - w) if touch != ahead else 0.0
+
+
+def parts(p: np.void) -> tuple[np.void, np.void]:
+    """Return the actuator's and the effects' part of the plant's record, as compiled code asks."""
+    raw = p.tobytes()
+    return (np.frombuffer(raw, ACTUATOR_DTYPE, 1)[0],
+            np.frombuffer(raw, EFFECT_DTYPE, 1, ACTUATOR_DTYPE.itemsize)[0])
+
+
+def load_constants(p: np.void) -> tuple[float, float, float]:
+    """Return mass kg, damping N s/m and stiffness N/m of the load, as the sensor feels them."""
+    kind = int(p['load_type'])
+    stiffness = (p['load_locked_stiffness'], p['load_stiffness'], 0.0, 0.0)[kind]
+    damping = (p['load_locked_damping'], p['load_damping'], 0.0, 0.0)[kind]
+    mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
+    return float(mass), float(damping), float(stiffness)
+
+
+def sensor_response(omega: Array, p: np.void) -> Complex:
+    """Return the frequency response of the sensor, gain and lag included; omega in rad/s."""
+    s = 1j * omega
+    split = p['sensor_lag_split']
+    response = 1.0 / ((1.0 + s * p['sensor_lag'] * (1.0 - split))
+                      * (1.0 + s * p['sensor_lag'] * split))
+    if p['force_sensor_model'] == FULL:
+        w = 2.0 * math.pi * p['force_sensor_natural_frequency']
+        response = response * np.exp(-s * p['force_sensor_delay']) / (
+            1.0 + 2.0 * p['force_sensor_damping_ratio'] * s / w + (s / w) ** 2)
+        w = 2.0 * math.pi * p['force_sensor_card_frequency']
+        response = response / (1.0 + 2.0 * CARD_DAMPING * s / w + (s / w) ** 2)
+    elif p['force_sensor_model'] == LINEAR:
+        response = response * p['force_sensor_linear_gain']
+    return response * (p['force_sensor_gain'] * (1.0 + p['sensor_gain_error']))
+
+
+def drive_inverse(omega: Array, p: np.void) -> Complex:
+    """Return command over force of a joint's drive: the command comes before its force."""
+    s = 1j * omega
+    return np.exp(s * (p['drive_hold'] + p['drive_delay'])) * (1.0 + s * p['drive_lag'])
+
+
+def impedance(omega: Array, p: np.void) -> Complex:
+    """Return force over velocity of the linear load without its spring, N s/m."""
+    mass, damping, _ = load_constants(p)
+    return mass * 1j * omega + damping
+
+
+def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void
+           ) -> Complex:
+    """
+    Return the spectrum of the force that a load behind a backlash and a compliance takes.
+
+    velocity, position: spectra of the piston's motion; slack: of how far the load is behind it.
+    """
+    mass, damping, stiffness = load_constants(p)
+    s = 1j * omega
+    before = mass * p['piston_share']
+    rest = p['load_mass'] * (1.0 - p['piston_share'])
+    soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
+    left = 1.0 / (1.0 + soft * (rest * s * s + damping * s + stiffness))
+    return before * s * velocity + left * (
+        (rest * s + damping) * (velocity - s * slack) + stiffness * (position - slack))

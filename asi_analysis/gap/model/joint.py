@@ -1,0 +1,259 @@
+"""
+A rigid joint or drive as nominal model, in the block language of the actuator.
+
+Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
+friction and a constant offset, identified from the recording where no values are given. Commanded
+by its position: a servo that follows at once. Where command and force are both measured, the drive
+between them is such a servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant
+from asi_analysis.gap.model.group import Group, make_group, scales
+from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.prepare import Array, Recording, prepare
+from asi_common.parameter import Value
+
+OFF = {f'{block}.model': 'off' for block in (
+    'valve_hysteresis', 'valve_flexure', 'valve_characteristic', 'hydraulic_damping',
+    'fluid_dynamics', 'friction', 'force_sensor')}
+# An ideal servo: the position in metres is the command in metres.
+IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_limit': 1e5,
+                           'valve_characteristic.maximum_force': 1.0,
+                           'valve_characteristic.full_opening': 0.01}
+# What a joint has another range of than the actuator: its inertia may be a millionth.
+OF_ANY_SIZE = frozenset(('load.mass', 'load.damping'))
+SERVO_SHARE = 0.1   # of the motion: a servo that follows better is not where the gap is
+# Share of a signal that a rigid model of a machine with gears, belts and cables does not explain.
+RIGID_ERROR = 0.02
+SERVO_ERROR = 0.03   # and a drive without any dynamics of its own
+BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of the dynamics
+# Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
+BRISTLE = (1e-5, 0.1)
+QUASI_STATIC = 0.05 # share of the force below which the mass shows nothing
+TYPICAL = 0.3       # share of the force that mass or damper may take and hide behind friction
+NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
+# A position loop that loses motion at each turn: one play, which all of the motion goes through.
+LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
+                      ('valve',), (('loop_share', 1.0), ('loop_spread', 0.0)))
+# The position loop of a slow machine waits and lags ten times as long as a valve.
+SLOW = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
+        for field in ('command_delay', 'valve_lag')}
+
+
+def drive_of(runs: Sequence[Run]) -> str:
+    """
+    Return what commands a joint: 'force' or 'position'.
+
+    A recorded command is a force. Without one, a joint whose motion misses its reference by more
+    than a tenth is a position servo; else its measured force drives it. Without motion, force
+    follows a reference or command of force as a servo does.
+    """
+    run = runs[0]
+    present = run.signals()
+    moves = 'position' in present or 'velocity' in present
+    if 'command' in present and (moves or 'force' not in present):
+        return 'force'
+    if 'command' in present:
+        return 'drive'
+    followed = present.get(run.controlled()) if 'reference' in present else None
+    if followed is None:
+        if 'force' in present:
+            return 'force'
+        raise InputError(f'{run.source}: a joint needs a command, a force or a reference of '
+                         'its motion; there are ' + ', '.join(present))
+    if run.controlled() == 'force':
+        return 'force' if moves else 'position'
+    missed = np.nanstd(followed - run.signal('reference')) / np.nanstd(followed)
+    return 'position' if 'force' not in present or missed > SERVO_SHARE else 'force'
+
+
+def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
+                 held_out: Sequence[bool], drive: str) -> tuple[list[Group], list[str]]:
+    """Return the groups of channels that a joint has, and notes."""
+    if drive != 'force':
+        return [_servo(prepare(runs, drive, held_out), tolerance, drive == 'drive')], []
+    recordings, notes = _without_bias(prepare(runs, drive, held_out))
+    groups = []
+    if all({'command', 'force'} <= run.signals().keys() for run in runs):
+        groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
+    sensed = all(run.force_n is not None for run in runs)
+    return [*groups, _telling(_mechanics(recordings, given, tolerance, sensed))], notes
+
+
+def _telling(group: Group) -> Group:
+    """
+    Return a group without the compliance of a load that is moved so slowly that no mass shows.
+
+    What is behind a compliance cannot show then either; it would pass for friction.
+    """
+    mass = float(group.nominal['load_mass'])
+    for recording in group.recordings:
+        motion, force = recording.motion, recording.force_judged
+        assert motion is not None and force is not None
+        moved = np.gradient(motion.velocity, recording.period_s)
+        if mass * float(moved.std()) > QUASI_STATIC * float(force.std()):
+            return group
+    return replace(group, effects=tuple(effect for effect in group.effects
+                                        if effect.name != 'load_compliance'))
+
+
+def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool) -> Group:
+    """
+    Return the group of a drive that should follow its command at once.
+
+    proportional: by a gain that is identified, not by one.
+    """
+    nominal = plant_record(IDEAL)
+    nominal['valve_characteristic_full_opening'] = 1.0
+    nominal['load_mass'] = 0.0
+    if proportional:
+        nominal['valve_characteristic_gain'] = _gain(recordings)
+    # A gain that was identified without a lag is far too small where there is one.
+    low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
+    gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
+    effects = tuple(effect._replace(variants=(LOST_MOTION,))
+                    if effect.name == 'backlash' and not proportional else
+                    effect._replace(variants=tuple(
+        variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free))
+        for variant in effect.variants)) for effect in EFFECTS)
+    return make_group(nominal, recordings, ('valve',), nuisance=(gain,), effects=effects,
+                      model_error=SERVO_ERROR)
+
+
+def _gain(recordings: Sequence[Recording]) -> float:
+    """Return force over command, by least squares."""
+    command = np.concatenate([r.command[r.fit] for r in recordings if r.command is not None])
+    force = np.concatenate([r.valve_position[r.fit] for r in recordings
+                            if r.valve_position is not None])
+    return float(command @ force / (command @ command))
+
+
+def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
+               sensed: bool) -> Group:
+    """Return the group that compares the force with what the motion takes."""
+    rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
+    nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
+                            'load.stiffness': 0.0, **rest})
+    for name in OF_ANY_SIZE & given.keys():
+        nominal[name.replace('.', '_')] = given[name]
+    identified, typical = _identified(recordings)
+    nuisance = []
+    for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping')):
+        if name in given:
+            if nominal[field] > 0.0:   # a share of nothing is nothing
+                nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
+        else:
+            # What was identified without friction may be far from what is true with it.
+            value = identified[field]
+            nominal[field] = value
+            nuisance.append(Free(field, 0.0, 3.0 * max(value, TYPICAL * typical[field]), (value,)))
+    nominal['load_offset'] = identified['load_offset']
+    start = identified['load_offset'] / scales(recordings)['force']
+    # Of a wheel that spins the damping takes the mean of the force, which may be taken off.
+    most = max(1.0, 2.0 * abs(start))
+    nuisance.append(Free('load_offset', -most, most, (start,), 'force'))
+    period = max(recording.period_s for recording in recordings)
+    # A held command acts half a sample late; a stamp may be off as much. A force that is read
+    # before the command's next value comes is late itself.
+    nuisance.append(Free('drive_hold', -period if sensed else 0.0, period, (0.0,)))
+    travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
+    effects = joint_effects(period, travel, 'load.mass' in given, sensed)
+    return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
+                      model_error=RIGID_ERROR)
+
+
+def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> tuple[Effect, ...]:
+    """
+    Return the effects that may be at work between the force and the motion of a joint.
+
+    period: of the samples, s; travel: range of motion, m or rad; weighed: the mass is given, so
+    that a wrong force is not taken for another mass; sensed: the force is measured, not commanded.
+    Left out is what the nominal model's own free parameters do just as well: a constant
+    disturbance is an offset. So is the constant part of asymmetric friction; that there is no
+    offset besides is an explanation of its own.
+    """
+    covered = {'disturbance', 'sensor_offset'}
+    if not weighed:
+        covered |= {'viscous', 'sensor_gain_error'}
+    if not sensed:
+        covered |= {'sensor_gain_error', 'sensor_lag', 'sensor_lag_split', 'sensor_drift',
+                    'sensor_drift_curve', 'sensor_drift_bend'}
+    low, high = (share * travel for share in BRISTLE)
+    wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
+             'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
+             # Slower than that is no force sensor, but a load that gives way.
+             'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
+
+    def kept(variant: Variant) -> bool:
+        fields = {free.field for free in variant.free}
+        return 'load' in variant.channels and not fields <= covered
+
+    def scaled(variant: Variant) -> Variant:
+        free = tuple(wider[free.field]._replace(field=free.field, unit=free.unit)
+                     if free.field in wider else free for free in variant.free
+                     if free.field != 'friction_asymmetry' or not variant.joined)
+        uneven = any(each.field == 'friction_asymmetry' for each in free)
+        return variant._replace(free=(*free, NO_OFFSET) if uneven else free)
+
+    effects = [effect._replace(variants=variants) for effect in EFFECTS
+               if (variants := tuple(scaled(v) for v in effect.variants if kept(v)))]
+    if not sensed:
+        effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=(
+            Variant((Free(field, period, 0.1, (0.002, 0.006, 0.02), '', 's'),), ('load',)),))
+            for name, field in (('transport_delay', 'drive_delay'), ('valve_lag', 'drive_lag'))]
+    return tuple(effects)
+
+
+def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[str]]:
+    """
+    Return recordings whose force has no large mean (pressure, gravity), and notes.
+
+    A force of 150 N that swings by 7 N is judged by what swings. Where the means differ by more
+    than forces swing, each recording has its own.
+    """
+    means = [float(r.force[r.fit | r.held_out].mean()) for r in recordings if r.force is not None]
+    swing = min(float(r.force.std()) for r in recordings if r.force is not None)
+    if max(map(abs, means), default=0.0) < BIASED * swing:
+        return recordings, []
+    alike = max(means) - min(means) < 2.0 * swing
+    taken = [float(np.mean(means))] * len(means) if alike else means
+    shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean)
+               if r.force is not None and r.force_judged is not None else r
+               for r, mean in zip(recordings, taken, strict=True)]
+    return shifted, ['a constant force is taken off, load_offset counts from there: '
+                     + ', '.join(f'{mean:.4g}' for mean in dict.fromkeys(taken))]
+
+
+def _identified(recordings: Sequence[Recording]) -> tuple[dict[str, float], dict[str, float]]:
+    """
+    Return mass, damping and offset by least squares on the fitted parts, none below zero.
+
+    And of mass and damping that which would take the whole force.
+    """
+    rows, right = [], []
+    for recording in recordings:
+        motion, force = recording.motion, recording.force_judged
+        if motion is None or force is None:
+            raise InputError(f'{recording.source}: a joint that is driven by a force needs its '
+                             'force (or command) and its position or velocity')
+        count = motion.velocity.size
+        inner = slice(motion.pad, motion.pad + recording.fit.size)
+        columns = [np.fft.irfft(motion.velocity_spectrum * factor * motion.judge, count)[inner]
+                   for factor in (1j * motion.omega, 1.0)]
+        rows.append(np.column_stack([*columns, np.ones(recording.fit.size)])[recording.fit])
+        right.append(force[recording.fit])
+    matrix, force = np.concatenate(rows), np.concatenate(right)
+    size = np.sqrt(np.mean(matrix ** 2, axis=0)) + 1e-30
+    solution = lsq_linear(matrix / size, force, ([0.0, 0.0, -np.inf], np.inf)).x / size
+    names = ('load_mass', 'load_damping', 'load_offset')
+    strength: Array = float(force.std()) / size
+    return (dict(zip(names, map(float, solution), strict=True)),
+            dict(zip(names, map(float, strength), strict=True)))

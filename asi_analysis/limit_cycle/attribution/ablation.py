@@ -1,0 +1,204 @@
+"""
+The paper's argument as a table: each nonlinearity alone, and all but it.
+
+A nonlinearity that is left out is replaced by its gain for small motion; the limit of the command
+stays. Shapley values share the amplitude of the cycle among the nonlinearities: the mean, over all
+orders in which they could be added, of what each adds (Shapley 1953).
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any, Final, NamedTuple
+
+from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
+from asi_actuator.parameters import as_record
+from asi_analysis.limit_cycle.prediction.predict import simulated_onset, with_gain
+from asi_analysis.loop import harmonic_balance as hb
+from asi_analysis.loop.simulation import (
+    Values,
+    as_balance,
+    loop_of,
+    remembering,
+    step_run,
+    step_runs,
+    sustained,
+)
+from asi_analysis.measures.sinusoid import Oscillation
+from asi_analysis.terminal import Progress, silent
+
+NONLINEARITIES: Final = ('valve_hysteresis', 'valve_characteristic', 'hydraulic_damping',
+                         'friction')
+# The gain at which they are compared, over the onset of the whole, if none is given.
+ABOVE_ONSET: Final = 1.12
+HARMONICS: Final = 7
+
+
+
+class Cycles(NamedTuple):
+    """What a loop with some of the nonlinearities does: simulated and balanced cycle, onset."""
+
+    simulated: Oscillation | None
+    predicted: hb.Balance | None
+    onset: tuple[float, float, float] | None
+
+
+def only(kept: Sequence[str], actuator: Values) -> dict[str, Any]:
+    """Return the actuator's parameters with each nonlinearity that is not kept as a gain."""
+    p = as_record(actuator)
+    slope = damping_force(0.0, damping_curve(0.0, p), p)[1]
+    changed: dict[str, Any] = dict(actuator)
+    for name in NONLINEARITIES:
+        if name not in kept:
+            changed[f'{name}.model'] = 'linear'
+    # Seals that do not slide only stiffen the structure a little: no gain on the velocity.
+    changed['hydraulic_damping.linear_gain'] = float(slope)
+    return changed
+
+
+def _cycle(actuator: Values, controller: Values, rate_hz: float) -> Oscillation | None:
+    return sustained(step_run(actuator, controller, rate_hz))
+
+
+def _all_subsets() -> list[tuple[str, ...]]:
+    return [subset for size in range(len(NONLINEARITIES) + 1)
+            for subset in combinations(NONLINEARITIES, size)]
+
+
+def shapley(amplitude: dict[tuple[str, ...], float]) -> dict[str, float]:
+    """Return the Shapley value of each nonlinearity, from the amplitude of every subset."""
+    count = len(NONLINEARITIES)
+    values = dict.fromkeys(NONLINEARITIES, 0.0)
+    for subset in _all_subsets():
+        for name in NONLINEARITIES:
+            if name in subset:
+                continue
+            weight = (math.factorial(len(subset)) * math.factorial(count - len(subset) - 1)
+                      / math.factorial(count))
+            joined = tuple(each for each in NONLINEARITIES if each in subset or each == name)
+            values[name] += weight * (amplitude[joined] - amplitude[subset])
+    return values
+
+
+def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: float,
+           gain: float) -> Cycles:
+    changed, settings = only(kept, actuator), with_gain(controller, gain)
+    run = step_run(changed, settings, rate_hz)
+    simulated, predicted = sustained(run), None
+    if simulated is not None:
+        loop = remembering(loop_of(changed, settings, rate_hz), run, simulated.frequency_hz)
+        guess = as_balance(run, simulated, float(loop.compensator['gain']), HARMONICS)
+        predicted = hb.balance(loop, guess)
+    return Cycles(simulated, predicted,
+                  simulated_onset(changed, controller, rate_hz, 0.35 * gain, 0.01))
+
+
+def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float | None = None,
+              report: Progress = silent) -> dict[str, Any]:
+    """
+    Return all that `asi attribute --json` prints of a configuration.
+
+    gain: of the compensator, where the cycles are compared; by default a little above the onset.
+    """
+    report('onset', 0.0)
+    onset = simulated_onset(actuator, controller, rate_hz, 0.7 * gain if gain else 4.0)
+    at = gain or (ABOVE_ONSET * onset[0] if onset else 0.0)
+    whole = _cycle(actuator, with_gain(controller, at), rate_hz) if at else None
+    document: dict[str, Any] = {
+        'gain': at or None, 'rate_hz': rate_hz,
+        'onset_gain': onset[0] if onset else None,
+        'frequency_hz': whole.frequency_hz if whole else None,
+        'amplitude_n': whole.amplitude if whole else None}
+    if whole is None:
+        return document | {'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'}
+    report('shares', 0.1)
+    subsets = _all_subsets()
+    runs = step_runs([only(subset, actuator) for subset in subsets],
+                     [with_gain(controller, at)] * len(subsets), rate_hz)
+    swings = [sustained(run) for run in runs]
+    amplitudes = {subset: swing.amplitude if swing else 0.0
+                  for subset, swing in zip(subsets, swings, strict=True)}
+    shares = shapley(amplitudes)
+    total = sum(max(value, 0.0) for value in shares.values()) or 1.0
+    causes = []
+    for number, name in enumerate(NONLINEARITIES):
+        report(name.replace('_', ' '), 0.4 + 0.15 * number)
+        others = tuple(each for each in NONLINEARITIES if each != name)
+        alone = _study((name,), actuator, controller, rate_hz, at)
+        without = _study(others, actuator, controller, rate_hz, at)
+        causes.append({
+            'nonlinearity': name, 'necessary': without.simulated is None,
+            'sufficient': alone.simulated is not None,
+            'share': shares[name] / amplitudes[NONLINEARITIES],
+            'probability': max(shares[name], 0.0) / total,
+            **_figures('alone', alone), **_figures('all_but', without)})
+    linear = amplitudes[()] > 0.0
+    return document | {'causes': causes, 'verdict': _verdict(causes, linear, document)}
+
+
+def _figures(prefix: str, cycles: Cycles) -> dict[str, float | None]:
+    simulated, predicted, onset = cycles
+    return {
+        f'{prefix}_frequency_hz': simulated.frequency_hz if simulated else None,
+        f'{prefix}_amplitude_n': simulated.amplitude if simulated else None,
+        f'{prefix}_predicted_frequency_hz': predicted.frequency_hz if predicted else None,
+        f'{prefix}_predicted_amplitude_n': predicted.amplitude_n if predicted else None,
+        f'{prefix}_onset_gain': onset[0] if onset else None}
+
+
+def _verdict(causes: list[dict[str, Any]], linear: bool, document: dict[str, Any]) -> str:
+    where = (f'at gain {document["gain"]:.4g} ({document["frequency_hz"]:.4g} Hz, '
+             f'{document["amplitude_n"]:.4g} N)')
+    if linear:
+        return (f'{where} the loop swings without any of the nonlinearities: a linear '
+                'instability, bounded by the limit of the command; no nonlinearity causes it')
+    both = [c for c in causes if c['necessary'] and c['sufficient']]
+    needed = [c for c in causes if c['necessary']]
+    if len(both) == 1 and len(needed) == 1:
+        cause = both[0]
+        without = cause['all_but_onset_gain']
+        return (f'{_name(cause)} causes the cycle {where}: alone it makes one '
+                f'({cause["alone_frequency_hz"]:.4g} Hz, {cause["alone_amplitude_n"]:.4g} N), '
+                'without it there is none '
+                + (f'below gain {without:.4g}' if without else 'at any gain tried')
+                + f'; the others shape it ({_others(causes, cause)})')
+    if needed:
+        return (f'{where} the cycle needs {" and ".join(_name(c) for c in needed)}; '
+                + ('none of them makes it alone' if not both else
+                   f'{" and ".join(_name(c) for c in both)} would make one alone'))
+    able = [c for c in causes if c['sufficient']]
+    if able:
+        return (f'{where} no single nonlinearity is needed: each of '
+                f'{", ".join(_name(c) for c in able)} makes a cycle alone')
+    return f'{where} no single nonlinearity is needed, and none makes the cycle alone'
+
+
+def _name(cause: dict[str, Any]) -> str:
+    return str(cause['nonlinearity']).replace('_', ' ')
+
+
+def _others(causes: list[dict[str, Any]], cause: dict[str, Any]) -> str:
+    return ', '.join(f'{_name(c)} {100 * c["share"]:+.0f} %' for c in causes if c is not cause)
+
+
+def as_text(document: dict[str, Any]) -> str:
+    """Return the table and the verdict for people."""
+    def pair(cause: dict[str, Any], prefix: str, kind: str = '') -> str:
+        f = cause[f'{prefix}_{kind}frequency_hz']
+        return 'none' if f is None else f'{f:.1f} Hz {cause[f"{prefix}_{kind}amplitude_n"]:.0f} N'
+
+    def gain(value: float | None) -> str:
+        return '-' if value is None else f'{value:.3g}'
+
+    lines = [f'{"":22}{"alone":^46}{"all but it":^46}',
+             f'{"nonlinearity":22}' + 2 * f'{"simulated":>16}{"predicted":>18}{"onset":>10}  '
+             + '  necessary sufficient  share']
+    for c in document['causes']:
+        lines.append(
+            f'{_name(c):22}'
+            + ''.join(f'{pair(c, p):>16}{pair(c, p, "predicted_"):>18}'
+                      f'{gain(c[f"{p}_onset_gain"]):>10}  ' for p in ('alone', 'all_but'))
+            + f'{"yes" if c["necessary"] else "no":>11}'
+            f'{"yes" if c["sufficient"] else "no":>11}{100 * c["share"]:6.0f} %')
+    return '\n'.join([*lines, '', document['verdict']])
+

@@ -1,0 +1,349 @@
+"""
+Simulated control loops with a known fault: what the attribution by shape is learnt from.
+
+Two worlds with different equations, so that what is learnt in one can be judged in the other;
+in both, PI and PID control and slaves whose set point a master moves. 'learn': first-order
+processes with a lag and a delay or an integrator; the valve of Choudhury and Kano, the play, the
+sum of plays, a valve that ends softly. 'judge': processes of third order, also with inverse
+response; the valve of He with a friction that scatters and a stem that takes its time, a soft
+play, the hysteresis of Duhem (Coleman and Hodgdon), a valve that ends before its command.
+
+The fault is the cause by construction: without noise the loop swings with it and comes to rest
+without it. A period of the controller is the unit of time, a valve's stroke of 1 its fault.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.valve_hysteresis import play as play_step
+from asi_analysis.bags.run import Run
+from asi_analysis.limit_cycle.attribution.shape import standing_frequency
+from asi_analysis.limit_cycle.attribution.valves import Stem, stick_step
+from asi_common.jit import jit
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuning',
+                 'disturbance')
+# Faults of the valve: when they cannot be told apart, the valve still can be blamed.
+VALVE_FAULTS: Final = CAUSES[:3]
+# A swing that others find at its own frequency, within this factor, can be seen.
+VISIBLE: Final = 1.5
+# Share of the loops whose set point another loop moves.
+SLAVES: Final = 0.35
+# Steps of the simulation for one of the controller, and the least lag that they see.
+SUBSTEPS: Final = 4
+LEAST_LAG: Final = 1e-3
+# Numbers by which the compiled loop knows a valve.
+LINEAR, KANO, PLAY, PLAYS, HE, SOFT_PLAY, DUHEM, SHORT, SOFT_END = range(9)
+VALVES: Final = {
+    'learn': {'stiction': KANO, 'backlash': PLAY, 'hysteresis': PLAYS, 'saturation': SOFT_END},
+    'judge': {'stiction': HE, 'backlash': SOFT_PLAY, 'hysteresis': DUHEM,
+              'saturation': SHORT}}
+
+
+class Plant(NamedTuple):
+    """
+    A process of gain 1 and its controller; times in periods of the controller.
+
+    lags: three, of which the first is that of an integrator if it integrates; inverse: time of a
+    zero in the right half plane; derivative and filter time of the controller's input. A loop may
+    be the slave of another, an integrator of `tank` under PI control that moves its set point.
+    """
+
+    lags: tuple[float, float, float]
+    delay: float
+    integrating: bool
+    inverse: float
+    gain: float
+    integral: float
+    derivative: float
+    filter: float
+    tank: float = 0.0             # 0: no master
+    tank_gain: float = 0.0
+    tank_integral: float = 1.0
+
+
+class Valve(NamedTuple):
+    """kind, and what it means: stick band and leap, or width; scatter of it; lag of the stem."""
+
+    kind: int = LINEAR
+    band: float = 0.0
+    leap: float = 0.0
+    scatter: float = 0.0
+    lag: float = 0.0
+
+
+@jit
+def _moved(kind, u, before, stem, plays, band, leap):
+    """Return a valve after a command of `u` that was `before`; plays: positions, in place."""
+    position = stem.position
+    push = u - position
+    if kind == KANO:
+        return stick_step(stem, u, before, band, leap)
+    if kind == PLAY:
+        position = play_step(position, u, 0.5 * band)
+    elif kind == PLAYS:
+        total = 0.0
+        for i in range(plays.size):
+            plays[i] = play_step(plays[i], u, 0.5 * band * (i + 0.5) / 3.0)
+            total += plays[i]
+        position = total / plays.size
+    elif kind == HE:
+        if abs(push) > 0.5 * (band + leap):
+            position = u - np.sign(push) * 0.5 * (band - leap)
+    elif kind == SOFT_PLAY:
+        beyond = abs(push) - 0.5 * band
+        if beyond > 0.0:
+            position += 0.6 * np.sign(push) * beyond
+    elif kind == DUHEM:
+        position += 2.0 / band * abs(u - before) * push + 0.1 * (u - before)
+    elif kind == SHORT:
+        position = min(max(u, -band), band)
+    elif kind == SOFT_END:
+        position = band * np.tanh(u / band)
+    else:
+        position = u
+    return Stem(position, stem.direction, stem.stopped_at, stem.stuck)
+
+
+class Lags(NamedTuple):
+    """State of a process: its three lags, in the order of the signal's way."""
+
+    first: float
+    second: float
+    third: float
+
+
+@jit
+def _after(lags, entered, keep, plant):
+    """Return the process a step after `entered` came into it; keep: what a step leaves of each."""
+    x0, x1, x2 = lags
+    if plant.integrating:
+        # The first is the integrator, at the end of the way.
+        x2 = keep[2] * x2 + (1.0 - keep[2]) * entered
+        x1 = keep[1] * x1 + (1.0 - keep[1]) * x2
+        x0 += 1.0 / SUBSTEPS / plant.lags[0] * (x1 - plant.inverse * (x2 - x1) / plant.lags[1])
+    else:
+        x0 = keep[0] * x0 + (1.0 - keep[0]) * entered
+        x1 = keep[1] * x1 + (1.0 - keep[1]) * x0
+        x2 = keep[2] * x2 + (1.0 - keep[2]) * x1
+    return Lags(x0, x1, x2)
+
+
+@jit
+def _run(plant, valve, limit, start, weather, command, output):
+    """Fill command and output, one value a period of the controller."""
+    keep = np.exp(-1.0 / SUBSTEPS / np.array(plant.lags))
+    stem_keep = np.exp(-1.0 / SUBSTEPS / max(valve.lag, LEAST_LAG))
+    smooth = np.exp(-1.0 / max(plant.filter, LEAST_LAG))
+    ring = np.zeros(max(int(plant.delay * SUBSTEPS), 1) + 1)
+    at = 0
+    lags = Lags(start, 0.0, 0.0) if plant.integrating else Lags(start, start, start)
+    stem, plays = Stem(0.0, 1.0, 0.0, False), np.zeros(6)
+    position = total = filtered = error_before = before = level = level_total = 0.0
+    direction, band = 1.0, valve.band
+    for k in range(command.size):
+        measured = weather.noise[k] + (
+            lags.first if plant.integrating
+            else lags.third - plant.inverse * (lags.second - lags.third) / plant.lags[2])
+        filtered = smooth * filtered + (1.0 - smooth) * measured
+        wanted = weather.reference[k]
+        if plant.tank > 0.0:
+            level += measured / plant.tank
+            level_total -= plant.tank_gain / plant.tank_integral * level
+            wanted += level_total - plant.tank_gain * level
+        error = wanted - filtered
+        total += plant.gain / plant.integral * error
+        u = plant.gain * (error + plant.derivative * (error - error_before)) + total
+        error_before = error
+        if abs(u) > limit:
+            total -= plant.gain / plant.integral * error
+            u = min(max(u, -limit), limit)
+        if valve.scatter > 0.0 and np.sign(u - before) != direction:
+            direction = np.sign(u - before)
+            band = valve.band * max(1.0 + valve.scatter * weather.luck[k], 0.3)
+        for _ in range(SUBSTEPS):
+            stem = _moved(valve.kind, u, before, stem, plays, band, valve.leap)
+            position = stem_keep * position + (1.0 - stem_keep) * stem.position
+            before = u
+            ring[at % ring.size] = position + weather.load[k]
+            at += 1
+            lags = _after(lags, ring[at % ring.size], keep, plant)
+        command[k], output[k] = u, measured
+
+
+class Weather(NamedTuple):
+    """What comes from outside, a number a period: set point, load, noise, luck of the valve."""
+
+    reference: Array
+    load: Array
+    noise: Array
+    luck: Array
+
+
+def run_loop(plant: Plant, valve: Valve, limit: float, weather: Weather, start: float = 3.0
+             ) -> tuple[Array, Array]:
+    """Return command and output of a loop, one sample a period of the controller."""
+    command, output = np.empty(len(weather.load)), np.empty(len(weather.load))
+    _run(plant, valve, limit, start, weather, command, output)
+    return command, output
+
+
+def still(plant: Plant, valve: Valve, limit: float, count: int) -> tuple[Array, Array]:
+    """Return command and output without noise, from well off the set point."""
+    none = np.zeros(count)
+    return run_loop(plant, valve, limit, Weather(none, none + 0.37, none, none))
+
+
+def _lasts(values: Array) -> bool:
+    """Return whether a record swings to its end: its last quarter as much as the one before."""
+    quarter = len(values) // 4
+    last, before = np.ptp(values[-quarter:]), np.ptp(values[-2 * quarter:-quarter])
+    return bool(np.isfinite(last) and last > 1e-4 and last > 0.9 * before)
+
+
+def ultimate_gain(plant: Plant, count: int) -> float:
+    """Return the gain at which the linear loop just does not come to rest."""
+    low, high = 1e-3, 1e3
+    for _ in range(24):
+        middle = float(np.sqrt(low * high))
+        _, y = still(plant._replace(gain=middle), Valve(), 1e12, count)
+        low, high = (low, middle) if not np.isfinite(y).all() or _lasts(y) else (middle, high)
+    return low
+
+
+def _plant(world: str, random: Random) -> Plant:
+    """Return a process and a controller whose gain is not set yet."""
+    delay = 10.0 ** random.uniform(-0.3, 1.4)
+    lag = delay * 10.0 ** random.uniform(-0.6, 1.2)
+    integrating = bool(random.random() < 0.35)
+    second = lag * random.uniform(0.02, 0.6) + 0.05
+    third = second * random.uniform(0.3, 1.0) if world == 'judge' else 0.05
+    inverse = second * random.uniform(0.2, 0.8) * (random.random() < 0.3) * (world == 'judge')
+    usual = 8.0 * delay if integrating else min(lag + second, 8.0 * delay)
+    integral = usual * 10.0 ** random.uniform(-0.5, 0.6)
+    derivative = random.uniform(0.1, 0.5) * delay * (random.random() < 0.3)
+    return Plant((lag, second, third), delay, integrating, float(inverse), 1.0, integral,
+                 float(derivative), float(random.choice([0.0, 1.0, 3.0])) * (delay > 2.0))
+
+
+def _valve(world: str, cause: str, random: Random) -> Valve:
+    kind = VALVES[world].get(cause, LINEAR)
+    # More often than in the valve the end is in the controller, where it can be seen.
+    if cause == 'saturation' and random.random() < 0.6:
+        kind = LINEAR
+    if cause == 'stiction':
+        return Valve(kind, 1.0, random.uniform(0.05, 1.0),
+                     0.2 * random.random() * (world == 'judge'),
+                     2.0 * random.random() * (world == 'judge'))
+    return Valve(kind, 1.0)
+
+
+def _outside(cause: str, period: float, count: int, random: Random) -> Array:
+    """Return the load that makes a loop swing from outside: of any regularity and shape."""
+    if cause != 'disturbance':
+        return np.zeros(count)
+    # A phase that wanders, by up to a turn a period, and a size that does.
+    wander = 10.0 ** random.uniform(-3.0, 0.0)
+    angle = 2.0 * np.pi * (np.arange(count) / period
+                           + np.cumsum(random.standard_normal(count)) * wander / np.sqrt(period))
+    shape = random.integers(4)
+    wave = (np.sin(angle), np.sin(angle) + 0.4 * np.sin(2.0 * angle + 1.0),
+            np.tanh(random.uniform(1.0, 8.0) * np.sin(angle)), np.arcsin(0.98 * np.sin(angle))
+            )[shape]
+    size = np.exp(10.0 ** random.uniform(-2.5, -0.2) * _drift(count, 3.0 * period, random))
+    return wave * size
+
+
+def _drift(count: int, time: float, random: Random) -> Array:
+    """Return noise of spread 1 through a lag of `time` samples."""
+    from scipy.signal import lfilter
+    keep = np.exp(-1.0 / time)
+    values = lfilter([np.sqrt(1.0 - keep * keep)], [1.0, -keep],
+                     random.standard_normal(count + int(4 * time)))
+    return values[-count:]
+
+
+def _mastered(plant: Plant, random: Random) -> Plant:
+    """Return the plant as the slave of a tank's level control, by SIMC's rules, roughly."""
+    slave = plant.delay + plant.lags[1] + plant.integral
+    slow = slave * random.uniform(1.5, 6.0)
+    tank = slow * 10.0 ** random.uniform(0.0, 1.0)
+    return plant._replace(tank=tank, tank_gain=random.uniform(0.3, 1.0) * tank / slow,
+                          tank_integral=slow * random.uniform(2.0, 8.0))
+
+
+def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
+    """Return a recording of a loop that oscillates for a known cause; None if it does not."""
+    plant, valve = _plant(world, random), _valve(world, cause, random)
+    horizon = min(int(60.0 * (plant.delay + plant.lags[1] + plant.integral)), 8000)
+    limit_gain = ultimate_gain(plant, horizon)
+    share = {'tight_tuning': 10.0 ** random.uniform(-0.1, -0.005),
+             'saturation': random.uniform(1.15, 3.0)}.get(cause, random.uniform(0.1, 0.65))
+    plant = plant._replace(gain=share * limit_gain)
+    limit = 1.0 if cause == 'saturation' and valve.kind == LINEAR else 1e9
+    if cause != 'saturation' and not plant.integrating and random.random() < SLAVES:
+        plant = _mastered(plant, random)
+        horizon = min(int(horizon + 30.0 * plant.tank_integral), 15_000)
+        if _lasts(still(plant, Valve(), limit, horizon)[1]):
+            return None
+    if cause == 'disturbance':
+        period = (plant.delay + plant.lags[1]) * 10.0 ** random.uniform(0.6, 1.7)
+    else:
+        gain = limit_gain if cause == 'tight_tuning' else plant.gain
+        _, y = still(plant._replace(gain=gain), valve, limit, horizon)
+        if cause != 'tight_tuning' and not _lasts(y):
+            return None
+        period = _period(y)
+    if not 4.0 < period < 2000.0:
+        return None
+    count = int(period * 10.0 ** random.uniform(0.7, 1.7))
+    settle = int(8.0 * period + 4.0 * plant.integral)
+    total = count + settle
+    outside = _outside(cause, period, total, random)
+    by_reference = random.random() < 0.3
+    load = 10.0 ** random.uniform(-3.0, -0.4) * _drift(
+        total, period * 10.0 ** random.uniform(-0.7, 1.0), random) + random.uniform(-0.7, 0.7)
+    # What the master is asked for, or what flows into its tank, moves a slave's set point.
+    asked = np.zeros(total) if plant.tank == 0.0 else 10.0 ** random.uniform(-1.5, 0.0) * _drift(
+        total, period * 10.0 ** random.uniform(-0.3, 1.0), random)
+    weather = Weather(outside * by_reference + asked, load + outside * (not by_reference),
+                      np.zeros(total), random.standard_normal(total))
+    # What has to cycle by itself begins well off its set point; what noise shakes, at rest.
+    start = 0.0 if cause in ('tight_tuning', 'disturbance') else 3.0
+    _, quiet = run_loop(plant, valve, limit, weather, start)
+    # A tight loop also swings with nothing but the noise of its sensor.
+    most = 0.7 if cause == 'tight_tuning' else -0.5
+    hiss = float(np.std(quiet[settle:])) * 10.0 ** random.uniform(-3.0, most)
+    command, output = run_loop(plant, valve, limit, weather._replace(
+        noise=hiss * random.standard_normal(total)), start)
+    return _recorded(command[settle:], output[settle:], period, random, cause)
+
+
+def _period(values: Array) -> float:
+    """Return the mean time between upward crossings of the mean, in the second half; 0 if none."""
+    half = values[len(values) // 2:] - values[len(values) // 2:].mean()
+    up = np.flatnonzero((half[:-1] < 0.0) & (half[1:] >= 0.0))
+    return float(up[-1] - up[0]) / (len(up) - 1) if len(up) > 2 else 0.0
+
+
+def _recorded(command: Array, output: Array, period: float, random: Random, cause: str
+              ) -> Run | None:
+    """Return the signals as a plant's archive has them: every so many, and rounded."""
+    if not np.isfinite(output).all() or np.ptp(output) < 1e-6 or np.ptp(command) < 1e-6:
+        return None
+    every = max(1, int(period / random.uniform(10.0, 120.0)))
+    rounded = [np.round(values / step) * step if step > 0.0 else values
+               for values in (command, output)
+               for step in [np.ptp(values) * 10.0 ** random.uniform(-3.5, -1.4)
+                            * (random.random() < 0.5)]]
+    t = np.arange(len(output), dtype=np.float64)[::every]
+    seen = standing_frequency(t, rounded[1][::every]) * period
+    # Nobody asks for the cause of a swing that cannot be seen.
+    if not 1.0 / VISIBLE < seen < VISIBLE:
+        return None
+    return Run(t, command_n=rounded[0][::every], force_n=rounded[1][::every], source=cause)

@@ -1,0 +1,198 @@
+"""`asi attribute BAG`: the cause of a recorded oscillation, by its shape and by its model."""
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle.attribution.ablation import attribute
+from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
+from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, Shape, shape
+from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run, response_of
+from asi_analysis.terminal import Progress, silent
+
+WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
+# Below this probability the most likely cause is not named as the cause.
+NAMED: Final = 0.8
+# What only one of the two ways knows is null by the other.
+EMPTY: Final[dict[str, Any]] = dict.fromkeys(
+    [f'{prefix}_{name}' for prefix in ('alone', 'all_but') for name in (
+        'frequency_hz', 'amplitude_n', 'predicted_frequency_hz', 'predicted_amplitude_n',
+        'onset_gain')] + ['unexplained', 'frequency_error', 'amplitude_error'])
+# How far a predicted cycle may be off by its method: in the logarithm of frequency, amplitude.
+SPREAD: Final = (0.03, 0.15)
+# Cycles of a record's slowest peak that may be the begin of what is slower.
+EDGE: Final = 0.25
+# Less of a record than this is no part to be judged alone.
+LEAST_PART: Final = 0.5
+# How common the causes are, against each other, in loops that swing: surveys find a third of them
+# due to the valve, nearly always friction, a third to tuning, the rest to what comes from outside
+# (Bialkowski, Pulp & Paper Canada 94, 1993; Desborough and Miller, CPC VI, 2001).
+PRIOR: Final = {'stiction': 2.0, 'backlash': 1.0, 'hysteresis': 0.5, 'saturation': 0.7,
+                'tight_tuning': 2.0, 'disturbance': 2.0}
+SEPARATE: Final = {
+    frozenset({'tight_tuning', 'disturbance'}): 'open the loop (controller in manual): an '
+        'outside disturbance stays, tight tuning stops',
+    frozenset({'stiction', 'disturbance'}): 'open the loop (controller in manual): an outside '
+        'disturbance stays, stiction stops',
+    frozenset({'stiction', 'backlash'}): 'move the command up and down by small steps in manual: '
+        'backlash answers every step after a reversal but the first, stiction jumps',
+    frozenset({'stiction', 'tight_tuning'}): 'halve the gain: tight tuning stops, stiction '
+        'goes on, more slowly',
+    frozenset({'backlash', 'tight_tuning'}): 'halve the gain: tight tuning stops, backlash goes '
+        'on or stops without ringing',
+    frozenset({'backlash', 'hysteresis'}): 'a slow triangle of the command in manual, in two '
+        'sizes: the width of a play stays the same, that of hysteresis grows',
+}
+
+
+def _cut(run: Run, signal: str | None) -> Segment:
+    """
+    Return the longest stretch that is not still.
+
+    As long as the record if that is cut into short ones: a plant's oscillation comes and goes,
+    and its shape needs all of it.
+    """
+    segments = judge_run(run, signal)
+    moving = [s for s in segments if s.why != 'the signal does not move'] or segments
+    swings = [s for s in moving if s.verdict != 'noise'] or moving
+    chosen = max(swings, key=lambda s: s.end_s - s.start_s)
+    if chosen.end_s - chosen.start_s < LEAST_PART * run.duration_s:
+        return chosen._replace(start_s=segments[0].start_s, end_s=segments[-1].end_s)
+    return chosen
+
+
+def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> Shape:
+    """Return the shape of the stretch that a document of `attribute_run` speaks of."""
+    part = run.between(document['start_s'], document['end_s'] + 0.5 * run.period_s)
+    name, output = response_of(part, signal)
+    if part.command_n is None or name == 'command':
+        raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
+                         'and output of the loop')
+    try:
+        found = shape(part.time_s, part.command_n, output)
+    except InputError as error:
+        raise InputError(f'{run.source or "the run"}: {error}') from None
+    if found.cycles < FEWEST_CYCLES + EDGE:
+        raise InputError(f'{run.source or "the run"}: a wander, no oscillation: nothing stands '
+                         f'out that has {FEWEST_CYCLES:g} cycles or more')
+    return found
+
+
+def shape_probabilities(found: Shape) -> dict[str, float]:
+    """Return the probability of each cause, by shape; the most probable first."""
+    from asi_analysis.limit_cycle.attribution.calibration import probabilities
+    learnt = json.loads(WEIGHTS.read_text())
+    chances = dict(zip(learnt['causes'], probabilities(found.features, learnt)[0], strict=True))
+    weighted = {name: float(chance) * PRIOR[name] for name, chance in chances.items()}
+    total = sum(weighted.values())
+    chances = {name: chance / total for name, chance in weighted.items()}
+    return dict(sorted(chances.items(), key=lambda item: -item[1]))
+
+
+def attribute_run(run: Run, signal: str | None = None, report: Progress = silent
+                  ) -> dict[str, Any]:
+    """
+    Return all that `asi attribute BAG --json` prints.
+
+    A bag of this package's actuator is also compared with the cycles that its model makes with
+    each nonlinearity alone. Raises InputError without command and output, or if the motion is the
+    answer to the reference.
+    """
+    report('judging', 0.0)
+    segment = _cut(run, signal)
+    if segment.verdict == 'forced':
+        raise InputError(f'{run.source or "the run"}: no oscillation of its own to attribute: '
+                         f'{segment.why}')
+    document: dict[str, Any] = {
+        'source': run.source, 'start_s': segment.start_s, 'end_s': segment.end_s,
+        'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None}
+    if np.isfinite(segment.frequency_hz):
+        document |= {'frequency_hz': segment.frequency_hz, 'amplitude_n': segment.amplitude}
+    configuration = run.information
+    if 'actuator' in configuration and 'controller' in configuration and (
+            segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
+        return document | _by_model(run, segment, report)
+    report('shape', 0.3)
+    found = shape_of(run, document, signal)
+    document['frequency_hz'] = found.frequency_hz
+    chances = shape_probabilities(found)
+    causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
+               'probability': chance, 'unexplained': _unexplained(found, cause)}
+              for cause, chance in chances.items()]
+    return document | {'causes': [EMPTY | cause for cause in causes],
+                       'verdict': _shape_verdict(chances, found, segment)}
+
+
+def _unexplained(found: Shape, cause: str) -> float | None:
+    kind = 'linear' if cause in ('tight_tuning', 'disturbance') else cause
+    return found.explanations[kind].unexplained if kind in found.explanations else None
+
+
+def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) -> str:
+    (first, most), (second, next_) = list(chances.items())[:2]
+    what = (f'{found.frequency_hz:.4g} Hz, {found.cycles:.3g} cycles ({segment.verdict}), '
+            'by shape')
+    if most >= NAMED:
+        return f'{what}: {_words(first)} ({100 * most:.0f} %)'
+    valve = sum(chances[name] for name in VALVE_FAULTS)
+    if valve >= NAMED:
+        kinds = ', '.join(f'{_words(name)} {100 * chance:.0f} %'
+                          for name, chance in chances.items() if name in VALVE_FAULTS)
+        return f'{what}: the valve ({100 * valve:.0f} %), but which fault cannot be told: {kinds}'
+    test = SEPARATE.get(frozenset({first, second}),
+                        'a step of the command in manual, and a run at half the gain')
+    return (f'{what}: cannot tell {_words(first)} ({100 * most:.0f} %) from {_words(second)} '
+            f'({100 * next_:.0f} %); what would tell: {test}')
+
+
+def _words(cause: str) -> str:
+    return {'tight_tuning': 'tight linear tuning', 'disturbance': 'an outside disturbance'}.get(
+        cause, cause)
+
+
+def _by_model(run: Run, segment: Segment, report: Progress) -> dict[str, Any]:
+    """Return the causes of a cycle of this package's actuator, each with its predicted cycle."""
+    information = run.information
+    controller = information['controller']
+    rate = float(information.get('experiment', {}).get('rate_hz') or run.rate_hz)
+    gain = float(controller.get('gain') or 0.0)
+    from asi_controller.compensator import OWN_GAIN
+    gain = gain or OWN_GAIN[str(controller.get('compensator', 'proportional'))]
+    table = attribute(information['actuator'], controller, rate, gain, report)
+    weights = []
+    for cause in table['causes']:
+        frequency, amplitude = cause['alone_frequency_hz'], cause['alone_amplitude_n']
+        if frequency is None:
+            cause |= {'frequency_error': None, 'amplitude_error': None}
+            weights.append(1e-3)
+            continue
+        errors = (np.log(frequency / segment.frequency_hz), np.log(amplitude / segment.amplitude))
+        cause |= {'frequency_error': float(np.expm1(errors[0])),
+                  'amplitude_error': float(np.expm1(errors[1]))}
+        # The others are missing from this cycle: their share of the amplitude is an error too.
+        spread = (SPREAD[0] + 0.05, SPREAD[1] + 0.5)
+        weights.append(float(np.exp(-0.5 * sum((e / s) ** 2 for e, s in zip(errors, spread,
+                                                                           strict=True)))))
+    for cause, weight in zip(table['causes'], weights, strict=True):
+        cause['probability'] = weight / max(sum(weights), 1e-12)
+    expected = table['frequency_hz']
+    fits = expected is not None and abs(np.log(expected / segment.frequency_hz)) < SPREAD[0]
+    verdict = table['verdict'] if fits else (
+        f'the model of the bag does not make the measured cycle ({segment.frequency_hz:.4g} Hz, '
+        f'{segment.amplitude:.4g} {segment.unit}) but '
+        + (f'{expected:.4g} Hz, {table["amplitude_n"]:.4g} N' if expected else 'none')
+        + ': find the gap first (asi gap)')
+    return {'causes': [EMPTY | cause for cause in table['causes']], 'verdict': verdict}
+
+
+def as_text(document: dict[str, Any]) -> str:
+    """Return the answer for people."""
+    lines = [f'{c["nonlinearity"].replace("_", " "):<22}{100 * c["probability"]:5.1f} %'
+             for c in document['causes']]
+    return '\n'.join([*lines, '', document['verdict']])
+
+

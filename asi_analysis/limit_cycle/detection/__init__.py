@@ -1,0 +1,1 @@
+"""Is a recorded oscillation a limit cycle: detection in a bag, with its confidence."""

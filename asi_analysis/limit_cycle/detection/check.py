@@ -1,0 +1,250 @@
+"""
+The check of the limit-cycle analysis on signals of known truth: `asi limit-cycle --check`.
+
+Sines for the accuracy, against the Cramér-Rao bound; and one family of signals a verdict.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+from scipy.integrate import solve_ivp
+
+from asi_analysis.bags.run import Run
+from asi_analysis.limit_cycle.detection.verdict import judge_run
+from asi_analysis.measures.sinusoid import fit
+from asi_analysis.terminal import Progress
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+
+def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: float,
+               noise: float, drift: int = 1) -> tuple[float, float]:
+    """Return the least standard deviations of frequency (Hz) and amplitude: white noise."""
+    t = time_s - time_s.mean()
+    angle = 2.0 * np.pi * frequency_hz * t + phase
+    jacobian = np.column_stack([-amplitude * 2.0 * np.pi * t * np.sin(angle),
+                                -amplitude * np.sin(angle), np.cos(angle),
+                                *[t**k for k in range(drift + 1)]])
+    bound = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * noise
+    return float(bound[0]), float(bound[2])
+
+
+def check_accuracy(cycles: float, samples_a_cycle: float, snr_db: float, count: int,
+                   seed: int) -> dict[str, float]:
+    """
+    Return errors over the Cramér-Rao bound and coverage of the 95 % intervals.
+
+    Sines of amplitude 1 on a drifting mean, a tenth of the samples missing.
+    """
+    random = np.random.default_rng(seed)
+    errors, covered = [], []
+    noise = np.sqrt(0.5 / 10.0 ** (snr_db / 10.0))
+    for _ in range(count):
+        frequency = 10.0 ** random.uniform(-1.0, 2.0)
+        t = np.arange(int(cycles * samples_a_cycle)) / (frequency * samples_a_cycle)
+        if len(t) > 20:
+            t = t[random.random(len(t)) > 0.1]
+        phase = random.uniform(0.0, 2.0 * np.pi)
+        centred = t - t.mean()
+        y = (np.cos(2.0 * np.pi * frequency * centred + phase) + 3.0
+             + random.normal() * centred / np.ptp(t) + noise * random.standard_normal(len(t)))
+        found = fit(t, y)
+        assert found is not None
+        bound = cramer_rao(t, frequency, 1.0, phase, noise)
+        errors.append([(found.frequency_hz - frequency) / bound[0],
+                       (found.amplitude - 1.0) / bound[1]])
+        low, high = found.interval('frequency_hz')
+        least, most = found.interval('amplitude')
+        covered.append([low < frequency < high, least < 1.0 < most])
+    rms, share = np.sqrt(np.mean(np.square(errors), axis=0)), np.mean(covered, axis=0)
+    return {'cycles': cycles, 'samples_a_cycle': samples_a_cycle, 'snr_db': snr_db,
+            'frequency_error_over_bound': float(rms[0]),
+            'amplitude_error_over_bound': float(rms[1]),
+            'frequency_coverage': float(share[0]), 'amplitude_coverage': float(share[1])}
+
+
+def _noisy(y: Array, random: Random) -> Array:
+    """Return the signal with 15 to 40 dB of white noise."""
+    size = np.std(y) * 10.0 ** (-random.uniform(15.0, 40.0) / 20.0)
+    return y + size * random.standard_normal(len(y))
+
+
+def _oscillator(random: Random, mu: float, cubic: float, start: float, settle: float,
+                fewest_cycles: float = 10.0) -> Run:
+    """Return a run of x'' = mu (1 - x²) x' - x - cubic x³, up to 100 cycles, from `start`."""
+    cycles = random.uniform(fewest_cycles, 100.0)
+    t: Array = np.linspace(0.0, 2.0 * np.pi * cycles, int(cycles * random.uniform(12.0, 60.0)))
+    solution = solve_ivp(
+        lambda _, x: [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0] - cubic * x[0] ** 3],
+        (-settle, t[-1]), [start, 0.0], t_eval=t, rtol=1e-7, atol=1e-8)
+    return Run(t, force_n=_noisy(solution.y[0], random))
+
+
+def van_der_pol(random: Random) -> Run:
+    """Return a Van der Pol oscillator on its cycle."""
+    mu = random.uniform(0.1, 3.0)
+    return _oscillator(random, mu, 0.0, 2.0, 50.0 + 20.0 / mu)
+
+
+def van_der_pol_approach(random: Random) -> Run:
+    """Return a Van der Pol oscillator that comes to its cycle from inside or outside."""
+    return _oscillator(random, random.uniform(0.2, 0.5), 0.0, random.choice([0.05, 6.0]), 0.0,
+                       40.0)
+
+
+def duffing(random: Random) -> Run:
+    """Return a self-excited oscillator with a hardening spring on its cycle."""
+    mu = random.uniform(0.1, 1.0)
+    return _oscillator(random, mu, random.uniform(0.1, 2.0), 2.0, 50.0 + 20.0 / mu)
+
+
+def duffing_decay(random: Random) -> Run:
+    """Return a damped oscillator with a hardening spring: frequency falls with amplitude."""
+    damping, cubic = 10.0 ** random.uniform(-2.3, -1.3), random.uniform(0.1, 2.0)
+    cycles = random.uniform(10.0, 60.0)
+    t: Array = np.linspace(0.0, 6.0 * cycles, int(cycles * random.uniform(12.0, 60.0)))
+    solution = solve_ivp(lambda _, x: [x[1], -2 * damping * x[1] - x[0] - cubic * x[0] ** 3],
+                         (0.0, t[-1]), [2.0, 0.0], t_eval=t, rtol=1e-7, atol=1e-8)
+    return Run(t, force_n=_noisy(solution.y[0], random))
+
+
+def third_order_loop(random: Random, drive: Callable[[float, float], float], settle: int) -> Run:
+    """Return 1/(s + 1)³ in feedback with `drive(error, last drive)`: 10 to 60 cycles of 3.6 s."""
+    step, count = 0.01, int(random.uniform(10.0, 60.0) * 363)
+    x = np.array([0.1, 0.0, 0.0])
+    force, command = np.empty(count + settle), np.empty(count + settle)
+    u = 1.0
+    for k in range(count + settle):
+        u = drive(-x[2], u)
+        x = x + step * np.array([u - x[0], x[0] - x[1], x[1] - x[2]])
+        force[k], command[k] = x[2], u
+    every = int(random.integers(1, 20))
+    t = np.arange(count, dtype=np.float64)[::every] * step
+    return Run(t, force_n=_noisy(force[settle:], random)[::every],
+               command_n=command[settle:][::every])
+
+
+def relay(random: Random) -> Run:
+    """Return a loop with a relay, with or without hysteresis."""
+    width = random.uniform(0.0, 0.1)
+    return third_order_loop(
+        random, lambda e, u: 1.0 if e > width else -1.0 if e < -width else u, 2000)
+
+
+def saturated(random: Random) -> Run:
+    """Return an unstable linear loop whose command is at its limits."""
+    gain = random.uniform(9.0, 20.0)
+    return third_order_loop(random, lambda e, _: float(np.clip(gain * e, -1.0, 1.0)), 10_000)
+
+
+def linear_loop(random: Random, visible: bool) -> Run:
+    """
+    Return a linear loop just inside its stability limit.
+
+    visible: its decay is 5 to 50 times what noise makes of a steady one; else 0 to 1 times.
+    """
+    cycles = random.uniform(5.0, 100.0)
+    rate_hz = random.uniform(8.0, 60.0)
+    t = np.arange(int(cycles * rate_hz)) / rate_hz
+    snr = 10.0 ** random.uniform(1.5, 4.0)
+    least = np.sqrt(12.0 / (len(t) * snr)) / t[-1]
+    rate = least * (10.0 ** random.uniform(0.7, 1.7) if visible else random.uniform(0.0, 1.0))
+    y = np.exp(-rate * (t - 0.5 * t[-1])) * np.cos(2 * np.pi * t + random.uniform(0.0, 6.0))
+    return Run(t, force_n=y + np.sqrt(0.5 / snr) * random.standard_normal(len(t)))
+
+
+def forced(random: Random) -> Run:
+    """Return a linear loop that a sine drives."""
+    t: Array = np.linspace(0.0, random.uniform(10.0, 100.0), int(random.uniform(800, 4000)))
+    y = random.uniform(0.2, 3.0) * np.cos(2.0 * np.pi * t - 1.0)
+    return Run(t, reference_n=10.0 + np.cos(2.0 * np.pi * t), force_n=_noisy(y, random))
+
+
+def resonance(random: Random) -> Run:
+    """Return noise through a resonance of quality 3 to 100."""
+    quality, samples = random.uniform(3.0, 100.0), random.uniform(8.0, 40.0)
+    count = int(random.uniform(20.0, 200.0) * samples)
+    pulsation = 2.0 * np.pi / samples
+    radius = np.exp(-0.5 * pulsation / quality)
+    driven = random.standard_normal(count + int(20 * quality * samples))
+    y = signal.lfilter([1.0], [1.0, -2.0 * radius * np.cos(pulsation), radius**2], driven)
+    t = np.arange(count, dtype=np.float64) / samples
+    return Run(t, force_n=_noisy(y[-count:] / np.std(y), random))
+
+
+def white(random: Random) -> Run:
+    """Return white noise."""
+    n = int(random.uniform(100, 2000))
+    return Run(np.arange(n, dtype=np.float64) * 0.01, force_n=random.standard_normal(n))
+
+
+FAMILIES: Final[dict[str, tuple[Callable[[Random], Run], str]]] = {
+    'Van der Pol': (van_der_pol, 'limit_cycle'),
+    'Van der Pol, approach': (van_der_pol_approach, 'limit_cycle'),
+    'Duffing, self-excited': (duffing, 'limit_cycle'),
+    'Duffing, damped': (duffing_decay, 'decaying'),
+    'relay feedback': (relay, 'limit_cycle'),
+    'saturated loop': (saturated, 'saturating'),
+    'linear loop, decay visible': (lambda r: linear_loop(r, True), 'decaying'),
+    'linear loop, decay hidden': (lambda r: linear_loop(r, False), 'unsteady'),
+    'driven linear loop': (forced, 'forced'),
+    'noise with a resonance': (resonance, 'noise'),
+    'white noise': (white, 'noise'),
+}
+
+
+def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
+    """
+    Return how often the longest segment that is not noise has the right verdict.
+
+    And how often any segment of a signal that is no limit cycle is called one.
+    """
+    make, truth = FAMILIES[family]
+    random = np.random.default_rng(seed)
+    verdicts: Counter[str] = Counter()
+    false_cycles = 0
+    for _ in range(count):
+        segments = judge_run(make(random))
+        # What is left when an oscillation has died is noise, rightly so.
+        swings = [s for s in segments if s.verdict != 'noise'] or segments
+        longest = max(swings, key=lambda s: s.end_s - s.start_s)
+        verdicts[longest.verdict] += 1
+        false_cycles += truth != 'limit_cycle' and any(
+            s.verdict == 'limit_cycle' for s in segments)
+    return {'family': family, 'truth': truth, 'count': count, 'right': verdicts[truth],
+            'false_limit_cycles': false_cycles, 'verdicts': dict(verdicts)}
+
+
+def check(count: int, seed: int, report: Progress) -> dict[str, Any]:
+    """Return both tables: `count` signals a row."""
+    grid = [(cycles, samples, snr) for cycles in (3.0, 10.0, 100.0, 300.0)
+            for samples in (5.0, 12.0, 40.0) for snr in (10.0, 25.0, 40.0)]
+    rows = len(grid) + len(FAMILIES)
+    accuracy = []
+    for row, case in enumerate(grid):
+        report(f'sines of {case[0]:g} cycles, {case[1]:g} samples a cycle', row / rows)
+        accuracy.append(check_accuracy(*case, count, seed + row))
+    verdicts = []
+    for row, family in enumerate(FAMILIES):
+        report(family, (len(grid) + row) / rows)
+        verdicts.append(check_verdicts(family, count, seed + row))
+    return {'accuracy': accuracy, 'verdicts': verdicts}
+
+
+def as_text(document: dict[str, Any]) -> str:
+    """Return both tables for people."""
+    lines = ['cycles  samples a cycle  SNR dB   error / bound: frequency  amplitude   '
+             'coverage of 95 %: frequency  amplitude']
+    lines += [f'{r["cycles"]:6g}{r["samples_a_cycle"]:17g}{r["snr_db"]:8g}'
+              f'{r["frequency_error_over_bound"]:27.2f}{r["amplitude_error_over_bound"]:11.2f}'
+              f'{r["frequency_coverage"]:30.3f}{r["amplitude_coverage"]:11.3f}'
+              for r in document['accuracy']]
+    lines += ['', f'{"family":<28}{"truth":<13}{"right":>8}{"false limit cycles":>20}']
+    lines += [f'{r["family"]:<28}{r["truth"]:<13}{r["right"]:>4}/{r["count"]}'
+              f'{r["false_limit_cycles"]:>15}' for r in document['verdicts']]
+    return '\n'.join(lines)

@@ -1,0 +1,116 @@
+"""What else than the loop may set a motion: a reference that it follows, a stop that it meets."""
+
+from typing import Final
+
+import numpy as np
+
+from asi_analysis.bags.run import Run
+from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
+from asi_analysis.measures.record import Array, reduce
+from asi_analysis.measures.sinusoid import Oscillation, fit, known, on_grid
+
+# Delays, in cycles, of the reference from which the motion about a frequency is put together.
+DELAYS: Final = np.arange(-1, 9) / 4.0
+# Share of the motion about a frequency that the reference must explain.
+FOLLOWS: Final = 0.5
+# Share of the time at a stop from which the stop, not the loop, sets the amplitude: a sine cut so
+# far passes with 0.96 of its fundamental.
+STOPPED: Final = 0.25
+
+
+def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Array] | None:
+    """Return times and values of the reference in a stretch, None if it does not move there."""
+    if run.reference_n is None:
+        return None
+    part = (run.time_s >= start_s) & (run.time_s <= end_s)
+    t, r = known(run.time_s[part], run.reference_n[part])
+    if len(r) < 9 or np.ptp(r) < 1e-9 * max(np.abs(r).max(), 1e-300):
+        return None
+    return t, r
+
+
+def follows_reference(run: Run, steady: Oscillation, start_s: float, end_s: float) -> str:
+    """Return why an oscillation follows a periodic reference, empty if it does not."""
+    reference = moving_reference(run, start_s, end_s)
+    found = fit(*reduce(*reference, steady.frequency_hz)) if reference else None
+    if found is None or found.amplitude < found.noise:
+        return ''
+    deviation = np.hypot(found.frequency_sd_hz, steady.frequency_sd_hz)
+    tolerance = max(4.0 * deviation, 0.2 / (end_s - start_s))
+    for divisor in (1, 2, 3):
+        for multiple in (1, 2, 3, 5):
+            if abs(steady.frequency_hz - found.frequency_hz * multiple / divisor) < tolerance:
+                ratio = '' if multiple == divisor == 1 else f' times {multiple}/{divisor}'
+                return f'the reference moves at {found.frequency_hz:.5g} Hz{ratio} as well'
+    return ''
+
+
+def explained_by_reference(run: Run, time_s: Array, values: Array, frequency_hz: float) -> float:
+    """
+    Return the share of a motion about a frequency that a linear answer to the reference explains.
+
+    The answer is put together from delayed copies of the reference, so that any shape of it, a
+    chirp or a random one too, is seen through; a share that chance alone would explain is off.
+    """
+    reference = moving_reference(run, time_s[0], time_s[-1])
+    if reference is None:
+        return 0.0
+    even, period = on_grid(time_s, values)
+    grid = time_s[0] + period * np.arange(len(even))
+    motion = analytic_signal(even, period, frequency_hz)
+    cause = analytic_signal(np.interp(grid, *reference), period, frequency_hz)
+    # Band and cycle are about as wide: a cycle tells about as much as one free number.
+    free = (time_s[-1] - time_s[0]) * frequency_hz
+    delays = DELAYS[:max(1, min(len(DELAYS), int(free / 3.0)))]
+    columns = np.column_stack([np.interp(grid - delay / frequency_hz, grid, cause)
+                               for delay in delays])
+    # A sine has copies that are all alike: the least of the solutions.
+    gram = columns.conj().T @ columns
+    left = motion - columns @ np.linalg.lstsq(gram, columns.conj().T @ motion, rcond=1e-9)[0]
+    share = 1.0 - float(np.vdot(left, left).real / np.vdot(motion, motion).real)
+    return 1.0 - (1.0 - share) * max(free - 1.0, 0.0) / max(free - 1.0 - len(delays), 1.0)
+
+
+def at_stop(run: Run, start_s: float, end_s: float) -> str:
+    """Return which stop sets the amplitude, empty if none does."""
+    inside = run.between(start_s, end_s + 0.5 * run.period_s)
+    if inside.command_n is not None:
+        share = flat_share(inside.command_n[np.isfinite(inside.command_n)])
+        if share > STOPPED:
+            return f'the command is at its limit for {100 * share:.0f} % of the time'
+    actuator = run.information.get('actuator', {})
+    full = actuator.get('valve_characteristic.full_opening')
+    if full and inside.valve_position_m is not None:
+        share = float(np.mean(np.abs(inside.valve_position_m) >= 0.999 * full))
+        if share > STOPPED:
+            return f'the valve is fully open for {100 * share:.0f} % of the time'
+    return ''
+
+
+def flat_share(values: Array) -> float:
+    """
+    Return the share of samples at a stop: flat at an extreme, yet moving in between.
+
+    0 for a signal that only switches between two levels (a relay), and for one whose extremes
+    hold no more samples than a sine's or what its quantisation explains.
+    """
+    span = float(np.ptp(values)) if len(values) else 0.0
+    if span == 0.0:
+        return 0.0
+    if len(np.unique(values)) < 8:
+        return 0.0
+    width = 1e-4 * span + rounding(values)
+    sine = np.arccos(1.0 - 2.0 * min(width / span, 0.5)) / np.pi
+    top = float(np.mean(values >= values.max() - width))
+    bottom = float(np.mean(values <= values.min() + width))
+    if top + bottom > 0.95:
+        return 0.0
+    return sum(share for share in (top, bottom) if share > 2.5 * sine + 0.02)
+
+
+def rounding(values: Array) -> float:
+    """Return the step to which values are rounded, 0 if they are not, or switch between two."""
+    levels = np.unique(values)
+    if not 2 < len(levels) < 0.05 * len(values):
+        return 0.0
+    return float(np.median(np.diff(levels)))

@@ -1,0 +1,39 @@
+"""
+`asi run --experiment isolation`: the two runs that show whether a limit cycle is isolated.
+
+From inside: a step from rest, so that the cycle has to grow. From outside: a sine about the same
+force that ends by itself, slower than the cycle, since the actuator cannot be driven much beyond
+its cycle at the cycle's own frequency.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.experiments.experiment import Experiment, checked
+from asi_analysis.experiments.running import run_experiment
+from asi_analysis.limit_cycle.detection.answer import limit_cycle
+from asi_analysis.terminal import Progress, silent
+from asi_common.parameter import Value
+
+DRIVEN_N: Final = 900.0
+DRIVEN_HZ: Final = 60.0
+DRIVEN_S: Final = 0.3
+
+
+def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> dict[str, Any]:
+    """
+    Return the bags of both runs and the segments of both, judged together.
+
+    experiment: its reference is a step, whose size is the force held in both runs.
+    """
+    held = float(experiment.controller.get('reference.amplitude', 100.0))
+    sine: dict[str, Value] = {
+        'reference.shape': 'sine', 'reference.amplitude': DRIVEN_N, 'reference.offset': held,
+        'reference.frequency': DRIVEN_HZ, 'reference.end': DRIVEN_S}
+    runs = {'inside': experiment,
+            'outside': replace(experiment, controller={**experiment.controller, **sine},
+                               duration_s=experiment.duration_s + DRIVEN_S)}
+    bags = [run_experiment(checked(run), out / name, report) for name, run in runs.items()]
+    return {'bags': list(map(str, bags)), **limit_cycle([read_bag(bag) for bag in bags])}

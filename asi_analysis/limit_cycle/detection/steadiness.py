@@ -1,0 +1,71 @@
+"""
+How much steadier an envelope is than that of noise with the same spectrum.
+
+By surrogates: Gaussian noises of that spectrum (Theiler et al., Physica D 58, 1992).
+"""
+
+from typing import Final
+
+import numpy as np
+from scipy import signal
+
+from asi_analysis.measures.noise import autoregression, surrogates
+from asi_analysis.measures.record import Array, ComplexArray
+from asi_analysis.measures.sinusoid import on_grid
+
+SURROGATES: Final = 200
+# Samples of a record that are compared with surrogates; of a longer one, windows spread over it.
+COMPARED: Final = 8192
+WINDOWS: Final = 4
+
+
+def steadiness(t: Array, y: Array, frequency: float) -> float:
+    """
+    Return how much steadier the envelope is than that of noise of the same spectrum.
+
+    In standard deviations of the surrogates; 0 if one of them is as steady.
+    """
+    even, period = on_grid(t, y)
+    model = autoregression(even - even.mean(), 1)
+    windows = _windows(even)
+    skip = min(int(0.5 / (frequency * period)), windows.shape[1] // 8)
+    own = _evenness(windows, period, frequency, skip)
+    others: list[float] = []
+    for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
+        # Each at its own highest peak: that of a record stands out where a burst happens to be.
+        others.append(_evenness(rows, period, _highest_peak(rows, period), skip))
+        if others[-1] >= own:
+            return 0.0
+    return (own - float(np.mean(others))) / max(float(np.std(others)), 1e-12)
+
+
+def _windows(even: Array) -> Array:
+    """Return windows of a record, a row each: all of it if it is short."""
+    if len(even) <= COMPARED:
+        return even[None]
+    size = COMPARED // WINDOWS
+    starts = np.linspace(0, len(even) - size, WINDOWS).astype(int)
+    return even[starts[:, None] + np.arange(size)]
+
+
+def _evenness(windows: Array, period: float, frequency: float, skip: int) -> float:
+    """Return how even the power about a frequency is; skip: samples left out at either end."""
+    kept = slice(skip, windows.shape[1] - skip)
+    power = np.abs(analytic_signal(windows, period, frequency)[:, kept]) ** 2
+    return -float(np.log(power.var() / power.mean() ** 2))
+
+
+def _highest_peak(windows: Array, period: float) -> float:
+    """Return the frequency (Hz) of the highest peak of the spectrum above 1.5 cycles."""
+    centred = windows - windows.mean(1, keepdims=True)
+    power = (np.abs(np.fft.rfft(centred)) ** 2).sum(0)
+    return float(2 + np.argmax(power[2:])) / (windows.shape[1] * period)
+
+
+def analytic_signal(values: Array, period: float, frequency: float) -> ComplexArray:
+    """Return the analytic signal of what values (along the last axis) hold about a frequency."""
+    band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), 1e-3, 0.98)
+    around = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
+                                values - values.mean(-1, keepdims=True),
+                                padlen=min(15, values.shape[-1] - 1))
+    return np.asarray(signal.hilbert(around))

@@ -1,0 +1,475 @@
+"""
+The verdict on each stretch of a record: what kind of oscillation, if any, with what confidence.
+
+First the record is described, in the fewest bits, as coloured noise, as one oscillation, or as
+pieces of both; then each oscillation is told apart by what a linear loop could not do. A limit
+cycle is claimed only if a linear loop close to its stability limit is ruled out: by harmonics,
+which a linear loop left alone cannot make, or by a decay that must be smaller than chance allows.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy import integrate, stats
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle.detection import drive
+from asi_analysis.limit_cycle.detection import envelope as env
+from asi_analysis.limit_cycle.detection import segments as seg
+from asi_analysis.limit_cycle.detection.steadiness import analytic_signal, steadiness
+from asi_analysis.measures.noise import Autoregression, autoregression
+from asi_analysis.measures.record import Array, reduce
+from asi_analysis.measures.sinusoid import (
+    Oscillation,
+    dominant_frequency,
+    fit,
+    fits,
+    known,
+    on_grid,
+)
+
+RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
+FEWEST_CYCLES: Final = 3.0
+TOO_SHORT: Final[tuple[str, float, str]] = (
+    'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
+# Bits, times 2 ln 2, that an oscillation must spare: noise is one 20 times as readily.
+MARGIN: Final = 6.0
+# A recording cleaner than this share of its size is treated as if it had that noise (50 dB).
+CLEANEST: Final = 10.0 ** (-2.5)
+# A linear loop that oscillates visibly may be as close to its limit as this, or this far: prior
+# of its damping ratio, even in the logarithm. So a pure sine that merely does not decay visibly
+# is not yet a limit cycle.
+LEAST_DAMPING: Final = 1e-8
+MOST_DAMPING: Final = 0.1
+# Prior odds of a linear loop, against a limit cycle, once it did what a linear loop cannot.
+LINEAR_AFTER_ALL: Final = 0.02
+# Change of the amplitude over a nonlinear record that does not count as decay.
+STEADY_CHANGE: Final = 0.03
+CLAIM: Final = 0.9
+# Harmonics count from this share of a step to which values are rounded. The error of rounding has
+# 0.29 steps rms, a sine of 0.41; of it not all is harmonic.
+ROUNDED: Final = 0.41
+# An orbit that was reached must have lasted as long to be called settled.
+SETTLED_CYCLES: Final = 8.0
+# Confidence in a limit cycle at most, if no reference is there to show that nothing drives it.
+UNDRIVEN: Final = 0.8
+# Harmonics so much larger than the fundamental are an oscillation at another frequency.
+MOST_THD: Final = 3.0
+# Standard deviations of the surrogates by which an envelope must stand out.
+TELLING: Final = 4.0
+# Least change of a swing's logarithm that is judged by itself, and how sure it must be.
+LEAST_FALL: Final = 0.2
+SURE_FALL: Final = 0.97
+
+
+class Segment(NamedTuple):
+    """
+    A stretch of a record and the verdict on it.
+
+    Frequency, amplitude and envelope rate come with intervals at 95 %; the amplitude is that of
+    the fundamental, in `unit`. `came_from`: 'inside', 'outside' or '' — how the orbit was
+    reached; `isolated`: None until `isolation.judge` has looked at all segments.
+    """
+
+    start_s: float
+    end_s: float
+    verdict: str
+    confidence: float
+    signal: str
+    unit: str
+    why: str
+    frequency_hz: float = float('nan')
+    frequency_interval_hz: tuple[float, float] = (float('nan'), float('nan'))
+    amplitude: float = float('nan')
+    amplitude_interval: tuple[float, float] = (float('nan'), float('nan'))
+    thd: float = float('nan')
+    harmonics: tuple[complex, ...] = ()
+    mean: float = float('nan')
+    cycles: float = 0.0
+    envelope_rate_1_s: float = float('nan')
+    envelope_rate_interval_1_s: tuple[float, float] = (float('nan'), float('nan'))
+    return_map_slope: float = float('nan')
+    orbit_closure: float = float('nan')
+    came_from: str = ''
+    isolated: bool | None = None
+    source: str = ''
+
+
+class _Piece(NamedTuple):
+    time_s: Array
+    values: Array
+    frequency_hz: float            # about which it was looked at
+    kind: str                      # 'noise' or 'line'
+    steady: Oscillation | None     # fitted at constant amplitude
+    moving: Oscillation | None     # fitted with a rate of its envelope
+    description: float
+    noise: Autoregression
+
+
+def response_of(run: Run, name: str | None = None) -> tuple[str, Array]:
+    """Return name and values of the signal to judge: the first of RESPONSES that is there."""
+    present = run.signals()
+    wanted = [name] if name else [*RESPONSES, 'reference']
+    for candidate in wanted:
+        if candidate in present and np.isfinite(present[candidate]).sum() > 1:
+            return candidate, present[candidate]
+    raise InputError(f'{run.source or "the run"}: no signal {" or ".join(wanted)}; there is '
+                     + (', '.join(present) or 'none'))
+
+
+def judge_run(run: Run, name: str | None = None) -> list[Segment]:
+    """
+    Return the segments of a run, each with its verdict, in the order of time.
+
+    name: signal to judge, by default the first of RESPONSES. Raises InputError if it is absent.
+    """
+    chosen, values = response_of(run, name)
+    time_s, values = known(run.time_s, values)
+    if len(values) < 9:
+        raise InputError(f'{run.source or "the run"}: {chosen} has {len(values)} samples, '
+                         'at least 9 are needed')
+    frequency = dominant_frequency(time_s, values)
+    cycle = 1.0 / frequency if np.isfinite(frequency) else time_s[-1] - time_s[0]
+    cuts = seg.reference_cuts(run.time_s, run.reference_n, cycle)
+    edges = [time_s[0], *[c for c in cuts if time_s[0] < c < time_s[-1]], np.inf]
+    found: list[Segment] = []
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        part = slice(*np.searchsorted(time_s, [start, end]))
+        if part.stop - part.start > 1:
+            found += _judge_stretch(run, chosen, time_s, values, part,
+                                    frequency if len(edges) == 2 else None)
+    if run.reference_n is None:
+        found = [_unless_driven(segment) for segment in found]
+    return _merge(found)
+
+
+def _unless_driven(segment: Segment) -> Segment:
+    """Return a segment of a run without a reference: what drives it from outside is not seen."""
+    if segment.verdict != 'limit_cycle':
+        return segment
+    return segment._replace(
+        confidence=min(segment.confidence, UNDRIVEN),
+        why=f'{segment.why}; unless something drives it, for no reference is recorded')
+
+
+def _merge(found: list[Segment]) -> list[Segment]:
+    """Return the segments with neighbours of one kind joined, under the figures of the longer."""
+    merged: list[Segment] = []
+    for segment in found:
+        before = merged[-1] if merged else None
+        if before is None or not _one_kind(before, segment):
+            merged.append(segment)
+            continue
+        longer = max(before, segment, key=lambda s: s.end_s - s.start_s)
+        merged[-1] = longer._replace(start_s=before.start_s, end_s=segment.end_s,
+                                     came_from=before.came_from)
+    return merged
+
+
+def _one_kind(a: Segment, b: Segment) -> bool:
+    """Return whether two neighbours are one motion; a limit cycle keeps its size within 5 %."""
+    if a.verdict != b.verdict or a.verdict in ('forced', 'saturating'):
+        return False
+    return a.verdict != 'limit_cycle' or abs(a.amplitude - b.amplitude) < 0.05 * b.amplitude
+
+
+def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, part: slice,
+                   frequency: float | None) -> list[Segment]:
+    time_s, values = all_times[part], all_values[part]
+
+    def segment(start: float, end: float, verdict: str, confidence: float, why: str,
+                **more: Any) -> Segment:
+        return Segment(float(start), float(end), verdict, round(confidence, 4), name,
+                       run.unit(name), why, source=run.source, **more)
+
+    whole = (time_s[0], time_s[-1])
+    if np.ptp(values) == 0.0:
+        return [segment(*whole, 'noise', 1.0, 'the signal does not move')]
+    if frequency is None:
+        frequency = dominant_frequency(time_s, values)
+    cycles = (time_s[-1] - time_s[0]) * frequency
+    if not np.isfinite(frequency) or cycles < 0.9 * FEWEST_CYCLES:
+        return [segment(time_s[0], time_s[-1], *TOO_SHORT)]
+    t, y = reduce(time_s, values, frequency)
+    pieces = _pieces(t, y, frequency)
+    if all(piece.kind == 'noise' for piece in pieces):
+        verdict, confidence, why, more = (_forced(run, t, y, frequency)
+                                          or _judge_noise(t, y, frequency))
+        return [segment(*whole, verdict, confidence, why, **more)]
+    found = []
+    for index, piece in enumerate(pieces):
+        start = time_s[0] if index == 0 else piece.time_s[0]
+        end = time_s[-1] if index == len(pieces) - 1 else pieces[index + 1].time_s[0]
+        if piece.kind == 'noise':
+            part = slice(*np.searchsorted(time_s, [start, end]))
+            piece = _elsewhere(time_s[part], values[part], piece)
+        if piece.kind == 'noise':
+            verdict, confidence, why, more = (
+                _forced(run, piece.time_s, piece.values, piece.frequency_hz)
+                or _noise_or_short(piece))
+            found.append(segment(start, end, verdict, confidence, why, **more))
+            continue
+        earlier = slice(np.searchsorted(all_times, start))
+        came_from = _came_from((all_times[earlier], all_values[earlier]), piece)
+        verdict, confidence, why = _judge_line(run, name, piece, came_from)
+        found.append(segment(start, end, verdict, confidence, why, came_from=came_from,
+                             **_figures(piece)))
+    return found
+
+
+def _noise_or_short(piece: _Piece) -> tuple[str, float, str, dict[str, Any]]:
+    if (piece.time_s[-1] - piece.time_s[0]) * piece.frequency_hz < 0.9 * FEWEST_CYCLES:
+        return *TOO_SHORT, {}
+    return 'noise', 0.9, 'coloured noise describes it in fewer bits', {}
+
+
+def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
+    """Return a piece that is noise about the frequency of its stretch, or what it has instead."""
+    frequency = dominant_frequency(time_s, values)
+    cycles = frequency * (time_s[-1] - time_s[0])
+    if not cycles >= FEWEST_CYCLES or np.ptp(values) == 0.0:
+        return piece
+    t, y = reduce(time_s, values, frequency)
+    own = _describe(t, y, frequency, CLEANEST * float(np.std(y)))
+    return own if own.steady and own.steady.amplitude > own.steady.noise else piece
+
+
+def _forced(run: Run, t: Array, y: Array, frequency: float
+            ) -> tuple[str, float, str, dict[str, Any]] | None:
+    """Return the verdict on a motion if a linear answer to the reference explains it."""
+    share = drive.explained_by_reference(run, t, y, frequency)
+    if share < drive.FOLLOWS:
+        return None
+    return 'forced', float(np.clip(share, 0.5, 0.99)), (
+        f'a linear answer to the reference explains {100 * share:.0f} % of the motion about '
+        f'{frequency:.5g} Hz'), {}
+
+
+def _pieces(t: Array, y: Array, frequency: float) -> list[_Piece]:
+    """Return the shortest description of a stretch: noise, one oscillation, or pieces."""
+    floor = CLEANEST * float(np.std(y))
+    whole = _describe(t, y, frequency, floor)
+    cuts = seg.envelope_cuts(env.envelope(t, y, frequency))
+    if not cuts:
+        return [whole]
+    edges = np.searchsorted(t, [-np.inf, *cuts, np.inf])
+    pieces = [_describe(t[a:b], y[a:b], frequency, floor)
+              for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    price = len(cuts) * np.log(len(y))
+    if sum(piece.description for piece in pieces) + price < whole.description:
+        return pieces
+    return [whole]
+
+
+def _describe(t: Array, y: Array, frequency: float, floor: float) -> _Piece:
+    """Return a piece as noise or as an oscillation, whichever takes fewer bits."""
+    hiss = floor * np.random.default_rng(len(y)).standard_normal(len(y))
+
+    def describe(residual: Array, parameters: int) -> Autoregression:
+        return autoregression(on_grid(t, residual + hiss)[0], parameters)
+
+    drift = np.polynomial.polynomial.Polynomial.fit(t, y, 1)(t)
+    best = describe(y - drift, 2)
+    kind = 'noise'
+    steady, moving = fits(t, y, frequency) or (None, None)
+    for oscillation, nonlinear in ((steady, 1), (moving, 3)):
+        if oscillation is None or oscillation.cycles < 0.8 * FEWEST_CYCLES:
+            continue
+        if oscillation.thd > MOST_THD:
+            continue
+        # The frequency was searched for among as many as there are samples: ln n once more.
+        parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1
+        noise = describe(y - oscillation.at(t), parameters)
+        if noise.description < best.description - (MARGIN if kind == 'noise' else 0.0):
+            kind, best = 'line', noise
+    if steady and moving and steady.cycles < 0.8 * FEWEST_CYCLES:
+        steady = moving   # what decays fast may lead a steady fit astray
+    return _Piece(t, y, frequency, kind, steady, moving, best.description, best)
+
+
+def _figures(piece: _Piece) -> dict[str, Any]:
+    """Return the figures of a segment that is an oscillation."""
+    steady, moving = piece.steady, piece.moving
+    assert steady is not None and moving is not None
+    mean = piece.values.mean()
+    peaks = env.peaks_by_cycle(piece.time_s, piece.values - mean, steady.frequency_hz)
+    return {
+        'frequency_hz': steady.frequency_hz,
+        'frequency_interval_hz': steady.interval('frequency_hz'),
+        'amplitude': steady.amplitude, 'amplitude_interval': steady.interval('amplitude'),
+        'thd': steady.thd, 'harmonics': tuple(map(complex, steady.harmonics)),
+        'mean': steady.mean, 'cycles': steady.cycles,
+        'envelope_rate_1_s': moving.rate, 'envelope_rate_interval_1_s': moving.interval('rate'),
+        'return_map_slope': env.return_map_slope(peaks),
+        'orbit_closure': env.orbit_closure(piece.time_s, piece.values, steady.frequency_hz)}
+
+
+def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
+    """
+    Return how the orbit was reached, from the record before it in the same bag.
+
+    Words of 'inside', 'outside' and 'disturbed': the swing was smaller, or larger, by a fifth and
+    came to it without a break; 'disturbed' if the orbit had been left.
+    """
+    if piece.steady is None or len(before[0]) < 8:
+        return ''
+    frequency = piece.steady.frequency_hz
+    t, y = reduce(*before, frequency)
+    orbit = env.swings(piece.time_s, piece.values, frequency)
+    if not len(orbit):
+        return ''
+    ratio = env.swings(t, y, frequency) / max(float(np.median(orbit)), 1e-300)
+    # The last departure from the orbit, and on which side it was.
+    off = np.flatnonzero((ratio < 0.8) | (ratio > 1.2))
+    if not len(off):
+        return ''
+    # Only one cycle that is large is a jump of the force from one level to another.
+    jump = ratio[off[-1]] > 1.2 and (off[-1] == 0 or ratio[off[-1] - 1] < 1.2)
+    if jump and len(off) < 2:
+        return ''
+    last = off[-2] if jump else off[-1]
+    words = ['inside' if ratio[last] < 0.8 else 'outside']
+    was_on_it = np.flatnonzero(np.abs(ratio[:last] - 1.0) < 0.1)
+    return ' '.join(words + ['disturbed'] * (len(was_on_it) >= FEWEST_CYCLES))
+
+
+def _judge_line(run: Run, name: str, piece: _Piece, came_from: str) -> tuple[str, float, str]:
+    """Return verdict, confidence and reason for a piece that oscillates."""
+    steady, moving = piece.steady, piece.moving
+    assert steady is not None and moving is not None
+    if follows := drive.follows_reference(run, steady, piece.time_s[0], piece.time_s[-1]):
+        return 'forced', 0.99, follows
+    if forced := _forced(run, piece.time_s, piece.values, steady.frequency_hz):
+        return forced[:3]
+    change = abs(moving.rate) * (piece.time_s[-1] - piece.time_s[0])
+    if change < 1.0 and (stop := drive.at_stop(run, piece.time_s[0], piece.time_s[-1])):
+        return 'saturating', 0.95, stop
+    settled = came_from and steady.cycles >= SETTLED_CYCLES
+    evidence = _harmonics(run, name, piece) or ('an amplitude that settles' if settled else '')
+    limit_cycle, decaying, growing = _decay_probabilities(piece, bool(evidence))
+    if decaying >= CLAIM:
+        return 'decaying', decaying, f'the envelope falls at {-moving.rate:.3g} 1/s'
+    if growing >= CLAIM:
+        return 'growing', growing, f'the envelope grows at {moving.rate:.3g} 1/s'
+    if limit_cycle >= CLAIM and evidence:
+        return 'limit_cycle', limit_cycle, (
+            f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
+            + evidence)
+    if evenly := _falls_evenly(piece.time_s, piece.values, steady.frequency_hz):
+        return evenly
+    return 'unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing), (
+        f'steady as far as {steady.cycles:.3g} cycles show, but so might a linear loop close to '
+        'its stability limit be: a longer or cleaner record would tell')
+
+
+def _falls_evenly(t: Array, y: Array, frequency: float) -> tuple[str, float, str] | None:
+    """
+    Return the verdict on a motion whose swing falls or grows evenly.
+
+    Its frequency may follow its amplitude, so that no one sine fits it; the swing is plain.
+    """
+    fall, chance = env.fall_of_swing(t, y, frequency)
+    if abs(fall) < LEAST_FALL or chance > 1.0 - SURE_FALL:
+        return None
+    return ('decaying' if fall > 0.0 else 'growing', min(1.0 - chance, 0.99),
+            f'the swing changes by a factor {np.exp(-fall):.3g}, evenly')
+
+
+def _harmonics(run: Run, name: str, piece: _Piece) -> str:
+    """Return which signal has harmonics that are its own, and how much; empty if none has."""
+    assert piece.steady is not None
+    inside = run.between(piece.time_s[0], piece.time_s[-1] + 0.5 * run.period_s)
+    if len(piece.steady.harmonics) > 1 and _its_own(piece.steady, inside.signal(name)):
+        return f'harmonics of {100 * piece.steady.thd:.2g} %'
+    if inside.command_n is None:
+        return ''
+    command = fit(*reduce(*known(inside.time_s, inside.command_n), piece.steady.frequency_hz),
+                  piece.steady.frequency_hz)
+    if command is None or len(command.harmonics) < 2 or not _its_own(command, inside.command_n):
+        return ''
+    return f'harmonics of {100 * command.thd:.2g} % in the command'
+
+
+def _its_own(oscillation: Oscillation, values: Array) -> bool:
+    """Return whether harmonics are larger than all that rounding makes of a pure sine."""
+    step = drive.rounding(values[np.isfinite(values)])
+    return oscillation.thd * oscillation.amplitude > ROUNDED * step
+
+
+def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, float]:
+    """
+    Return the probabilities of a limit cycle, a decaying and a growing oscillation.
+
+    Bayes with the measured damping ratio: exactly steady, or of any size between LEAST_DAMPING
+    and MOST_DAMPING on either side.
+    """
+    steady, moving = piece.steady, piece.moving
+    if steady is None or moving is None:
+        return 0.0, 0.5, 0.5
+    pulsation = 2.0 * np.pi * steady.frequency_hz
+    measured = -moving.rate / pulsation
+    deviation = max(moving.rate_sd / pulsation, 1e-9)
+    tolerance, prior = 0.0, 1.0
+    if nonlinear:
+        tolerance = STEADY_CHANGE / (pulsation * (piece.time_s[-1] - piece.time_s[0]))
+        prior = LINEAR_AFTER_ALL
+    distribution = stats.t(max(moving.freedom, 3), scale=deviation)
+    beyond = max(abs(measured) - tolerance, 0.0)
+    most = max(MOST_DAMPING, 2.0 * abs(measured))
+    damping = np.unique(np.concatenate([
+        np.geomspace(LEAST_DAMPING, most, 400),
+        np.clip(abs(measured) + deviation * np.linspace(-8, 8, 161), LEAST_DAMPING, most)]))
+    logarithm = np.log(damping)
+
+    def likelihood(sign: float) -> float:
+        return float(integrate.trapezoid(distribution.pdf(measured - sign * damping), logarithm)
+                     / np.ptp(logarithm))
+
+    likelihoods = np.array([float(distribution.pdf(beyond)), prior * likelihood(1.0),
+                            0.3 * prior * likelihood(-1.0)])
+    limit_cycle, decaying, growing = likelihoods / max(likelihoods.sum(), 1e-300)
+    return float(limit_cycle), float(decaying), float(growing)
+
+
+def _judge_noise(t: Array, y: Array, frequency: float
+                 ) -> tuple[str, float, str, dict[str, Any]]:
+    """
+    Return verdict, confidence, reason and figures of a stretch that a noise model describes best.
+
+    An oscillation that noise keeps out of step, or whose frequency follows its amplitude, ends up
+    here too. The swing of the one falls more evenly than a random walk, the envelope of the other
+    is steadier than that of Gaussian noise of the same spectrum, as surrogates show.
+    """
+    if evenly := _falls_evenly(t, y, frequency):
+        return *evenly, _figures(_describe(t, y, frequency, 0.0))
+    steadier = steadiness(t, y, frequency)
+    if steadier > TELLING:
+        piece = _describe(t, y, frequency, 0.0)
+        confidence = float(np.clip(stats.norm.cdf(steadier - 2.0), 0.5, 0.99))
+        verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
+        figures = _figures(piece) | _cycle_figures(piece, frequency)
+        return verdict, confidence, (
+            f'out of step from cycle to cycle, but its envelope is {steadier:.1f} standard '
+            'deviations steadier than that of noise with the same spectrum'), figures
+    return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadier)), 0.5, 0.99)), (
+        'coloured noise with a resonance describes it in fewer bits than any oscillation'), {}
+
+
+def _cycle_figures(piece: _Piece, frequency: float) -> dict[str, Any]:
+    """Return frequency and amplitude with intervals from the scatter of the cycles."""
+    even, period = on_grid(piece.time_s, piece.values)
+    analytic = analytic_signal(even, period, frequency)
+    size = max(int(round(1.0 / (frequency * period))), 1)
+    phase = np.unwrap(np.angle(analytic))[size:-size:size] / (2.0 * np.pi)
+    amplitude = np.abs(analytic)[size:-size:size]
+    if len(phase) < 4:
+        return {}
+    advance = np.diff(phase) / (size * period)
+    half = stats.t.ppf(0.975, len(advance) - 1) / np.sqrt(len(advance))
+    centre, spread = float(advance.mean()), float(advance.std(ddof=1) * half)
+    size_mean = float(amplitude.mean())
+    size_spread = float(amplitude.std(ddof=1) * half)
+    return {'frequency_hz': centre, 'frequency_interval_hz': (centre - spread, centre + spread),
+            'amplitude': size_mean,
+            'amplitude_interval': (size_mean - size_spread, size_mean + size_spread)}

@@ -1,0 +1,192 @@
+"""
+A search for conditions under which a compensator's loop cycles: random, then guided.
+
+References, loads, pushes that let go (so that the motion begins off its rest), parameter errors
+of ±20 % and control rates. Every condition excites the loop and then leaves it alone; what swings
+on after that is sustained. A condition is nothing but parameters, so that it can be run over ROS.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.loop.closed_loop import close_many, loops_of
+from asi_analysis.loop.simulation import Values
+from asi_analysis.parallel import each
+from asi_analysis.terminal import Progress, silent
+from asi_common.parameter import Value
+
+EXCITED_S: Final = 0.25
+LEFT_ALONE_S: Final = 0.45
+WATCHED_S: Final = 0.12
+CONFIRMED_S: Final = 2.5
+# A swing that keeps this share of its size over the watched time, and is larger than this (N).
+KEEPS: Final = 0.95
+LEAST_N: Final = 1.0
+# What turns less often in the watched time creeps to rest and does not ring.
+FEWEST_TURNS: Final = 3
+VARIED: Final = (
+    'valve_hysteresis.radius', 'valve_hysteresis.lag_time', 'valve_flexure.coil_frequency',
+    'valve_flexure.natural_frequency', 'valve_flexure.damping_ratio', 'valve_flexure.delay',
+    'valve_characteristic.gain', 'hydraulic_damping.viscous', 'fluid_dynamics.frequency',
+    'friction.coulomb', 'friction.stiction_push', 'load.locked_stiffness',
+    'force_sensor.natural_frequency', 'force_sensor.delay')
+SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
+LOADS: Final = ('locked', 'spring', 'free')
+# Share of the trials that are random; the others vary the worst found so far.
+RANDOM_SHARE: Final = 0.4
+# Conditions between which nothing is learnt, and how many of them are one piece of work.
+GENERATION: Final = 32
+PIECE: Final = 8
+
+
+class Condition(NamedTuple):
+    """
+    One condition, as numbers from 0 to 1 by name: easy to vary.
+
+    `scales` of VARIED parameters, then what `settings` reads.
+    """
+
+    numbers: Mapping[str, float]
+
+    def settings(self, rates_hz: tuple[float, ...]) -> dict[str, Any]:
+        """Return what the numbers mean: parameters of actuator and reference, control rate."""
+        n = self.numbers
+        table = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
+        actuator: dict[str, Value] = {}
+        for name in VARIED:
+            parameter = table[name]
+            value = float(parameter.default) * (0.8 + 0.4 * n[name])
+            actuator[name] = min(max(value, parameter.low), parameter.high)
+        actuator['load.type'] = _choice(LOADS, n['load'])
+        if actuator['load.type'] != 'locked':
+            actuator['load.mass'] = 0.3 * 30.0 ** n['mass']
+            actuator['load.stiffness'] = 1e4 * 50.0 ** n['stiffness']
+        actuator['load.external_force'] = 900.0 * (n['push'] - 0.5)
+        actuator['load.external_force_end'] = EXCITED_S
+        frequency = 3.0 * 60.0 ** n['speed']
+        reference: dict[str, Value] = {
+            'reference.shape': _choice(SHAPES, n['shape']), 'reference.start': 0.0,
+            'reference.amplitude': 900.0 * n['amplitude'] ** 2,
+            'reference.offset': 800.0 * (n['offset'] - 0.5), 'reference.frequency': frequency,
+            'reference.end_frequency': 2.0 * frequency, 'reference.duration': EXCITED_S,
+            'reference.end': EXCITED_S}
+        return {'actuator': actuator, 'reference': reference,
+                'rate_hz': _choice(rates_hz, n['rate'])}
+
+
+NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitude', 'offset',
+                'speed', 'push')
+
+
+class Trial(NamedTuple):
+    """
+    What a condition did: size of the swing left (N), whether it is sustained, frequency.
+
+    rings: how little the swing falls as soon as the loop is left alone, late over early.
+    """
+
+    condition: Condition
+    swing_n: float
+    sustained: bool
+    frequency_hz: float
+    rings: float
+
+
+def _choice(options: tuple, number: float) -> Any:
+    return options[min(int(number * len(options)), len(options) - 1)]
+
+
+def attempts(conditions: Sequence[Condition], actuator: Values, controller: Values,
+             rates_hz: tuple[float, ...]) -> list[Trial]:
+    """Return what the loop does under each condition; those of one rate run side by side."""
+    settings = [condition.settings(rates_hz) for condition in conditions]
+    found: dict[int, Trial] = {}
+    for rate in {s['rate_hz'] for s in settings}:
+        chosen = [k for k, s in enumerate(settings) if s['rate_hz'] == rate]
+        measured = _tried([settings[k] for k in chosen], actuator, controller, rate)
+        found |= {k: Trial(conditions[k], *one) for k, one in zip(chosen, measured, strict=True)}
+    return [found[k] for k in range(len(conditions))]
+
+
+def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values, rate: float
+           ) -> list[tuple[float, bool, float, float]]:
+    """Return a trial of each setting: excited, left alone, and watched if it lasts."""
+    loops = loops_of(
+        [{**actuator, **s['actuator']} for s in settings],
+        [{**controller, **s['reference']} for s in settings], rate)
+    watched = 2 * int(WATCHED_S * rate)
+    found = [(*_left(force[-watched:], rate), _rings(force[:watched]))
+             for force in close_many(loops, EXCITED_S + LEFT_ALONE_S, LEFT_ALONE_S)[:, 2]]
+    # The next run counts its time from 0 again: the reference must not begin once more.
+    loops.references['reference_amplitude'] = 0.0
+    # A slow ring could look like it for so short a time: watched for long.
+    doubtful = np.array([k for k, (swing, lasts, *_) in enumerate(found)
+                         if lasts and math.isfinite(swing)], np.intp)
+    kept = int(0.6 * CONFIRMED_S * rate) / rate
+    for k, force in zip(doubtful, close_many(loops.some(doubtful), CONFIRMED_S, kept)[:, 2],
+                        strict=True):
+        found[k] = (*_left(force, rate), found[k][-1])
+    return found
+
+
+def _left(force: npt.NDArray[np.float64], rate_hz: float) -> tuple[float, bool, float]:
+    """Return half the swing (N) of the second half of a force, whether it lasts, frequency."""
+    if not np.isfinite(force).all():
+        return math.inf, True, math.nan
+    half = len(force) // 2
+    # What creeps to rest is no oscillation: only what crosses its own trend counts.
+    early, late = (signal.detrend(force[:half]), signal.detrend(force[half:2 * half]))
+    crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
+    swing, before = 0.5 * float(np.ptp(late)), 0.5 * float(np.ptp(early))
+    if crossings < 2:
+        return 0.0, False, 0.0
+    return swing, swing > LEAST_N and swing > KEEPS * before, crossings * rate_hz / half
+
+
+def _rings(force: npt.NDArray[np.float64]) -> float:
+    """Return the swing in the second half of a force over that in the first; 0: no swing."""
+    if not np.isfinite(force).all():
+        return 1.0
+    early, late = (signal.detrend(half) for half in np.array_split(force, 2))
+    crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
+    if crossings < FEWEST_TURNS or np.ptp(early) < 2.0 * LEAST_N:
+        return 0.0
+    return float(np.ptp(late) / np.ptp(early))
+
+
+def _threat(trial: Trial) -> float:
+    # What does not last is the worse the longer it rings, however small it is.
+    return 1e6 + trial.swing_n if trial.sustained else trial.rings
+
+
+def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], count: int,
+           seed: int, report: Progress = silent) -> list[Trial]:
+    """Return `count` trials, the most threatening first."""
+    random = np.random.default_rng(seed)
+    trials: list[Trial] = []
+    while len(trials) < count:
+        report(f'{sum(t.sustained for t in trials)} sustained in {len(trials)} conditions',
+               len(trials) / count)
+        worst = sorted(trials, key=_threat)[-8:]
+        conditions = [_condition(random, worst if number >= RANDOM_SHARE * count else [])
+                      for number in range(len(trials), min(len(trials) + GENERATION, count))]
+        for done in each(attempts, ((conditions[k:k + PIECE], actuator, controller, rates_hz)
+                                    for k in range(0, len(conditions), PIECE))):
+            trials += done
+    return sorted(trials, key=_threat, reverse=True)
+
+
+def _condition(random: np.random.Generator, parents: Sequence[Trial]) -> Condition:
+    """Return a condition near one of the parents, or anywhere if there are none."""
+    if not parents:
+        return Condition(dict(zip(NAMES, map(float, random.random(len(NAMES))), strict=True)))
+    parent = parents[int(random.integers(len(parents)))]
+    step = 0.3 * random.random() * random.standard_normal(len(NAMES))
+    return Condition({name: float(np.clip(value + d, 0.0, 1.0)) for (name, value), d in zip(
+        parent.condition.numbers.items(), step, strict=True)})

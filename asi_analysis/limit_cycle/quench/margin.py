@@ -1,0 +1,106 @@
+"""
+The limit-cycle margin of a compensator: least distance between its loop and -1/N.
+
+In the Nyquist plane, over the amplitudes of the hysteresis' input, the biases (forces held, which
+open the valve and so change the damping) and the loads. Where the loop encircles a point of -1/N
+the margin is 0: a cycle is predicted.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
+from asi_actuator.parameters import as_record
+from asi_analysis.loop import describing_functions as describing
+from asi_analysis.loop import linear_blocks as linear
+from asi_analysis.loop.simulation import Values, loop_of
+from asi_controller.compensator import frequency_response
+
+Complex = npt.NDArray[np.complex128]
+Array = npt.NDArray[np.float64]
+
+FREQUENCIES_HZ: Final = np.geomspace(0.5, 2000.0, 700)
+# N is worked out on this coarser grid and interpolated: it varies slowly with the frequency.
+N_FREQUENCIES_HZ: Final = np.geomspace(0.5, 2000.0, 14)
+AMPLITUDES_N: Final = np.geomspace(20.0, 4000.0, 9)
+BIASES_N: Final = (0.0, 300.0, 600.0, 900.0)
+LOADS: Final[dict[str, dict[str, Any]]] = {
+    'locked': {'load.type': 'locked'},
+    'spring 2e5 N/m': {'load.type': 'spring', 'load.stiffness': 2e5, 'load.mass': 0.5},
+    'spring 2e4 N/m, 5 kg': {'load.type': 'spring', 'load.stiffness': 2e4, 'load.mass': 5.0},
+    'free, 2 kg': {'load.type': 'free', 'load.mass': 2.0},
+}
+
+
+class Margin(NamedTuple):
+    """The least distance, and where it is: amplitude and bias (N), frequency (Hz), load."""
+
+    distance: float
+    amplitude_n: float
+    bias_n: float
+    frequency_hz: float
+    load: str
+
+
+def hysteresis_table(p: np.void, amplitudes_n: Array = AMPLITUDES_N) -> Complex:
+    """Return N of the hysteresis: amplitudes x FREQUENCIES_HZ."""
+    table = np.array([[describing.hysteresis(a, f, 0.0, p) for f in N_FREQUENCIES_HZ]
+                      for a in amplitudes_n])
+    at, from_ = np.log(FREQUENCIES_HZ), np.log(N_FREQUENCIES_HZ)
+    return np.array([np.interp(at, from_, row.real) + 1j * np.interp(at, from_, row.imag)
+                     for row in table])
+
+
+def plant(p: np.void, bias_n: float, period_s: float) -> Complex:
+    """Return command to measured force at FREQUENCIES_HZ, without hysteresis, seals stuck."""
+    f = FREQUENCIES_HZ
+    opening = float(np.clip(bias_n / p['valve_characteristic_maximum_force'], -1.0, 1.0))
+    slope = damping_force(0.0, damping_curve(opening, p), p)[1]
+    fluid = linear.fluid(f, p)
+    impedance = linear.impedance(f, p)
+    return (linear.hold(f, period_s) * linear.flexure(f, p) * p['valve_characteristic_gain']
+            * fluid * impedance / (impedance + fluid * slope) * linear.felt(f, p)
+            * linear.sensor(f, p))
+
+
+def plants(actuator: Values, rate_hz: float) -> Iterator[tuple[str, float, Complex]]:
+    """Yield load, bias (N) and plant."""
+    for name, load in LOADS.items():
+        p = as_record({**actuator, **load})
+        for bias in BIASES_N:
+            yield name, bias, plant(p, bias, 1.0 / rate_hz)
+
+
+def encircles(response: Complex) -> bool:
+    """Return whether a loop (without its sign) encircles -1: net turns of 1 + L about 0."""
+    angle = np.unwrap(np.angle(1.0 + response))
+    return bool(abs(angle[-1] - angle[0]) > np.pi)
+
+
+def margin_of(compensated: Complex, cases: list[tuple[str, float, Complex]], table: Complex
+              ) -> Margin:
+    """Return the margin of a compensator's response at FREQUENCIES_HZ, over plants and N."""
+    worst = Margin(np.inf, 0.0, 0.0, 0.0, '')
+    for name, bias, response in cases:
+        loop = compensated * response
+        for amplitude, passed in zip(AMPLITUDES_N, table, strict=True):
+            # A play that is not taken up passes nothing: no loop at all.
+            whole = np.where(np.abs(passed) > 1e-6, np.abs(passed), np.inf)
+            distance = np.abs(1.0 + loop * passed) / whole
+            distance = np.where(np.isfinite(whole), distance, np.inf)
+            k = int(np.argmin(distance))
+            least = 0.0 if encircles(loop * passed) else float(distance[k])
+            if least < worst.distance:
+                worst = Margin(least, float(amplitude), bias, float(FREQUENCIES_HZ[k]), name)
+    return worst
+
+
+def margin(actuator: Values, controller: Values, rate_hz: float) -> Margin:
+    """Return the limit-cycle margin of a controller's loop."""
+    loop = loop_of(actuator, controller, rate_hz)
+    compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate_hz)
+    return margin_of(compensated, list(plants(actuator, rate_hz)),
+                     hysteresis_table(as_record(actuator)))

@@ -1,0 +1,172 @@
+"""The whole loop in one process: the compiled actuator, compensator and reference, no ROS."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_actuator.model.actuator import STATE_DTYPE, advance, check_period, measure, prepare, rest
+from asi_actuator.parameters import as_record
+from asi_common.jit import jit
+from asi_common.parameter import Value, record_of
+from asi_controller.compensator import compensate, compensator
+from asi_controller.parameters import REFERENCE_PARAMETERS
+from asi_controller.reference import reference_force
+
+# Blocks of loops that a core gets, so that all cores end together.
+BLOCKS_A_CORE: Final = 8
+
+
+class LoopRun(NamedTuple):
+    """A closed-loop run: arrays of n samples, one a control period."""
+
+    time_s: npt.NDArray[np.float64]
+    reference_n: npt.NDArray[np.float64]
+    command_n: npt.NDArray[np.float64]
+    force_n: npt.NDArray[np.float64]
+    valve_position_m: npt.NDArray[np.float64]
+    position_m: npt.NDArray[np.float64]
+    velocity_m_s: npt.NDArray[np.float64]
+
+
+class Loops(NamedTuple):
+    """
+    Many closed loops of one control period: a record of each of m loops.
+
+    They keep their states from one `close_many` to the next; what a loop is, and its reference,
+    may be changed between.
+    """
+
+    states: npt.NDArray[np.void]        # STATE_DTYPE
+    plants: npt.NDArray[np.void]        # ACTUATOR_DTYPE
+    compensators: npt.NDArray[np.void]  # COMPENSATOR_DTYPE
+    references: npt.NDArray[np.void]    # of REFERENCE_PARAMETERS
+    period_s: float
+
+    def some(self, chosen: npt.NDArray[np.intp]) -> 'Loops':
+        """Return a copy of the chosen loops."""
+        return Loops(self.states[chosen], self.plants[chosen], self.compensators[chosen],
+                     self.references[chosen], self.period_s)
+
+
+@jit
+def _close_last(state, p, c, r, period, ticks, out):
+    """Close a loop for so many ticks; the last of them, as many as fit, go into `out`."""
+    steady = prepare(p, period)
+    left_out = ticks - out.shape[1]
+    for tick in range(ticks):
+        force, valve, position, velocity = measure(state, p)
+        reference = reference_force(tick * period, r)
+        command = compensate(c, reference, force)
+        k = tick - left_out
+        if k >= 0:
+            out[0, k] = reference
+            out[1, k] = command
+            out[2, k] = force
+            out[3, k] = valve
+            out[4, k] = position
+            out[5, k] = velocity
+        advance(state, command, p, steady)
+
+
+@jit
+def close_loop(state, p, c, r, period, out):
+    """
+    Close a loop for as many ticks as `out` (6 signals of LoopRun x ticks) holds.
+
+    state, p, c, r: records of the actuator, advanced in place, its parameters, compensator and
+    reference; period: s.
+    """
+    _close_last(state, p, c, r, period, out.shape[1], out)
+
+
+@jit
+def _close_block(states, plants, compensators, references, period, ticks, out):
+    for i in range(states.size):
+        _close_last(states[i], plants[i], compensators[i], references[i], period, ticks, out[i])
+
+
+def close_many(loops: Loops, duration_s: float, kept_s: float | None = None
+               ) -> npt.NDArray[np.float64]:
+    """
+    Run many loops on all cores; return what they did, as m x the 6 signals of LoopRun x ticks.
+
+    kept_s: keep only so much of the end (the memory that a large batch takes), all if not given.
+    Each row is bit for bit what `simulate_loop` returns: threads share nothing, and compiled code
+    runs without the interpreter's lock.
+    """
+    check_period(loops.period_s)
+    ticks = math.ceil(duration_s / loops.period_s - 1e-9)
+    kept = ticks if kept_s is None else min(ticks, math.ceil(kept_s / loops.period_s - 1e-9))
+    out = np.empty((loops.states.size, 6, kept))
+
+    cores = len(os.sched_getaffinity(0))
+    size = max(1, loops.states.size // (cores * BLOCKS_A_CORE))
+
+    def block(first: int) -> None:
+        part = slice(first, first + size)
+        _close_block(loops.states[part], loops.plants[part], loops.compensators[part],
+                     loops.references[part], loops.period_s, ticks, out[part])
+
+    with ThreadPoolExecutor(cores) as threads:
+        list(threads.map(block, range(0, loops.states.size, size)))
+    return out
+
+
+def loops_of(actuators: Sequence[Mapping[str, Value]], controllers: Sequence[Mapping[str, Value]],
+             rate_hz: float) -> Loops:
+    """
+    Return loops at rest, each with parameters by name as `simulate_loop` takes them.
+
+    Raises ParameterError for one that is not allowed.
+    """
+    made = [records(actuator, controller, rate_hz)
+            for actuator, controller in zip(actuators, controllers, strict=True)]
+    plants, compensators, references = (np.array(column) for column in zip(*made, strict=True))
+    return Loops(np.zeros(len(made), STATE_DTYPE), plants, compensators, references, 1.0 / rate_hz)
+
+
+def records(actuator: Mapping[str, Value], controller: Mapping[str, Value], rate_hz: float
+           ) -> tuple[np.void, np.void, np.void]:
+    """
+    Return the records of plant, compensator and reference, from parameters by name.
+
+    Raises ParameterError for one that is not allowed.
+    """
+    names = {parameter.name for parameter in REFERENCE_PARAMETERS}
+    reference = {name: value for name, value in controller.items() if name in names}
+    gains = {name: value for name, value in controller.items() if name not in names}
+    return (as_record(actuator), compensator(gains, rate_hz),
+            record_of(reference, REFERENCE_PARAMETERS))
+
+
+def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value],
+                  duration_s: float, rate_hz: float = 5000.0) -> LoopRun:
+    """
+    Return what the two nodes do in lock-step, computed in this process by the same code.
+
+    actuator, controller: parameters by name, the rest at their defaults; the controller's are
+    those of compensator and reference. Raises ParameterError for one that is not allowed.
+    """
+    check_period(1.0 / rate_hz)
+    out = np.empty((6, math.ceil(duration_s * rate_hz - 1e-9)))
+    close_loop(rest(), *records(actuator, controller, rate_hz), 1.0 / rate_hz, out)
+    return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
+
+
+def simulate_loops(actuators: Sequence[Mapping[str, Value]],
+                   controllers: Sequence[Mapping[str, Value]], duration_s: float,
+                   rate_hz: float = 5000.0) -> list[LoopRun]:
+    """Return `simulate_loop` of each actuator with its controller, on all cores."""
+    signals = close_many(loops_of(actuators, controllers, rate_hz), duration_s)
+    time_s = np.arange(signals.shape[2]) / rate_hz
+    return [LoopRun(time_s, *each) for each in signals]
+
+
+if __name__ == '__main__':
+    # `make setup` runs this once, so that no first run has to wait for the compiler.
+    simulate_loop({}, {'reference.shape': 'step'}, 0.01)

@@ -1,0 +1,1 @@
+"""Measures of one recording: step, frequency response, oscillation."""

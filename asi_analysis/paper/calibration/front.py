@@ -1,0 +1,109 @@
+"""
+`asi calibrate --front`: what it costs the facts to hold one quantity somewhere else.
+
+The front between a quantity and all rows together: for each of its values everything else is
+polished again, beginning with the result for the value before, so that neighbours can be compared.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+
+from asi_analysis.errors import InputError
+from asi_analysis.paper.calibration.cost import AIMS, cost, misses
+from asi_analysis.paper.calibration.quantities import Candidate, Structure, read_best
+from asi_analysis.paper.calibration.search import new_search, result
+from asi_analysis.paper.facts.conditions import Conditions
+from asi_analysis.paper.facts.measures import Measured
+from asi_analysis.paper.facts.table import Fact
+from asi_analysis.reporting.figures import BLUE, WIDTH_IN, save, style
+from asi_analysis.terminal import Progress, silent
+
+
+class Held(NamedTuple):
+    """The best that was found with the quantity at a value."""
+
+    value: float
+    cost: float
+    evaluations: int
+    measured: Measured
+
+    @property
+    def not_met(self) -> list[Fact]:
+        return [fact for fact in AIMS if not fact.met(self.measured[fact.value])]
+
+
+def parsed(text: str) -> tuple[str, list[float]]:
+    """Return name and values of 'NAME=V1,V2,...'. Raises InputError if it is not so."""
+    name, _, values = text.partition('=')
+    try:
+        return name, [float(value) for value in values.split(',')]
+    except ValueError:
+        raise InputError(f'--front {text} is not allowed: it takes NAME=V1,V2,… with numbers'
+                         ) from None
+
+
+def front(name: str, values: Sequence[float], start: Candidate, rounds: int,
+          report: Progress = silent) -> list[Held]:
+    """Return the best with a quantity at each value. Raises InputError for an unknown name."""
+    held = []
+    for done, value in enumerate(values):
+        report(f'{name} = {value:g}', done / len(values))
+        search = new_search(start, Structure(name, {name: value}), 1, 0.1)
+        search.polish(rounds)
+        measured = search.problem.measure(search.best)
+        held.append(Held(value, cost(misses(measured)), search.polished, measured))
+        start = result(search)
+    return held
+
+
+def table(name: str, held: Sequence[Held]) -> str:
+    """Return the front as a table in Markdown."""
+    lines = [f'| `{name}` | cost | rows not met | evaluations |', '|---|---|---|---|']
+    for each in held:
+        rows = ', '.join(f'{fact.id} {fact.value} {each.measured[fact.value]:.4g}'
+                         for fact in each.not_met) or 'none'
+        lines.append(f'| {each.value:g} | {each.cost:.2f} | {rows} | {each.evaluations} |')
+    return '\n'.join(lines) + '\n'
+
+
+def picture(name: str, held: Sequence[Held]) -> Figure:
+    """Draw the cost against the quantity, with the number of rows that are not met."""
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 2.8), layout='constrained')
+        axes = figure.subplots()
+        axes.plot([each.value for each in held], [each.cost for each in held], 'o-', color=BLUE)
+        for each in held:
+            axes.annotate(f'{len(each.not_met)}', (each.value, each.cost),
+                          textcoords='offset points', xytext=(0.0, 7.0), ha='center')
+        axes.set(xlabel=name, ylabel='sum of misses (half widths)')
+        axes.margins(y=0.2)
+        axes.set_title('What the facts pay; number: rows not met')
+    return figure
+
+
+def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress) -> dict[str, Any]:
+    """
+    Do what `asi calibrate --front` is asked to; return its document.
+
+    Raises InputError for a front or a start that makes no sense.
+    """
+    name, values = parsed(text)
+    held = front(name, values, read_best(start) if start else Candidate({}, Conditions()), rounds,
+                 report)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / 'front.md').write_text(table(name, held))
+    save(picture(name, held), out / 'front.png', 110.0)
+    return {'quantity': name, 'out': str(out),
+            'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,
+                       'not_met': [fact.value for fact in each.not_met]} for each in held]}
+
+
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return what came out, for people."""
+    return '\n'.join([
+        *(f'{document["quantity"]} = {each["value"]:g}: cost {each["cost"]:.3g}, '
+          f'{len(each["not_met"])} rows not met' for each in document['front']),
+        f'table and picture: {document["out"]}'])

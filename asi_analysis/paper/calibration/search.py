@@ -1,0 +1,316 @@
+"""
+The search for the parameters that bring the simulator closest to the published facts.
+
+First CMA-ES (Hansen, "The CMA evolution strategy: a tutorial", 2016) over the whole box, where
+only the best points of a generation are measured in full; then successive linear programs from
+its best.
+"""
+
+import math
+import pickle
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.errors import InputError
+from asi_analysis.loop.bench import Values
+from asi_analysis.paper.calibration.cost import AIMS, INNER, bounded, cost, misses, one_sided
+from asi_analysis.paper.calibration.quantities import (
+    FREE,
+    TESTS,
+    Candidate,
+    Structure,
+    candidate,
+    decode,
+    encode,
+    quantities,
+)
+from asi_analysis.paper.facts import measures
+from asi_analysis.paper.facts.conditions import Conditions
+from asi_analysis.paper.facts.measures import Measured
+from asi_analysis.parallel import each
+from asi_analysis.terminal import Progress, silent
+
+Array = npt.NDArray[np.float64]
+
+# For the search only: coarse, as long as every row moves by less than a tenth of its limits.
+SEARCH: Final = {'maximum_substep': 1e-4}
+SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
+SEARCH_ACCURACY: Final = 0.0015
+# So many of the points of a generation are measured in each stage: a race.
+RACE: Final = (64, 16, 8, 6, 4)
+# Sorts a point that left the race behind every point that went on.
+BEHIND: Final = 1e3
+# Of the polish: first reach of a step, its limits, and the shares of it that are tried.
+REACH: Final = 0.08
+LEAST_REACH: Final = 0.003
+MOST_REACH: Final = 0.25
+SHARES: Final = (2.0, 1.0, 0.4, 0.15)
+STEEPEST: Final = 80.0
+
+
+def stages(one: Candidate, measured: Measured) -> Mapping[str, Callable[[], Measured]]:
+    """Return the measurements of a search, in order: what costs least for what it tells first."""
+    actuator = one.actuator
+    conditions = one.conditions._replace(onset_steps_n=SEARCH_STEPS_N,
+                                         onset_accuracy=SEARCH_ACCURACY)
+    first = conditions._replace(onset_steps_n=(conditions.cycle_step_n,))
+    name = measures.onset_name(conditions.cycle_step_n, 'gain')
+
+    def steps() -> Measured:
+        return {key: value for test in TESTS for key, value in measures.step_test(
+            actuator, conditions, getattr(conditions, test), test).items()}
+
+    def cycle() -> Measured:
+        found = measures.onsets(actuator, first)
+        gain = found[name]
+        return {**found,
+                **measures.high_gain_cycle(actuator, conditions, gain),
+                'linear_onset_ratio': measures.free_onset(
+                    actuator, conditions, measures.HYSTERESIS_AS_GAIN, gain, 2.5, 0.004),
+                **measures.prediction_error(actuator, conditions, gain)}
+
+    def all_onsets() -> Measured:
+        gains = measures.onsets(actuator, conditions, {name: measured[name]})
+        return {**gains, **measures.onset_rise(gains, conditions),
+                **measures.onset_frequencies(actuator, conditions, gains)}
+
+    return {
+        'describing function, damping': lambda: {
+            **measures.describing(actuator), **measures.damping_exponent(actuator)},
+        'Table 1': steps,
+        'cycle': cycle,
+        'bandwidths, loop': lambda: {
+            **measures.bandwidths(actuator, conditions),
+            **measures.error_within_loop(actuator, conditions)},
+        'onsets': all_onsets,
+    }
+
+
+class Problem(NamedTuple):
+    """What a search works on: fixed parameters and conditions, and the quantities left free."""
+
+    fixed: Values
+    conditions: Conditions
+    free: tuple[int, ...]     # numbers of the quantities of FREE that vary
+    start: Array              # a point of the whole cube
+    one_load: bool = False
+
+    def whole(self, point: Array) -> Array:
+        """Return the point of the whole cube that a point of the free quantities stands for."""
+        full = self.start.copy()
+        full[list(self.free)] = np.clip(point, 0.0, 1.0)
+        return full
+
+    def candidate(self, point: Array) -> Candidate:
+        """Return what a point of the free quantities stands for."""
+        return candidate(decode(self.whole(point)), self.fixed, self.conditions, self.one_load)
+
+    def measure(self, point: Array) -> Measured:
+        """Return all that the rows need."""
+        measured: Measured = {}
+        for stage in stages(self.candidate(point), measured).values():
+            measured.update(stage())
+        return measured
+
+
+class Search:
+    """
+    A search that can be stopped and gone on with: the same seed gives the same points.
+
+    problem: what is searched; seed: of CMA-ES; spread: its first standard deviation, as a share
+    of the cube. `counts` says how many points have been measured in each stage of the race.
+    """
+
+    def __init__(self, problem: Problem, seed: int, spread: float) -> None:
+        import cma
+        self.problem = problem
+        self.counts = [0] * len(RACE)
+        self.polished = 0
+        self.best = problem.start[list(problem.free)]
+        self.best_cost = cost(misses(problem.measure(self.best)))
+        self.strategy = cma.CMAEvolutionStrategy(
+            self.best, spread, {'seed': seed, 'popsize': RACE[0], 'verbose': -9,
+                                'maxfevals': math.inf})
+
+    @property
+    def evaluations(self) -> int:
+        """How many points the global search has tried."""
+        return self.counts[0]
+
+    def generation(self, apply: Callable[..., Any] = map) -> None:
+        """Try one generation; `apply` maps a function over jobs, in order."""
+        points = [np.asarray(point) for point in self.strategy.ask()]
+        measured: list[Measured] = [{} for _ in points]
+        ranks = np.empty(len(points))
+        racing = list(range(len(points)))
+        for stage, places in enumerate((*RACE[1:], 0)):
+            found = apply(_measure_stage, [(self.problem, points[k], stage, measured[k])
+                                           for k in racing])
+            self.counts[stage] += len(racing)
+            for k, new in zip(racing, found, strict=True):
+                measured[k].update(new)
+                ranks[k] = (cost(misses(measured[k])) + _outside(points[k])
+                            + BEHIND * (len(RACE) - 1 - stage))
+            racing = sorted(racing, key=lambda k: ranks[k])[:places]
+        self.strategy.tell(points, ranks)
+        self._keep(points[int(np.argmin(ranks))], float(ranks.min()))
+
+    def _keep(self, point: Array, found: float) -> None:
+        if found < self.best_cost:
+            self.best_cost, self.best = found, np.clip(point, 0.0, 1.0)
+
+    def polish(self, rounds: int, apply: Callable[..., Any] = map,
+               report: Progress = silent) -> None:
+        """
+        Go on from the best point by successive linear programs.
+
+        Each row is a straight line about the point, and the step within the reach with the least
+        sum of misses is a linear program (Griffith and Stewart, Management Science 7, 1961): it
+        sees the limits of the rows that are met as well, which least squares do not.
+        """
+        point, reach = self.best.copy(), REACH
+        measured = self._measured([point], apply)[0]
+        for done in range(rounds):
+            now = cost(misses(measured))
+            self._keep(point, now)
+            report(f'polishing, cost {now:.3f}', done / rounds)
+            if now == 0.0 or reach < LEAST_REACH:
+                return
+            slopes, side = self._slopes(point, measured, reach, done, apply)
+            reaches = [min(share * reach, MOST_REACH) for share in SHARES]
+            tried = [_step(point, _bounds(measured), slopes, each) for each in reaches]
+            found = self._measured(tried, apply)
+            costs = [cost(misses(each)) for each in found]
+            k = int(np.argmin(costs))
+            if costs[k] < min(now, side[0]):
+                point, measured, reach = tried[k], found[k], reaches[k]
+            elif side[0] < now:
+                _, point, measured = side
+                reach *= 0.6
+            else:
+                reach *= 0.35
+        self._keep(point, cost(misses(measured)))
+
+    def _slopes(self, point: Array, measured: Measured, reach: float, seed: int,
+                apply: Callable[..., Any]) -> tuple[Array, tuple[float, Array, Measured]]:
+        """Return the slopes of all rows (rows x quantities), and the best point on the way."""
+        size = min(max(0.5 * reach, 0.004), 0.02)
+        steps = np.where(np.random.default_rng(seed).random(point.size) < 0.5, size, -size)
+        steps = np.where((point + steps < 0.0) | (point + steps > 1.0), -steps, steps)
+        tried = [point + step * unit
+                 for step, unit in zip(steps, np.eye(point.size), strict=True)]
+        found = self._measured(tried, apply)
+        here = _bounds(measured)
+        slopes = np.array([(_bounds(each) - here) / step
+                           for each, step in zip(found, steps, strict=True)]).T
+        costs = [cost(misses(each)) for each in found]
+        k = int(np.argmin(costs))
+        return np.clip(slopes, -STEEPEST, STEEPEST), (costs[k], tried[k], found[k])
+
+    def _measured(self, points: Sequence[Array], apply: Callable[..., Any]) -> list[Measured]:
+        self.polished += len(points)
+        return list(apply(_measure_whole, [(self.problem, point) for point in points]))
+
+    def save(self, path: Path) -> None:
+        """Write the state; a crash while writing leaves the last one."""
+        part = path.with_suffix('.part')
+        part.write_bytes(pickle.dumps(self))
+        part.replace(path)
+
+
+def _outside(point: Array) -> float:
+    return 10.0 * float(np.sum((point - np.clip(point, 0.0, 1.0))**2))
+
+
+LINES: Final = tuple(fact for fact in AIMS if fact.low != fact.high)
+TWO_SIDED: Final = np.array([not one_sided(fact) for fact in LINES])
+
+
+def _bounds(measured: Measured) -> Array:
+    """Return where each row that has limits is, in half widths."""
+    return np.array([bounded(fact, measured[fact.value]) for fact in LINES])
+
+
+def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
+    """Return the point within a reach with the least sum of misses, were all rows straight."""
+    from scipy.optimize import linprog
+    slack = -np.eye(here.size)
+    # A little further in than needed: the rows are not quite straight.
+    inner = INNER - 0.03
+    sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[TWO_SIDED]])
+    limits = np.concatenate([inner - here, (inner + here)[TWO_SIDED]])
+    box = [(max(-reach, -x), min(reach, 1.0 - x)) for x in point] + [(0.0, None)] * here.size
+    weights = np.concatenate([np.zeros(point.size), np.ones(here.size)])
+    return np.clip(point + linprog(weights, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
+
+
+def _measure_stage(job: tuple[Problem, Array, int, Measured]) -> Measured:
+    problem, point, stage, measured = job
+    return list(stages(problem.candidate(point), measured).values())[stage]()
+
+
+def _measure_whole(job: tuple[Problem, Array]) -> Measured:
+    problem, point = job
+    return problem.measure(point)
+
+
+def load(path: Path) -> Search:
+    """Return a search that was saved. Raises InputError if there is none in the file."""
+    try:
+        found = pickle.loads(path.read_bytes())
+    except (OSError, pickle.UnpicklingError, EOFError, ImportError, AttributeError) as error:
+        raise InputError(f'{path} holds no state of a calibration: {error}') from None
+    if not isinstance(found, Search):
+        raise InputError(f'{path} holds no state of a calibration')
+    return found
+
+
+def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
+               only: Sequence[str] = ()) -> Search:
+    """
+    Return a search from a start.
+
+    spread: of the first generation, a share of the range of each; only: the names of the
+    quantities that are to vary (all that the structure leaves free, if empty). Raises InputError
+    for a spread that is none, or a name that FREE does not hold.
+    """
+    if not 0.0 < spread <= 1.0:
+        raise InputError(f'spread = {spread:g} is not allowed: above 0, at most 1')
+    names = [free.name for free in FREE]
+    for name in (*only, *structure.fixed):
+        if name not in names:
+            raise InputError(f'{name} is not free; there are {", ".join(names)}')
+    free = tuple(k for k, name in enumerate(names)
+                 if name not in structure.fixed and (not only or name in only))
+    known = {**quantities(start), **structure.fixed}
+    problem = Problem({**start.actuator, **SEARCH}, start.conditions, free, encode(known),
+                      structure.one_load)
+    return Search(problem, seed, spread)
+
+
+def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
+              report: Progress = silent) -> Search:
+    """Search until so many evaluations are made, then polish; the state is kept in a file."""
+    def apply(function: Callable[..., Any], jobs: Iterable[Any]) -> Iterable[Any]:
+        return each(function, ((job,) for job in jobs))
+
+    while search.evaluations < evaluations and not search.strategy.stop():
+        search.generation(apply)
+        search.save(state)
+        report(f'{search.evaluations} evaluations, cost {search.best_cost:.3f}',
+               search.evaluations / evaluations)
+    if rounds:
+        search.polish(rounds, apply, report)
+    search.save(state)
+    return search
+
+
+def result(search: Search) -> Candidate:
+    """Return the best candidate, without what only the search needs."""
+    best = search.problem.candidate(search.best)
+    return best._replace(actuator={name: value for name, value in best.actuator.items()
+                                   if name not in SEARCH})

@@ -1,0 +1,132 @@
+"""The report of `asi demo`."""
+
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from matplotlib.figure import Figure
+
+from asi_analysis.bags.run import Run
+from asi_analysis.paper.demo import (
+    Cycle,
+    Loop,
+    Published,
+    Recorded,
+    hysteresis_loop,
+    limit_cycle,
+    scaled,
+)
+from asi_analysis.reporting import figures
+from asi_analysis.reporting.report import write_report
+from asi_controller.compensator import OWN_GAIN
+
+# Published and simulated figures that differ by less are called alike.
+ALIKE: Final = 0.25
+# A share of a bound that counts as far below it, for the paper's "≪".
+FAR_BELOW: Final = 0.1
+CAPTIONS: Final = {
+    'step_responses': 'Force and valve command after a step, with three compensators',
+    'limit_cycle': 'Force of the limit cycle in time: the whole run and its last cycles',
+    'phase_plane': 'Phase plane of the limit cycle: force rate against force',
+    'spectrum': 'Spectrum of the force in the limit cycle',
+    'hysteresis': 'Loop of valve position against valve command'}
+
+
+class Cell(NamedTuple):
+    published: str
+    simulated: str
+    verdict: str
+    alike: bool
+
+
+def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
+    """Write report.html and the PNGs into `out`; return the path of report.html."""
+    by_name = {each.plan.name: each for each in recorded}
+    cycle_run, loop_run = by_name['limit_cycle'], by_name['hysteresis']
+    swing = cycle_run.analysis['oscillation']
+    cycle = limit_cycle(cycle_run, swing['frequency_hz']) if swing['frequency_hz'] else None
+    loop = hysteresis_loop(loop_run)
+    drawn = {'step_responses': _steps(recorded), 'hysteresis': _hysteresis(loop)}
+    if cycle:
+        drawn |= _of_cycle(cycle_run.run, cycle)
+    steps = [each for each in recorded if each.plan.published]
+    return write_report(
+        out, 'demo.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
+        rows=[(each.plan.title, [compare(each.analysis, entry)
+                                 for entry in each.plan.published]) for each in steps],
+        quantities=[f'{entry.quantity} ({entry.unit})' for entry in steps[0].plan.published],
+        shapes=[(each.plan.title, each.analysis['rise_shape']) for each in steps
+                if each.analysis['monotone_rise'] is False],
+        steps=[(each.plan.title, float(each.experiment.controller['reference.amplitude']),
+                _load(each)) for each in steps],
+        cycle=cycle, swing=swing, cycle_run=cycle_run, loop=loop, loop_run=loop_run,
+        recorded=recorded, gains={each.plan.name: _gain(each) for each in recorded},
+        delay_ms=_delay_ms(recorded[0]))
+
+
+def _of_cycle(run: Run, cycle: Cycle) -> dict[str, Figure]:
+    time_s, force_n, frequency_hz = run.time_s, run.signal('force'), cycle.frequency_hz
+    return {
+        'limit_cycle': figures.oscillation_in_time(
+            time_s, force_n, run.signal('reference'), 8.0 / frequency_hz),
+        'phase_plane': figures.phase_plane(time_s, force_n, cycle.steady),
+        'spectrum': figures.spectrum(*cycle.spectrum, cycle.harmonics, 9.5 * frequency_hz)}
+
+
+def _steps(recorded: list[Recorded]) -> Figure:
+    curves = {}
+    for each in recorded:
+        if each.plan.published:
+            step = each.analysis['steps'][0]
+            share = 100.0 / (step['final_n'] - step['initial_n'])
+            curves[each.plan.title] = (each.run.time_s - step['time_s'],
+                                       share * each.run.signal('force'),
+                                       share * each.run.signal('command'))
+    return figures.step_responses(curves, 0.25)
+
+
+def _hysteresis(loop: Loop) -> Figure:
+    return figures.hysteresis_loop(loop.command_n, loop.valve_position_m,
+                                   (loop.slope_m_n, loop.offset_m), loop.width_n)
+
+
+def compare(analysis: dict[str, Any], entry: Published) -> Cell:
+    """Put our figure beside the published one and say plainly how they differ."""
+    value = scaled(analysis, entry)
+    if value is None:
+        return Cell(entry.words, '-', 'not reached', False)
+    text = (f'{value:.3g}' if abs(value) >= 0.01 else '0').replace('-', '−')
+    if entry.words.startswith(('<', '≪')):
+        if abs(value) >= entry.value:
+            return Cell(entry.words, text, 'larger', False)
+        met = entry.words.startswith('<') or abs(value) < FAR_BELOW * entry.value
+        return Cell(entry.words, text, 'as published' if met else 'below, not far below', met)
+    if entry.value == 0.0:
+        return Cell(entry.words, text, 'alike' if abs(value) < 2.0 else f'{value:.1f} more',
+                     abs(value) < 2.0)
+    ratio = abs(value) / entry.value
+    if abs(ratio - 1.0) < ALIKE:
+        return Cell(entry.words, text, 'alike', True)
+    smaller, larger = ('shorter', 'longer') if entry.unit == 'ms' else ('smaller', 'larger')
+    return Cell(entry.words, text, f'{ratio:.1f} times {larger}' if ratio > 1.0
+                 else f'{1.0 / max(ratio, 1e-3):.1f} times {smaller}', False)
+
+
+def _gain(recorded: Recorded) -> float:
+    """Return the gain that was in use."""
+    values = recorded.experiment.controller
+    return float(values['gain']) or OWN_GAIN[str(values['compensator'])]
+
+
+def _load(recorded: Recorded) -> str:
+    """Say what the piston pushes against."""
+    values = recorded.experiment.actuator
+    if values['load.type'] == 'locked':
+        return 'piston locked'
+    return (f'spring of {float(values["load.stiffness"]) / 1e3:.3g} kN/m, '
+            f'{float(values["load.mass"]):.3g} kg, {float(values["load.damping"]):.3g} N s/m')
+
+
+def _delay_ms(recorded: Recorded) -> float:
+    """Return the transport delay in the loop (ms): the model's two; lock-step adds none."""
+    values = recorded.experiment.actuator
+    return 1e3 * (float(values['valve_flexure.delay']) + float(values['force_sensor.delay']))

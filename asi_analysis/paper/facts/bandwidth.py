@@ -1,0 +1,62 @@
+"""Bandwidths by sines, one after the other: open loop, and closed small and large (2.2)."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from asi_analysis.loop.bench import RATE_HZ, Array, Bench, Values, open_loop
+
+# A sine is projected over whole periods, after at least this long.
+SETTLING_S: Final = 0.1
+WHOLE_PERIODS: Final = 4
+
+
+def _periods(frequency_hz: float) -> tuple[int, int]:
+    """Return how many samples settle and how many are projected, both whole periods."""
+    period = RATE_HZ / frequency_hz
+    settling = math.ceil(SETTLING_S * frequency_hz) * period
+    return round(settling), round(WHOLE_PERIODS * period)
+
+
+def _amplitude(force: Array, frequency_hz: float, samples: int) -> float:
+    """Return the amplitude of the last `samples` of a force at a frequency."""
+    first = force.size - samples
+    turn = np.exp(-2j * np.pi * frequency_hz / RATE_HZ * np.arange(first, force.size))
+    return float(2.0 / samples * abs(np.sum((force[first:] - force[first:].mean()) * turn)))
+
+
+def open_loop_gain(plant: np.void, amplitude_n: float, frequency_hz: float) -> float:
+    """Return the force per valve command, N/N, at an amplitude (N) and a frequency (Hz)."""
+    settling, samples = _periods(frequency_hz)
+    time = np.arange(settling + samples) / RATE_HZ
+    run = open_loop(plant, amplitude_n * np.sin(2.0 * np.pi * frequency_hz * time))
+    return _amplitude(run.force_n, frequency_hz, samples) / amplitude_n
+
+
+def closed_loop_gain(plant: np.void, controller: Values, amplitude_n: float, frequency_hz: float
+                     ) -> float:
+    """Return the force per desired force, N/N, at an amplitude (N) and a frequency (Hz)."""
+    settling, samples = _periods(frequency_hz)
+    bench = Bench(plant, controller)
+    force = bench.run((settling + samples) / RATE_HZ, amplitude_n, frequency_hz).force_n
+    return _amplitude(force, frequency_hz, samples) / amplitude_n
+
+
+def bandwidth_hz(gain: Callable[[float], float], low_hz: float,
+                 frequencies_hz: Sequence[float]) -> float:
+    """
+    Return where `gain` has fallen by 3 dB from that at `low_hz`; infinite if it does not.
+
+    frequencies_hz: rising; between two of them the gain is a power of the frequency.
+    """
+    level = gain(low_hz) / math.sqrt(2.0)
+    before_hz, before = low_hz, level * math.sqrt(2.0)
+    for frequency in frequencies_hz:
+        after = gain(frequency)
+        if after < level:
+            share = math.log(before / level) / math.log(before / max(after, 1e-9))
+            return before_hz * (frequency / before_hz) ** share
+        before_hz, before = frequency, after
+    return math.inf

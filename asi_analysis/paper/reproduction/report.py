@@ -1,0 +1,48 @@
+"""The report of `asi reproduce`: the facts, and Figs. 3 to 12 as we see them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asi_analysis.loop.linear_model import linear_model
+from asi_analysis.paper.facts.stated import stated
+from asi_analysis.paper.reproduction.answer import Reproduction, as_document
+from asi_analysis.paper.reproduction.figures import paper_figures
+from asi_analysis.reporting.report import write_report
+
+
+def write_reproduction_report(result: Reproduction, out: Path) -> Path:
+    """Write report.html and a PNG of each figure into `out`; return the path of report.html."""
+    document = as_document(result)
+    held_out = [fact for fact in document['facts'] if fact['role'] == 'held out']
+    drawn = paper_figures(result.actuator, result.conditions, result.measured)
+    page = write_report(
+        out, 'reproduction.html', {name: (figure, name) for name, figure in drawn.items()},
+        document=document, stated=stated(result.actuator, result.conditions),
+        held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
+        linear=linear_model(result.actuator), roots=_roots)
+    (out / 'table.md').write_text(_table(document))
+    return page
+
+
+def _roots(values: np.ndarray) -> str:
+    """Return roots in words, conjugate pairs as one."""
+    return ', '.join(f'{root.real:.4g}' + (f' ± {root.imag:.4g}i' if root.imag > 0.0 else '')
+                     for root in values if root.imag >= 0.0)
+
+
+def _table(document: Mapping[str, Any]) -> str:
+    """Return the table in Markdown, for doc/reproduction."""
+    lines = ['| fact | quantity | paper | published | simulated | met if | | role |',
+             '|---|---|---|---|---|---|---|---|']
+    for fact in document['facts']:
+        simulated = '-' if fact['simulated'] is None else f'{fact["simulated"]:.4g}'
+        lines.append(f'| {fact["id"]} | {fact["quantity"]} | {fact["section"]} | '
+                     f'{fact["published"]:.4g} | {simulated} {fact["unit"]} | '
+                     f'{fact["tolerance"]} | {"met" if fact["met"] else "**not met**"} | '
+                     f'{fact["role"]} |')
+    lines += ['', f'{document["met"]} of {document["total"]} rows met; '
+              f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole.']
+    return '\n'.join(lines) + '\n'

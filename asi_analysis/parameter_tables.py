@@ -1,0 +1,108 @@
+"""
+Writes what people read of the tables of parameters: the YAML files and doc/parameters.md.
+
+`python -m asi_analysis.parameter_tables` in the root of the repository; the tests check that the
+files are current.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import yaml
+
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_common.parameter import Parameter
+from asi_controller.parameters import (
+    COMPENSATOR_PARAMETERS,
+    CONTROLLER_NODE_PARAMETERS,
+    REFERENCE_PARAMETERS,
+)
+
+COMMAND: Final = 'python -m asi_analysis.parameter_tables'
+
+
+class NodeTables(NamedTuple):
+    """A node, where its YAML file is, and the tables of its parameters by title."""
+
+    node: str
+    file: str
+    tables: dict[str, tuple[Parameter, ...]]
+
+
+NODES: Final = (
+    NodeTables('asi_actuator', 'config/actuator.yaml',
+               {'Node': ACTUATOR_NODE_PARAMETERS, 'Physics': ACTUATOR_PARAMETERS}),
+    NodeTables('asi_controller', 'config/controller.yaml',
+               {'Node': CONTROLLER_NODE_PARAMETERS, 'Compensator': COMPENSATOR_PARAMETERS,
+                'Reference': REFERENCE_PARAMETERS}),
+)
+
+
+def _scalar(value: object) -> str:
+    """Return a value as YAML 1.1 that ROS reads back with the same type."""
+    if isinstance(value, float):
+        # YAML 1.1 takes 1e-05 for a text: it wants a point.
+        text = f'{value!r}'
+        return text if '.' in text else text.replace('e', '.0e')
+    return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None
+                          ).splitlines()[0]
+
+
+def _yaml_lines(tables: dict[str, tuple[Parameter, ...]]) -> Iterator[str]:
+    block = ''
+    for title, table in tables.items():
+        yield f'    # {title}'
+        for parameter in table:
+            first, _, rest = parameter.name.partition('.')
+            if rest and first != block:
+                yield f'    {first}:'
+            block = first if rest else ''
+            indent = '      ' if rest else '    '
+            unit = '' if parameter.allowed.endswith(parameter.unit) else f' in {parameter.unit}'
+            fixed = '; fixed while the node runs' if parameter.read_only else ''
+            yield f'{indent}# {parameter.description}'
+            yield f'{indent}# {parameter.allowed}{unit}{fixed}'
+            yield f'{indent}{rest or first}: {_scalar(parameter.default)}'
+
+
+def yaml_text(node: NodeTables) -> str:
+    """Return the parameter file of a node with the defaults, as `ros2 run` takes it."""
+    return '\n'.join([f'# Parameters of {node.node}, all at their defaults.',
+                      f'# Written by `{COMMAND}`.',
+                      f'/**/{node.node}:', '  ros__parameters:', *_yaml_lines(node.tables)]) + '\n'
+
+
+def _row(parameter: Parameter) -> str:
+    cells = (f'`{parameter.name}`' + (' (fixed)' if parameter.read_only else ''),
+             f'`{_scalar(parameter.default)}`', parameter.unit, parameter.description,
+             parameter.allowed, parameter.source)
+    return '| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |'
+
+
+def markdown_text() -> str:
+    """Return doc/parameters.md."""
+    lines = ['# Parameters', '', f'Written by `{COMMAND}`.', '',
+             'Change one while a node runs by `ros2 param set /asi_controller gain 8.0`; those '
+             'marked (fixed) only at the start. A value that is not allowed is refused with the '
+             'reason and changes nothing.']
+    for node in NODES:
+        lines += ['', f'## /{node.node}', '', f'File: `{node.file}`']
+        for title, table in node.tables.items():
+            lines += ['', f'### {title}', '',
+                      '| parameter | default | unit | what it is | allowed | source |',
+                      '|---|---|---|---|---|---|', *map(_row, table)]
+    return '\n'.join(lines) + '\n'
+
+
+def files() -> dict[Path, str]:
+    """Return the text of each file by its path in the repository."""
+    return {Path(node.file): yaml_text(node) for node in NODES} | {
+        Path('doc/parameters.md'): markdown_text()}
+
+
+if __name__ == '__main__':
+    for path, text in files().items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding='utf-8')

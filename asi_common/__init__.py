@@ -1,0 +1,1 @@
+"""What physics, nodes and analysis share; here numpy and numba only."""

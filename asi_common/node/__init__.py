@@ -1,0 +1,1 @@
+"""What all ROS nodes share: parameters, messages, topics, executor, diagnostics."""

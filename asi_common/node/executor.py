@@ -1,0 +1,241 @@
+"""How every node is run: its executor, its signals, its exit status."""
+
+import faulthandler
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, MutableMapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from asi_common.parameter import ParameterError
+
+# How long services, parameters, unhurried timers and new entities may wait, and events of the
+# middleware; twice as long, if no timer of the loop ticks.
+SERVICE_PERIOD_NS: Final = 10_000_000
+EVENT_PERIOD_NS: Final = 500_000_000
+# How long a node that waits may notice nothing, if the system clock is set back.
+WAKE_PERIOD_S: Final = 0.02
+# How long a node that ends waits at most for others to receive what it has published last; it
+# takes 50 ms, unless a subscriber has died.
+FAREWELL_S: Final = 2.0
+# How long it may take to end, the rest of a bag included. Fast DDS 2.14 may wait for ever for a
+# callback that waits for it, where several nodes end in the same moment.
+END_S = 60.0
+PROFILES: Final = Path(__file__).parent
+
+
+class RunError(Exception):
+    """The run cannot go on; the text says why."""
+
+
+class RunFinished(Exception):  # noqa: N818
+    """The run has reached its end."""
+
+
+class Unhurried(MutuallyExclusiveCallbackGroup):
+    """Of timers that are served like services: when a tick is over, so that none is late."""
+
+
+class LoopExecutor(SingleThreadedExecutor):
+    """
+    An executor for a loop of thousands of messages a second.
+
+    rclpy's executor builds its wait set anew and makes a task for every message. This one keeps
+    the wait set of subscriptions and timers and calls their callbacks (plain functions of the
+    message, or of nothing) directly, which takes half the time (bench/loop_rate.py). All else
+    goes through rclpy's own spin_once, which takes longer than a tick may be late: so only when
+    a look every SERVICE_PERIOD_NS finds a service, a client or a task that asks for it, and every
+    EVENT_PERIOD_NS for the events of the middleware; both when a timer of the loop has just
+    ticked, as then the next tick is far.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stopped = False
+        self._awake = GuardCondition(None, None, self.context)
+
+    def spin(self) -> None:
+        """Serve the nodes until `stopped` is true or the context is shut down."""
+        threading.Thread(target=self._wake, daemon=True).start()
+        # The collector need not look again and again at what is there by now.
+        gc.freeze()
+        while not self.stopped and self.context.ok():
+            self.spin_once(timeout_sec=0.0)
+            self._spin_loop(time.monotonic_ns() + EVENT_PERIOD_NS)
+
+    def _wake(self) -> None:
+        """
+        End every wait after WAKE_PERIOD_S of the steady clock.
+
+        Fast DDS, as built for wheels, waits until a time of the system clock: if that is set back
+        by an hour meanwhile, for an hour, unless a message comes (`python -m torture clocks`).
+        """
+        while not self.stopped:
+            self._awake.trigger()
+            time.sleep(WAKE_PERIOD_S)
+
+    def can_execute(self, entity: Any) -> bool:
+        """Keep spin_once away from what the loop serves."""
+        return not isinstance(entity, Subscription | Timer) and super().can_execute(entity)
+
+    def _spin_loop(self, end_ns: int) -> None:
+        """Serve subscriptions and timers until `end_ns`, or until something else is to be done."""
+        nodes = self.get_nodes()
+        # A recorder's callback group keeps its subscriptions out: it polls them.
+        subscriptions: list[Any] = [s for node in nodes for s in node.subscriptions
+                                    if s.callback_group.can_execute(s)]
+        every_timer: list[Any] = [t for node in nodes for t in node.timers]
+        unhurried = [t for t in every_timer if isinstance(t.callback_group, Unhurried)]
+        timers = [t for t in every_timer if t not in unhurried]
+        services: list[Any] = [s for node in nodes for s in node.services]
+        clients: list[Any] = [c for node in nodes for c in node.clients]
+        context: Any = self.context.handle
+        with ExitStack() as in_use:
+            for entity in (*subscriptions, *every_timer, *services, *clients, self._guard,
+                           self._awake):
+                in_use.enter_context(entity.handle)
+            in_use.enter_context(context)
+            fast = rclpy_implementation.WaitSet(
+                len(subscriptions), 1, len(timers), 0, 0, 0, context)
+            slow = rclpy_implementation.WaitSet(
+                0, 1, 0, len(clients), len(services), 0, context)
+            while not self.stopped and (now_ns := time.monotonic_ns()) < end_ns:
+                self._serve(fast, subscriptions, timers, now_ns + SERVICE_PERIOD_NS)
+                for timer in unhurried:
+                    if timer.handle.is_timer_ready():
+                        timer.handle.call_timer()
+                        timer.callback()
+                if self._asked(slow, services, clients):
+                    return
+
+    def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],
+               end_ns: int) -> None:
+        """Call the callbacks of subscriptions and timers until `end_ns` and the tick after."""
+        # Looked up once: each takes its time, and here they would be asked for in every tick.
+        heard = [(s.handle, s.handle.pointer, s.msg_type, s.raw, s.callback)
+                 for s in subscriptions]
+        timed = [(t.handle, t.callback) for t in timers]
+        entities = ([(wait_set.add_subscription, handle) for handle, *_ in heard]
+                    + [(wait_set.add_timer, handle) for handle, _ in timed]
+                    + [(wait_set.add_guard_condition, self._awake.handle)])
+        ticked = False
+        while (not self.stopped and (left_ns := end_ns - time.monotonic_ns())
+               > (0 if ticked else -SERVICE_PERIOD_NS)):
+            wait_set.clear_entities()
+            for add, entity in entities:
+                add(entity)
+            wait_set.wait(left_ns + SERVICE_PERIOD_NS)
+            ready = wait_set.get_ready_entities('subscription')
+            for handle, pointer, kind, raw, callback in heard:
+                if pointer in ready:
+                    taken = handle.take_message(kind, raw)
+                    if taken is not None:
+                        callback(taken[0])
+            ticked = not timed
+            # Asked one by one: what came may have taken long enough for one to become ready.
+            for handle, callback in timed:
+                if handle.is_timer_ready():
+                    handle.call_timer()
+                    callback()
+                    ticked = True
+
+    def _asked(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
+        """Tell whether a service, a client, or a task or change of a node waits for spin_once."""
+        wait_set.clear_entities()
+        for service in services:
+            wait_set.add_service(service.handle)
+        for client in clients:
+            wait_set.add_client(client.handle)
+        wait_set.add_guard_condition(self._guard.handle)
+        wait_set.wait(0)
+        return any(wait_set.get_ready_entities(kind)
+                   for kind in ('service', 'client', 'guard_condition'))
+
+
+def run_node(make_node: Callable[[], Node]) -> int:
+    """
+    Run a node until SIGINT, SIGTERM or its own end; return the exit status.
+
+    0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
+    parameter or ROS argument. What went wrong is said in one line on stderr.
+    """
+    choose_transport(os.environ)
+    try:
+        # rclpy's own handlers would shut the context down in the middle of a callback.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except (RuntimeError, ValueError) as error:
+        print(str(error).splitlines()[0], file=sys.stderr)
+        return 2
+    executor = LoopExecutor()
+
+    def stop(*_: object) -> None:
+        executor.stopped = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        node = make_node()
+    except (ParameterError, rclpy_implementation.RCLError) as error:
+        # The second: the middleware cannot do what the environment asks for, such as security.
+        print(' '.join(str(error).split()), file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except RunFinished:
+        pass
+    except RunError as error:
+        node.get_logger().fatal(str(error))
+        return 1
+    finally:
+        # By a thread that needs nothing of Python: says where it hangs, and exits with 1.
+        faulthandler.dump_traceback_later(END_S, exit=True)
+        _say_farewell(node)
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
+    return 0
+
+
+def choose_transport(environment: MutableMapping[str, str]) -> None:
+    """
+    Have Fast DDS use UDP alone, unless the user has settings of their own.
+
+    Its shared memory is guarded by locks that a killed process keeps, and a loop that comes
+    across one stands still for 2 s (doc/reliability.md). Asked to stay on this machine,
+    rmw_fastrtps adds shared memory whatever a profile says; so a profile does what it would do.
+    """
+    if 'FASTRTPS_DEFAULT_PROFILES_FILE' in environment:
+        return
+    profile = 'fastdds.xml'
+    if (environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
+            and not environment.get('ROS_STATIC_PEERS')):
+        environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
+        profile = 'fastdds_localhost.xml'
+    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(PROFILES / profile)
+
+
+def _say_farewell(node: Node) -> None:
+    """Wait until what the node has published has arrived, so that a recorder loses nothing."""
+    end = time.monotonic() + FAREWELL_S
+    for publisher in node.publishers:
+        left = max(0.0, end - time.monotonic())
+        publisher.wait_for_all_acked(Duration(nanoseconds=int(left * 1e9)))

@@ -1,0 +1,125 @@
+"""
+The messages of the loop as the bytes that go over the wire (CDR, little endian).
+
+rclpy takes 4 to 11 us to make bytes of one of these messages and 4 to 31 us to make a message of
+bytes, more than all else that a node does in a tick; here each way takes one or two
+(`make bench BENCH=loop_rate`). So the nodes publish bytes and subscribe to bytes (`raw`).
+Whatever is laid out in another way, as with another frame or other joints, rclpy unpacks.
+"""
+
+from collections.abc import Mapping
+from math import nan
+from struct import Struct
+from typing import Any, Final
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from asi_common.node.topics import FRAME, JOINTS, PISTON, nanoseconds
+
+_SECOND_NS: Final = 1_000_000_000
+_COUNT: Final = Struct('<I')
+_HEADER: Final = b'\0\1\0\0'
+
+
+def _string(text: str) -> bytes:
+    data = text.encode() + b'\0'
+    return _COUNT.pack(len(data)) + data
+
+
+# What is the same in every message. Each string comes with its length, the names and each pair
+# of numbers with their count; `x` fills up to where the next may begin, and may be anything.
+_TWO: Final = _COUNT.pack(2)
+_FRAME: Final = _string(FRAME)
+_NAMES: Final = (_FRAME, _TWO, *map(_string, JOINTS), _TWO)
+_NAMED: Final = Struct('<11sx4s11sx10s2x4s4x')
+_BEFORE_NUMBERS: Final = _NAMED.pack(*_NAMES)
+
+_CLOCK: Final = Struct('<4siI')
+_FLOAT: Final = Struct('<4sd')
+# Written after the bytes of a clock, which are those of a stamp too; and read.
+_WRENCH: Final = Struct('<12s11s5xd40x')
+_STATE: Final = Struct(f'<12s{_NAMED.size}s2d4s4x2d4s4x2d')
+_WRENCH_READ: Final = Struct('<4siI11s5xd40x')
+_STATE_READ: Final = Struct(f'<4siI{_NAMED.format[1:]}16x4s20x4s4xd8x')
+_AROUND_NUMBERS: Final = [*_NAMES, _TWO, _TWO]
+
+
+def clock(stamp_ns: int) -> bytes:
+    """Return a rosgraph_msgs/Clock."""
+    return _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
+
+
+def state(stamp_ns: int, position_m: float, valve_m: float, velocity: float,
+          valve_velocity: float, force_n: float, command_n: float
+          ) -> tuple[bytes, bytes, bytes, bytes, bytes]:
+    """Return what the actuator says: joint_states, /clock, force, valve_position, velocity."""
+    stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
+    return (_STATE.pack(stamp, _BEFORE_NUMBERS, position_m, valve_m,
+                        _TWO, velocity, valve_velocity, _TWO, force_n, command_n),
+            stamp, _WRENCH.pack(stamp, _FRAME, force_n),
+            _FLOAT.pack(_HEADER, valve_m), _FLOAT.pack(_HEADER, velocity))
+
+
+def answer(stamp_ns: int, command_n: float, reference_n: float) -> tuple[bytes, bytes]:
+    """Return what the controller says: valve_command and force_reference, forces along x."""
+    stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
+    return (_WRENCH.pack(stamp, _FRAME, command_n), _WRENCH.pack(stamp, _FRAME, reference_n))
+
+
+def status(stamp_ns: int, level: bytes, node: str, name: str, text: str,
+           values: Mapping[str, str]) -> bytes:
+    """
+    Return a diagnostic_msgs/DiagnosticArray of one status; `node` becomes its hardware_id.
+
+    rclpy leaves in the gaps between the texts whatever was there in memory, which is not the same
+    from run to run.
+    """
+    data = clock(stamp_ns)
+    for part in (_string(''), _COUNT.pack(1), level, _string(name), _string(text), _string(node),
+                 _COUNT.pack(len(values)),
+                 *(_string(each) for pair in values.items() for each in pair)):
+        data += bytes(-len(data) % 4) + part
+    return data
+
+
+def time(data: bytes) -> int:
+    """Return the time (ns) of a rosgraph_msgs/Clock; 0 if it is none."""
+    if len(data) == _CLOCK.size:
+        header, seconds, nanoseconds_ = _CLOCK.unpack(data)
+        if header == _HEADER:
+            return int(seconds * _SECOND_NS + nanoseconds_)
+    message = _unpacked(data, Clock)
+    return nanoseconds(message.clock) if message else 0
+
+
+def force(data: bytes) -> tuple[int, float]:
+    """Return stamp (ns) and force.x of a geometry_msgs/WrenchStamped; 0 and nan if it is none."""
+    if len(data) == _WRENCH.size:
+        header, seconds, nanoseconds_, frame, force_n = _WRENCH_READ.unpack(data)
+        if header == _HEADER and frame == _FRAME:
+            return seconds * _SECOND_NS + nanoseconds_, force_n
+    message = _unpacked(data, WrenchStamped)
+    return (nanoseconds(message.header.stamp), message.wrench.force.x) if message else (0, nan)
+
+
+def piston_effort(data: bytes) -> tuple[int, float]:
+    """Return stamp (ns) and effort of the piston in a sensor_msgs/JointState; 0, nan if none."""
+    if len(data) == _STATE.size:
+        header, seconds, nanoseconds_, *around, force_n = _STATE_READ.unpack(data)
+        if header == _HEADER and around == _AROUND_NUMBERS:
+            return seconds * _SECOND_NS + nanoseconds_, force_n
+    message = _unpacked(data, JointState)
+    if message is None or PISTON not in message.name[:len(message.effort)]:
+        return 0, nan
+    return nanoseconds(message.header.stamp), message.effort[message.name.index(PISTON)]
+
+
+def _unpacked(data: bytes, kind: Any) -> Any:
+    """Return a message of a type; None if the bytes are none, as rclpy itself drops them."""
+    try:
+        return deserialize_message(data, kind)
+    except RuntimeError:
+        return None

@@ -1,0 +1,112 @@
+"""
+A table of parameters as ROS parameters: the same for every node.
+
+The on-set callback checks a whole set and changes nothing; the post-set callback applies it.
+"""
+
+from collections.abc import Callable, Mapping
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from asi_common.parameter import Parameter, ParameterError, Value, completed
+
+# What rclpy declares by itself on every node.
+OF_EVERY_NODE = ('use_sim_time', 'start_type_description_service')
+
+
+def descriptor(parameter: Parameter) -> ParameterDescriptor:
+    """Return the ROS descriptor of a parameter."""
+    unit = f' [{parameter.unit}]' if parameter.unit else ''
+    source = f'; source: {parameter.source}' if parameter.source else ''
+    # Typed dynamically so that a wrong type comes to our own check, whose reason says what is
+    # allowed; rclpy's does not even name the parameter.
+    result = ParameterDescriptor(
+        name=parameter.name, description=parameter.description + unit + source,
+        additional_constraints=parameter.allowed, read_only=parameter.read_only,
+        dynamic_typing=True)
+    if isinstance(parameter.default, float):
+        result.floating_point_range = [FloatingPointRange(
+            from_value=float(parameter.low), to_value=float(parameter.high))]
+    elif isinstance(parameter.default, int) and not isinstance(parameter.default, bool):
+        result.integer_range = [IntegerRange(
+            from_value=int(parameter.low), to_value=int(parameter.high))]
+    return result
+
+
+class RosParameters:
+    """The parameters of a node: `values`, by name, always complete and allowed."""
+
+    def __init__(self, node: Node, table: tuple[Parameter, ...],
+                 check: Callable[[Mapping[str, Value]], object] = lambda values: None):
+        """
+        Declare a table on a node that was made with automatically_declare... from overrides.
+
+        check(values) raises ParameterError for a combination that is not allowed. Raises
+        ParameterError if the YAML file or the command line gave something that is not allowed.
+        """
+        self._node = node
+        self._table = {parameter.name: parameter for parameter in table}
+        self._check = check
+        self._apply: Callable[[set[str]], None] = lambda changed: None
+        given = self._take_overrides()
+        self.values = completed(given, table)
+        check(self.values)
+        node.declare_parameters(
+            '', [(p.name, self.values[p.name], descriptor(p)) for p in table],
+            ignore_override=True)
+        node.add_pre_set_parameters_callback(self._pre_set)
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._post_set)
+
+    def when_changed(self, apply: Callable[[set[str]], None]) -> None:
+        """Call apply(names) after each change, when `values` holds the new ones."""
+        self._apply = apply
+
+    def _take_overrides(self) -> dict[str, Value]:
+        """Return what YAML file and command line gave, and make room to declare it properly."""
+        given = {name: self._typed(self._node.get_parameter(name)).value
+                 for name in self._node.get_parameters_by_prefix('')
+                 if name not in OF_EVERY_NODE and not name.startswith('qos_overrides.')}
+        for name in given:
+            self._node.undeclare_parameter(name)
+        return given
+
+    def _typed(self, given: RosParameter) -> RosParameter:
+        """Return a parameter, an integer made a float where a float is meant: users type 8."""
+        wanted = self._table.get(given.name)
+        if (wanted is not None and isinstance(wanted.default, float)
+                and given.type_ == RosParameter.Type.INTEGER):
+            return RosParameter(given.name, RosParameter.Type.DOUBLE, float(given.value))
+        return given
+
+    def _pre_set(self, given: list[RosParameter]) -> list[RosParameter]:
+        unknown = [p.name for p in given if not self._node.has_parameter(p.name)]
+        if unknown:
+            # rclpy would raise the same but forget the names.
+            raise ParameterNotDeclaredException(unknown)
+        return [self._typed(parameter) for parameter in given]
+
+    def _on_set(self, given: list[RosParameter]) -> SetParametersResult:
+        new = {p.name: p.value for p in given if p.name in self._table}
+        for name in new:
+            # Dynamic typing has put the type of the value here, even if it is refused.
+            self._node.describe_parameter(name).type = self._node.get_parameter(name).type_.value
+        try:
+            self._check(completed(self.values | new, tuple(self._table.values())))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _post_set(self, given: list[RosParameter]) -> None:
+        new = {p.name: p.value for p in given if p.name in self._table}
+        if new:
+            self.values = self.values | new
+            self._apply(set(new))

@@ -1,0 +1,133 @@
+"""
+The parameter type, and what a table of parameters yields.
+
+A table is the one place: the YAML file, the ROS descriptors, the documentation and the record that
+compiled code reads are all made from it.
+"""
+
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import NamedTuple
+
+import numpy as np
+
+Value = bool | int | float | str
+
+
+class Parameter(NamedTuple):
+    """
+    One parameter.
+
+    Its name is that of the ROS parameter: dotted, the part before the first dot names the block.
+    """
+
+    name: str
+    default: Value
+    unit: str
+    description: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+    source: str = ''
+
+    @property
+    def allowed(self) -> str:
+        """Say in words which values are allowed."""
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        if isinstance(self.default, bool):
+            return 'true or false'
+        if isinstance(self.default, str):
+            return 'a text'
+        kind = 'a whole number' if isinstance(self.default, int) else 'a number'
+        if math.isinf(self.low) and math.isinf(self.high):
+            return kind
+        unit = f' {self.unit}' if self.unit else ''
+        return f'{kind} from {self.low:g} to {self.high:g}{unit}'
+
+    def problem(self, value: object) -> str | None:
+        """Return why `value` is not allowed, naming parameter, value and range; None if it is."""
+        if self._accepts(value):
+            return None
+        return f'{self.name} = {value!r} is not allowed: it takes {self.allowed}'
+
+    def _accepts(self, value: object) -> bool:
+        if isinstance(self.default, bool) or isinstance(value, bool):
+            return isinstance(self.default, bool) and isinstance(value, bool)
+        if isinstance(self.default, str):
+            return isinstance(value, str) and (not self.choices or value in self.choices)
+        if isinstance(self.default, int) and not isinstance(value, int):
+            return False
+        if not isinstance(value, int | float):
+            return False
+        return math.isfinite(value) and self.low <= value <= self.high
+
+
+class ParameterError(ValueError):
+    """A parameter has a value, type or name that is not allowed; the text says which and why."""
+
+
+class Table(tuple[Parameter, ...]):
+    """Parameters that belong together."""
+
+    def check(self, values: Mapping[str, Value]) -> None:
+        """Raise ParameterError for values that are allowed one by one, but not together."""
+
+
+def field_name(name: str) -> str:
+    """Return the field of the record that holds the parameter `name`."""
+    return name.replace('.', '_')
+
+
+def record_dtype(table: tuple[Parameter, ...]) -> np.dtype:
+    """Return the record type of a table: one float64 field a parameter, texts left out."""
+    return np.dtype([(field_name(p.name), np.float64) for p in table if _is_number(p)])
+
+
+def _is_number(parameter: Parameter) -> bool:
+    return bool(parameter.choices) or not isinstance(parameter.default, str)
+
+
+def defaults(table: tuple[Parameter, ...]) -> dict[str, Value]:
+    """Return the default of each parameter of a table, by name."""
+    return {parameter.name: parameter.default for parameter in table}
+
+
+def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict[str, Value]:
+    """
+    Return the defaults of a table, changed by `values`.
+
+    Raises ParameterError for an unknown name, or a value or combination that is not allowed.
+    """
+    by_name = {parameter.name: parameter for parameter in table}
+    for name, value in values.items():
+        if name not in by_name:
+            near = get_close_matches(name, by_name)
+            raise ParameterError(f'{name} is not a parameter' + (
+                f': did you mean {" or ".join(near)}?' if near else '; see doc/parameters.md'))
+        if problem := by_name[name].problem(value):
+            raise ParameterError(problem)
+    complete = defaults(table) | dict(values)
+    if isinstance(table, Table):
+        table.check(complete)
+    return complete
+
+
+def as_number(parameter: Parameter, value: Value) -> float:
+    """Return the number that stands for `value` in the record: a choice becomes its index."""
+    return float(parameter.choices.index(str(value)) if parameter.choices else value)
+
+
+def record_of(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> np.void:
+    """
+    Return the record that compiled code reads: a table's defaults, changed by `values`.
+
+    Raises ParameterError for an unknown name, or a value or combination that is not allowed.
+    """
+    record = np.zeros(1, record_dtype(table))[0]
+    complete = completed(values, table)
+    for parameter in filter(_is_number, table):
+        record[field_name(parameter.name)] = as_number(parameter, complete[parameter.name])
+    return record

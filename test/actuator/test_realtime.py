@@ -1,0 +1,264 @@
+"""Real time over DDS: a step, the watchdog, the services, /diagnostics, clean ends."""
+
+import re
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+from conftest import Listener, NodeProcess, wait_for_silence, wait_until
+
+from asi_common.node.topics import SteadyClock
+from asi_common.parameter import Value
+from asi_controller import controller_node
+
+ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
+# A busy machine is no fault of the loop: what is tested here is not how fast it is.
+PATIENT: dict[str, Value] = {'mode': 'realtime', 'rate_hz': 200.0, 'state_timeout': 60.0}
+
+
+@pytest.fixture
+def diagnostics(ros_node: Any) -> Callable[[str, str], Any]:
+    """Return a function that waits for the next diagnostic status of a node with a text."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    listener = Listener(ros_node, DiagnosticArray, '/diagnostics')
+
+    def status(node: str, text: str) -> Any:
+        begin = len(listener.messages)
+        return wait_until(
+            lambda: next((status for message in listener.messages[begin:]
+                          for status in message.status
+                          if status.name == f'{node}: loop' and text in status.message), None),
+            f'{text!r} from {node}')
+
+    return status
+
+
+def force(state: Any) -> float:
+    return state.effort[0]
+
+
+def test_step_settles_near_the_reference(start_node: Callable, states: Listener) -> None:
+    start_node(ACTUATOR, mode='realtime', command_timeout=60.0)
+    start_node(CONTROLLER, mode='realtime', state_timeout=60.0, gain=1.0,
+               **{'reference.shape': 'step', 'reference.amplitude': 300.0})
+    states.wait_until(lambda state: force(state) > 200.0, 'the step')
+    last = [force(state) for state in states.wait(1000)[-500:]]
+    # With a gain of 1 and the feed-forward the hysteresis leaves about 14 N.
+    assert abs(np.mean(last) - 300.0) < 30.0
+    stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in states.messages]
+    assert stamps == sorted(set(stamps))
+
+
+@pytest.mark.parametrize('discovery_range', ['LOCALHOST', 'SUBNET'])
+def test_no_shared_memory_whose_locks_a_killed_process_would_keep(
+        discovery_range: str, ros_environment: dict[str, str], start_node: Callable,
+        states: Listener) -> None:
+    ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = discovery_range
+    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+    # A node without our profiles, which offers shared memory, hears it all the same.
+    states.wait(3)
+    assert '/dev/shm/fastrtps' not in Path(f'/proc/{actuator.pid}/maps').read_text()
+
+
+def test_watchdog_takes_the_command_away_until_the_reset(
+        start_node: Callable, states: Listener, diagnostics: Callable, call: Callable,
+        set_parameters: Callable) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from std_srvs.srv import SetBool, Trigger
+
+    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
+    constant = {'reference.shape': 'step', 'reference.amplitude': 200.0}
+    controller = start_node(CONTROLLER, **PATIENT, **constant)
+    states.wait_until(lambda state: state.effort[1] > 100.0, 'a valve command')
+    assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
+    controller.kill()
+    set_parameters('asi_actuator', {'command_timeout': 2.0})
+    states.wait_until(lambda state: state.effort[1] == 0.0, 'the watchdog')
+    status = diagnostics('asi_actuator', 'fault')
+    assert status.level == DiagnosticStatus.ERROR
+    assert {v.key: v.value for v in status.values}['state'] == 'fault'
+    assert 'age of valve_command' in status.message and 'command_timeout = 2 s' in status.message
+    actuator.wait_for(status.message)
+    set_parameters('asi_actuator', {'command_timeout': 60.0})
+    start_node(CONTROLLER, **PATIENT, **constant).wait_for('realtime at')
+    assert not any(state.effort[1] for state in states.wait(100))
+    refused = call(SetBool, '/asi_actuator/enable', SetBool.Request(data=True))
+    assert not refused.success and 'age of valve_command' in refused.message
+    assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
+    states.wait_until(lambda state: state.effort[1] > 100.0, 'the next controller')
+    assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
+
+
+def test_controller_says_that_the_actuator_is_gone_and_gives_no_command(
+        start_node: Callable, ros_node: Any, diagnostics: Callable) -> None:
+    from geometry_msgs.msg import WrenchStamped
+
+    commands = Listener(ros_node, WrenchStamped, 'valve_command')
+    actuator = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+    controller = start_node(CONTROLLER, **(PATIENT | {'state_timeout': 0.5}))
+    commands.wait(10)
+    actuator.kill()
+    assert diagnostics('asi_controller', 'no new state: no command is given')
+    wait_for_silence('the commands', commands.messages)
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+    commands.wait(10)
+    assert controller.stop() == 0
+
+
+@pytest.mark.parametrize('begin', [0.1, 0.45, 0.7, 0.95])
+@pytest.mark.parametrize('rate_hz', [500.0, 1000.0, 5000.0])
+def test_ticks_of_the_controller_get_in_step_with_the_states(
+        monkeypatch: pytest.MonkeyPatch, rate_hz: float, begin: float) -> None:
+    """Whatever part of a period after the states they begin; the states jitter a little."""
+    node = MagicMock(rate_hz=rate_hz)
+    node.parameters.values = {'state_timeout': 1.0}
+    loop = controller_node.RealTime(node)
+    period_s = 1.0 / rate_hz
+    node.create_timer.return_value.timer_period_ns = round(period_s * 1e9)
+    jitter_s = 0.1 * period_s * np.random.default_rng(1).uniform(-1.0, 1.0, 400)
+    states_s = 1000.0 + period_s * np.arange(400) + jitter_s
+    tick_s, ages_s = 1000.0 + begin * period_s, []
+    for state_s, next_s in zip(states_s[:-1], states_s[1:], strict=True):
+        monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=state_s: now_s)
+        loop.on_state(loop.clock.now_ns(), 0.0)
+        while tick_s < next_s:
+            if tick_s >= state_s:
+                monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=tick_s: now_s)
+                loop._tick()
+                ages_s.append(tick_s - state_s)
+            tick_s += loop.timer.timer_period_ns * 1e-9
+    wanted_s = min(controller_node.AFTER_STATE_S, 0.25 * period_s)
+    assert abs(np.mean(ages_s[-100:]) - wanted_s) < 0.05 * period_s
+    assert node.answer.call_count == len(ages_s)
+
+
+def test_stray_state_of_another_clock_does_not_end_the_controller(
+        start_node: Callable, ros_node: Any, states: Listener, diagnostics: Callable) -> None:
+    from sensor_msgs.msg import JointState
+
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
+    controller = start_node(CONTROLLER, **PATIENT)
+    diagnostics('asi_controller', 'running')
+    stray = JointState(name=['piston', 'valve'], effort=[1e6, 0.0])
+    stray.header.stamp.sec = 1
+    publisher = ros_node.create_publisher(JointState, 'joint_states', 10)
+    wait_until(lambda: publisher.get_subscription_count() > 1, 'the controller')
+    publisher.publish(stray)
+    wait_until(lambda: {v.key: v.value for v in diagnostics('asi_controller', 'running').values}[
+        'states ignored'] == '1', 'the stray state to be counted')
+    assert controller.stop() == 0
+    assert not any(abs(state.effort[1]) > 10.0 for state in states.messages)
+
+
+@pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_a_running_loop_with_exit_status_0(
+        mode: str, number: signal.Signals, start_node: Callable, states: Listener) -> None:
+    nodes: list[NodeProcess] = [start_node(module, mode=mode) for module in (ACTUATOR, CONTROLLER)]
+    for node in nodes:
+        node.wait_for(f'{mode} at')
+    states.wait(50)
+    for node in nodes:
+        node.send(number)
+    for node in nodes:
+        assert node.exit_status() == 0, node.text
+        assert 'Traceback' not in node.text
+
+
+def test_reference_comes_from_the_topic_and_live_parameters_act(
+        start_node: Callable, ros_node: Any, states: Listener, set_parameters: Callable) -> None:
+    from geometry_msgs.msg import WrenchStamped
+
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
+    start_node(CONTROLLER, **PATIENT, gain=0.5, feedforward=0.0)
+    reference = WrenchStamped()
+    reference.wrench.force.x = 100.0
+    publisher = ros_node.create_publisher(WrenchStamped, 'force_reference', 10)
+    wait_until(publisher.get_subscription_count, 'the controller')
+    publisher.publish(reference)
+    states.wait_until(lambda state: 10.0 < force(state), 'the reference')
+    assert abs(states.wait(400)[-1].effort[1]) > 1.0
+    # An offset of the sensor moves what is measured, not the piston.
+    result, = set_parameters('asi_controller', {'gain': 0})
+    assert result.successful
+    result, = set_parameters('asi_controller', {'gain': 0.001})
+    assert result.successful
+    states.wait_until(lambda state: abs(state.effort[1]) < 1.0, 'the next gain')
+    after = states.wait(400)[-1]
+    result, = set_parameters('asi_actuator', {'force_sensor.offset': 50})
+    assert result.successful
+    moved = states.wait(100)[-1]
+    assert force(moved) - force(after) == pytest.approx(50.0, abs=1.0)
+    assert moved.position[0] == pytest.approx(after.position[0], abs=1e-6)
+
+
+def test_services(start_node: Callable, states: Listener, call: Callable) -> None:
+    from std_srvs.srv import SetBool, Trigger
+
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0,
+               **{'force_sensor.offset': 40.0, 'force_sensor.noise': 0.5})
+    states.wait(100)
+    answer = call(Trigger, '/asi_actuator/calibrate', Trigger.Request())
+    assert answer.success, answer.message
+    states.wait_until(lambda state: abs(force(state)) < 10.0, 'a calibrated state')
+    assert abs(np.mean([force(state) for state in states.wait(80)])) < 1.0
+
+    sine = {'reference.shape': 'sine', 'reference.frequency': 2.0, 'reference.start': 0.0}
+    start_node(CONTROLLER, **PATIENT, **sine)
+    states.wait_until(lambda state: abs(force(state)) > 30.0, 'the sine')
+    states.wait(100)
+
+    def refusal() -> str:
+        answer = call(Trigger, '/asi_actuator/calibrate', Trigger.Request())
+        return '' if answer.success else answer.message
+
+    # While the controller stands still, the actuator may come to rest.
+    assert re.match('refused: .* moved ', wait_until(refusal, 'a refusal'))
+
+    assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=False)).success
+    states.wait_until(lambda state: state.effort[1] == 0.0, 'the command to be 0')
+    assert not any(state.effort[1] for state in states.wait(20))
+    assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=True)).success
+    states.wait_until(lambda state: abs(force(state)) > 30.0, 'the sine again')
+
+    assert call(SetBool, '/asi_actuator/pause', SetBool.Request(data=True)).success
+    wait_for_silence('the states', states.messages)
+    assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=False)).success
+    assert call(SetBool, '/asi_actuator/pause', SetBool.Request(data=False)).success
+    states.wait_until(lambda state: state.effort[1] == 0.0, 'the command to be 0')
+    assert states.messages[-1].position[0] != 0.0
+    assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
+    states.wait_until(lambda state: state.position[0] == 0.0, 'the reset')
+
+
+def test_diagnostics_say_how_the_loop_does(
+        start_node: Callable, states: Listener, diagnostics: Callable) -> None:
+    start_node(ACTUATOR)
+    start_node(CONTROLLER, compensator='lead2')
+    states.wait(500)
+    actuator = {v.key: v.value for v in diagnostics('asi_actuator', 'running').values}
+    controller = {v.key: v.value for v in diagnostics('asi_controller', 'running').values}
+    for values in (actuator, controller):
+        assert values['mode'] == 'lockstep' and values['rate (Hz)'] == '5000'
+        assert int(values['ticks']) > 0 and float(values['period mean (ms)']) > 0.0
+        assert float(values['period jitter p99 (ms)']) > 0.0
+        assert float(values['saturation share']) == 0.0
+    assert float(actuator['latency mean (ms)']) > 0.0
+    assert {'resent', 'commands ignored'} <= set(actuator)
+    assert controller['compensator'] == 'lead2' and 'states ignored' in controller
+
+
+
+def test_time_goes_on_evenly_when_the_system_clock_is_set(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nodes themselves: `python -m torture clocks`."""
+    clock = SteadyClock()
+    before_ns = clock.now_ns()
+    real = time.time_ns
+    monkeypatch.setattr(time, 'time_ns', lambda: real() - 7200 * 10**9)
+    assert 0 <= clock.now_ns() - before_ns < 3600 * 10**9

@@ -1,0 +1,248 @@
+"""Recordings of others become runs and bags; the numbers agree with their sources."""
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow.parquet import write_table
+from scipy import signal
+from scipy.io import loadmat, savemat
+
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.exchange.exporting import export
+from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.measures.frequency_response import loop_bandwidth
+
+DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared/data'))
+EMPS_MAP = ['time=t', 'position=qm', 'reference=qg[m]', 'command=vir*gtau[N]']
+MTS_MAP = ['position=CHANNEL0[cm]', 'force=CHANNEL1[tf]', 'reference=CHANNEL2[cm]']
+
+
+def data(name: str) -> Path:
+    if not (DATA / name).exists():
+        pytest.skip(f'{DATA / name} is not there (set ASI_DATA)')
+    return DATA / name
+
+
+def mts(current: str) -> Path:
+    return data(f'servohydraulic_mts/actuator_chirp_damper_{current}.txt.gz')
+
+
+def a_run() -> Run:
+    rng = np.random.default_rng(3)
+    force = rng.normal(size=200)
+    force[7] = np.nan
+    return Run(np.arange(200) / 3000.0, force_n=force, command_n=rng.normal(size=200),
+               velocity_m_s=1e-9 * rng.normal(size=200))
+
+
+@pytest.mark.parametrize('suffix', ['.csv', '.parquet'])
+def test_export_and_import_give_the_same_run(tmp_path: Path, suffix: str) -> None:
+    run = a_run()
+    export(run, tmp_path / f'run{suffix}')
+    again = import_recording(tmp_path / f'run{suffix}', [])
+    np.testing.assert_array_equal(again.time_s, run.time_s)
+    assert again.signals().keys() == run.signals().keys()
+    for name, values in run.signals().items():
+        np.testing.assert_array_equal(again.signals()[name], values)
+
+
+def test_mapping_scales_shifts_and_converts(tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('Load cell-1 (V);stroke;t\n0.5;10;0\n1.5;20;1\n;30;2\n')
+    run = import_recording(file, ['force=Load cell-1 (V)*-200+5[N]', 'position=stroke+2[mm]',
+                                  'time=t[ms]'])
+    assert run.signals()['force'][:2].tolist() == [-95.0, -295.0]
+    assert np.isnan(run.signals()['force'][2])
+    np.testing.assert_allclose(run.signals()['position'], [0.012, 0.022, 0.032], rtol=1e-15)
+    assert run.time_s.tolist() == [0.0, 0.001, 0.002]
+    assert import_recording(file, ['force=Load cell-1 (V)'], 10.0).rate_hz == 10.0
+
+
+def test_joint_that_turns_keeps_its_units(tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('t,counts,rpm,torque,pwm\n' + ''.join(
+        f'{k},{k * 1024},30,{k * 100},{k}\n' for k in range(4)))
+    import_recording(file, ['time=t[ms]', 'position=counts*0.087890625[deg]', 'velocity=rpm[rpm]',
+                            'force=torque[mNm]', 'command=pwm[%]', 'reference=counts[mrad]'],
+                     out=tmp_path / 'bag')
+    run = read_bag(tmp_path / 'bag')
+    np.testing.assert_allclose(run.signal('position'), np.pi / 2.0 * np.arange(4))
+    np.testing.assert_allclose(run.signal('velocity'), np.pi)
+    np.testing.assert_allclose(run.signal('force'), [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(run.signal('command'), [0.0, 0.01, 0.02, 0.03])
+    assert [run.unit(name) for name in ('position', 'velocity', 'force', 'command', 'reference')
+            ] == ['rad', 'rad/s', 'Nm', '1', 'rad']
+    assert run.controlled() == 'position'
+    with pytest.raises(InputError, match='commanded motion is a reference'):
+        import_recording(file, ['command=counts[deg]'], 10.0)
+
+
+def test_matrices_and_structures_of_a_mat_file(tmp_path: Path) -> None:
+    savemat(tmp_path / 'a.mat', {'y': np.arange(12.0).reshape(2, 6),
+                                 'log': {'u': np.arange(6.0), 'note': 'x'},
+                                 'out': np.array([{'v': np.zeros(6)}, {'v': np.ones(6)}])})
+    run = import_recording(tmp_path / 'a.mat', ['position=y#2', 'command=log.u[V]',
+                                                'velocity=out#2.v'], 10.0)
+    assert run.signal('velocity').tolist() == [1.0] * 6
+    assert run.signal('position').tolist() == [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]
+    assert run.signal('command').tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize('text', [
+    '# motor 3, 24 V\n# t f x\n0.5 1 2\n1.5 2 3\n2.5 3 4\n',                  # numpy.savetxt
+    '%Date:,29/04/2021\n\n%t,f,x\n%[s],[N],[mm]\n0.5,1,2;\n1.5,2,3;\n2.5,3,4;\n',
+    'Pruefstand;7\nt;f;x\ns;N;mm\n0,5;1,0;2\n1,5;2,0;3\n2,5;3,0;4\n',
+    't\tf\tx\n0,5\t1\t2\n1,5\t2\t3\n2,5\t3\t4\n',
+    't,f,x\n2020-03-16 17:04:51.5,1,2\n2020-03-16T17:04:52.5Z,2,3\n2020-03-16 17:04:53.5,3,4\n',
+])
+def test_remarks_units_dates_and_decimal_commas(tmp_path: Path, text: str) -> None:
+    file = tmp_path / 'a.txt'
+    file.write_text(text)
+    run = import_recording(file, ['time=t', 'force=f', 'position=x[mm]'])
+    assert run.time_s.tolist() == [0.0, 1.0, 2.0]
+    assert run.signal('force').tolist() == [1.0, 2.0, 3.0]
+    assert run.signal('position').tolist() == [0.002, 0.003, 0.004]
+
+
+def test_columns_of_one_name_older_text_and_lists(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_bytes('Zeit;Weg [µm];Weg [µm]\n12:00:00.5;1;2\n12:00:01.5;3;4\n'
+                                     .encode('latin-1'))
+    run = import_recording(tmp_path / 'a.csv', ['time=Zeit', 'position=Weg [µm]*1[um]',
+                                                'force=Weg [µm]#2[N]'])
+    assert run.time_s.tolist() == [0.0, 1.0]
+    assert run.signal('position').tolist() == [1e-6, 3e-6]
+    assert run.signal('force').tolist() == [2.0, 4.0]
+    write_table(pa.table({'q': [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]}), tmp_path / 'a.parquet')
+    listed = import_recording(tmp_path / 'a.parquet', ['position=q#2[rad]'], 10.0)
+    assert listed.signal('position').tolist() == [1.0, 3.0, 5.0]
+
+
+def test_repeated_times_and_missing_values_and_units_in_the_header(tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('time [ms],torque [Nm]\n0,1\n0,2\n1,N/A\nnan,3\n2,4\n')
+    with pytest.warns(InputWarning, match='2 of 5 samples have no time, or that of'):
+        run = import_recording(file, ['time=time [ms]', 'force=torque [Nm]'])
+    assert run.time_s.tolist() == [0.0, 0.001, 0.002]
+    np.testing.assert_array_equal(run.signal('force'), [1.0, np.nan, 4.0])
+    assert run.unit('force') == 'Nm'
+
+
+def test_zero_takes_off_the_start(tmp_path: Path) -> None:
+    file = tmp_path / 'a.tsv'
+    file.write_text('\n'.join(f'{3 + (k > 4)}\t{k}' for k in range(10)))
+    run = import_recording(file, ['force=#1', 'position=b[mm]'], 10.0, columns=['#1', 'b'],
+                           zero_s=0.5)
+    assert run.signals()['force'].tolist() == [0.0] * 5 + [1.0] * 5
+    assert run.signals()['position'][0] == pytest.approx(-0.002)
+
+
+@pytest.mark.parametrize(('mapping', 'message'), [
+    (['force'], 'is not a mapping'), (['thrust=a'], 'there is no signal thrust'),
+    (['force=c'], 'names no column; there are a, b'), (['force=a[mm]'], "not 'mm'"),
+    (['force=a*c'], "the scale 'c' is neither a number"), (['force=b'], "row 2: 'x' is not a num"),
+    (['force=a', 'force=a'], 'mapped twice'), (['force=a', 'time=a'], 'does not rise at row 3'),
+    ([], 'no signal is mapped')])
+def test_says_what_is_wrong_with_a_mapping(tmp_path: Path, mapping: list[str], message: str
+                                           ) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('a,b\n1,2\n2,x\n1,3\n')
+    rate_hz = None if 'time=a' in mapping else 10.0
+    with pytest.raises(InputError, match=message) as refusal:
+        import_recording(file, mapping, rate_hz)
+    assert '\n' not in str(refusal.value)
+
+
+@pytest.mark.parametrize(('name', 'content', 'message'), [
+    ('a.csv', b'', 'is empty'), ('a.csv', b'a,b\n', 'has no rows'),
+    ('a.csv', b'\xff\xfe\x00', 'cannot be read'), ('a.csv.gz', b'a,b', 'cannot be read'),
+    ('a.mat', b'nothing', 'cannot be read'), ('a.parquet', b'nothing', 'cannot be read'),
+    ('a.xlsx', b'', 'expected a .csv'), ('a.csv', b'a,b,c\n1,2,3\n1\n', 'row 2 has 1 cells'),
+    ('a.csv', b'a\ninf\n', 'row 1: infinite')])
+def test_refuses_files_it_cannot_read(tmp_path: Path, name: str, content: bytes, message: str
+                                      ) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message) as refusal:
+        import_recording(tmp_path / name, ['force=a'], 10.0)
+    assert str(tmp_path / name) in str(refusal.value)
+    with pytest.raises(InputError, match='absent'):
+        import_recording(tmp_path / 'absent.csv', ['force=a'], 10.0)
+
+
+def test_needs_either_a_rate_or_a_time(tmp_path: Path) -> None:
+    savemat(tmp_path / 'a.mat', {'f': np.arange(5.0), 't': np.arange(5.0)})
+    for mapping, rate_hz in ((['force=f'], None), (['force=f', 'time=t'], 10.0)):
+        with pytest.raises(InputError, match='either a mapping time=COLUMN or a rate'):
+            import_recording(tmp_path / 'a.mat', mapping, rate_hz)
+
+
+@pytest.mark.parametrize('name', ['DATA_EMPS', 'DATA_EMPS_PULSES'])
+def test_emps(tmp_path: Path, name: str) -> None:
+    """The numbers of the source, and the published parameters out of the imported bag."""
+    file = data(f'emps/{name}.mat')
+    import_recording(file, EMPS_MAP, out=tmp_path / 'bag')
+    run = read_bag(tmp_path / 'bag')
+    source = loadmat(file)
+    assert len(run) == 24841
+    assert run.rate_hz == pytest.approx(1000.0, rel=1e-4)
+    np.testing.assert_array_equal(run.signals()['position'], source['qm'][:, 0])
+    np.testing.assert_array_equal(run.signals()['reference'], source['qg'][:, 0])
+    np.testing.assert_array_equal(run.signals()['command'],
+                                  source['vir'][:, 0] * source['gtau'][0, 0])
+    assert (run.controlled(), run.unit('reference')) == ('position', 'm')
+    # The controller holds the position to within a millimetre of a reference of 246 mm.
+    assert np.abs(run.signals()['reference'] - run.signals()['position']).max() < 1e-3
+    if name == 'DATA_EMPS':
+        # M, Fv, Fc and offset as published with the data (Janot et al. 2019), least squares.
+        found = identified(run)
+        np.testing.assert_allclose(found, [95.109, 203.50, 20.394, -3.165], rtol=0.01)
+
+
+def identified(run: Run) -> np.ndarray:
+    """Return M, Fv, Fc and offset of M a + Fv v + Fc sign(v) + offset = command."""
+    position = signal.filtfilt(*signal.butter(4, 60.0, fs=1000.0), run.signals()['position'])
+    velocity = np.gradient(position, run.time_s)
+    regressors = np.column_stack([np.gradient(velocity, run.time_s), velocity,
+                                  np.sign(velocity), np.ones(len(run))])[200:-200]
+    command = run.signals()['command'][200:-200]
+    return np.linalg.lstsq(signal.decimate(regressors, 25, axis=0),
+                           signal.decimate(command, 25), rcond=None)[0]
+
+
+@pytest.mark.parametrize(('current', 'count', 'force_kn'), [('0A', 61500, 0.955),
+                                                            ('1A', 59100, 3.75)])
+def test_servohydraulic_press(tmp_path: Path, current: str, count: int, force_kn: float) -> None:
+    file = mts(current)
+    import_recording(file, MTS_MAP, 1000.0, skip_lines=6, zero_s=1.0, out=tmp_path / 'bag')
+    run = read_bag(tmp_path / 'bag')
+    assert (len(run), run.rate_hz) == (count, 1000.0)
+    rows = [line.split(',')[2:5] for line in gzip.open(file, 'rt').read().splitlines()[7:]]
+    source = np.array(rows, float)
+    source -= source[:1000].mean(axis=0)
+    np.testing.assert_allclose(run.signals()['position'], source[:, 0] / 100.0, atol=1e-12)
+    np.testing.assert_allclose(run.signals()['force'], source[:, 1] * 9806.65, atol=1e-7)
+    np.testing.assert_allclose(run.signals()['reference'], source[:, 2] / 100.0, atol=1e-12)
+    assert np.ptp(run.signals()['force']) == pytest.approx(force_kn * 1e3, rel=1e-3)
+    # The press follows its chirp of 2 mm with a lag of tens of milliseconds.
+    found = loop_bandwidth(run)
+    frequency, gain = by_bands(source[:, 2], source[:, 0])
+    assert found.bandwidth_hz == pytest.approx(
+        np.interp(-gain[0] * np.sqrt(0.5), -gain, frequency), rel=0.03)
+    assert found.delay_s is not None and 0.015 < found.delay_s < 0.03
+    assert found.correlation_delay_s == pytest.approx(
+        np.argmax([source[:-k or None, 2] @ source[k:, 0] for k in range(60)]) / 1e3, abs=1e-3)
+
+
+def by_bands(input_: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequency (Hz) and gain in bands of 0.5 Hz of the whole recording's spectrum."""
+    u, v = np.fft.rfft(input_), np.fft.rfft(output)
+    line_hz = 1000.0 / len(input_)
+    edges = np.arange(0.5, 15.5, 0.5)
+    bands = [slice(int(low / line_hz), int((low + 0.5) / line_hz)) for low in edges]
+    gain = [abs(np.vdot(u[band], v[band]) / np.vdot(u[band], u[band])) for band in bands]
+    return edges + 0.25, np.array(gain)

@@ -1,0 +1,214 @@
+"""Joints that turn, simulated by other equations than the diagnosis: LuGre friction, a hold."""
+
+import dataclasses
+import math
+
+import numba
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.answer import report
+from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, imagined
+from asi_analysis.gap.inference.seen import _pulse
+
+RATE_HZ, SUB_STEPS = 500.0, 40
+INERTIA, DAMPING = 0.02, 0.05       # kg m2, N m s/rad
+PENDULUM = {'signals': {'position': 'rad', 'command': 'Nm'}}
+
+
+@numba.njit(cache=True)
+def _joint(reference, friction, breakaway, uneven, late, gravity, offset, out):
+    """Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n)."""
+    step = 1.0 / RATE_HZ / SUB_STEPS
+    angle, speed, bristle, before, rate = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(reference.size):
+        rate += 0.5 * ((angle - before) * RATE_HZ - rate)
+        before = angle
+        out[0, k] = 20.0 * (reference[k] - angle) - 0.9 * rate
+        out[1, k] = angle
+        for j in range(SUB_STEPS):
+            # Held, and `late` sub-steps late.
+            torque = out[0, max(k + (j - late) // SUB_STEPS, 0)]
+            slope = 0.0
+            if friction > 0.0:
+                level = friction * (1.0 + (breakaway - 1.0) * np.exp(-(speed / 0.1) ** 2))
+                level *= 1.0 + uneven * np.sign(speed)
+                slope = speed - friction / 1e-3 * abs(speed) / level * bristle
+                bristle += step * slope
+            rub = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
+            speed += step / INERTIA * (torque - DAMPING * speed - rub
+                                       - gravity * np.sin(angle) - offset)
+            angle += step * speed
+
+
+TIME_S = np.arange(int(16.0 * RATE_HZ)) / RATE_HZ
+WITH_RESTS = (0.8 * np.sin(2.0 * np.pi * 0.3 * TIME_S) ** 3
+              + 0.2 * np.sin(2.0 * np.pi * 1.7 * TIME_S))
+TWO_WAVES = 0.6 * np.sin(2.0 * np.pi * 0.4 * TIME_S) + 0.2 * np.sin(2.0 * np.pi * 2.3 * TIME_S)
+
+
+def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
+          gravity: float = 0.0, uneven: float = 0.0, offset: float = 0.0,
+          course: np.ndarray = WITH_RESTS) -> Run:
+    """Return 16 s of the joint on a smooth course, read by a 14 bit encoder."""
+    out = np.empty((2, course.size))
+    _joint(course, friction, breakaway, uneven, round(late_s * RATE_HZ * SUB_STEPS), gravity,
+           offset, out)
+    count = 2.0 * np.pi / 2 ** 14
+    return Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
+               source='joint', information=PENDULUM)
+
+
+def test_rigid_joint_has_no_gap():
+    answer = document(diagnose([joint()], {}, 'joint'))
+    assert answer['verdict'] == 'no_gap'
+    assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
+    assert answer['nuisance']['load']['load_damping'] == pytest.approx(DAMPING, rel=0.05)
+
+
+def test_friction_of_a_joint_that_turns(monkeypatch, tmp_path):
+    run = joint(friction=0.15)
+    diagnosis = diagnose([run], {}, 'joint')
+    answer = document(diagnosis)
+    # The report's pictures are in its units.
+    drawn = {}
+    monkeypatch.setattr(report, 'write_report',
+                        lambda out, template, pictures, **_: drawn.update(pictures))
+    report.write_gap_report(diagnosis, answer, run, tmp_path)
+    assert drawn['overlay'][0].axes[0].get_ylabel() == 'command (Nm)'
+    plane = drawn['plane'][0].axes[0]
+    assert (plane.get_xlabel(), plane.get_ylabel()) == ('velocity (rad/s)', 'real - model (Nm)')
+    assert answer['which'][0]['effect'] == 'coulomb_friction'
+    assert 'coulomb_friction' in answer['ambiguity_set']
+    assert answer['where'][0]['block'] == 'mechanics'
+    assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
+    # What to record next is a motion that the joint can do.
+    separations = choose_motion(diagnosis.groups, [('coulomb_friction',), ('stiction',)])[
+        'separations']
+    assert max(separations.values()) > 5.0 * min(separations.values())
+    group = diagnosis.groups[0].group
+    known = group.recordings[0].motion
+    for name in CATALOGUE:
+        moved = imagined(group, name)[0].motion
+        for here, there in ((moved.position, known.position), (moved.velocity, known.velocity)):
+            assert np.ptp(here[moved.pad:-moved.pad]) < 1.1 * np.ptp(there), name
+
+
+def test_late_command_of_a_joint():
+    answer = document(diagnose([joint(late_s=0.012)], {}, 'joint'))
+    assert answer['verdict'] == 'transport_delay'
+    # A hold adds half a sample, which is the nominal model's.
+    assert answer['which'][0]['parameters']['drive_delay'] == pytest.approx(0.012, abs=0.0015)
+
+
+def test_what_no_effect_explains_is_described():
+    """Gravity is in no effect of the vocabulary: what is left is a function of the position."""
+    answer = document(diagnose([joint(gravity=1.0)], {}, 'joint'))
+    assert answer['unknown_probability'] > 0.5
+    assert 'a function of the position' in answer['unexplained']
+
+
+@pytest.mark.parametrize(('changed', 'perhaps'), [
+    ({'gravity': 0.3}, {'unknown'}), ({'late_s': 0.012}, {'transport_delay', 'valve_lag'})])
+def test_what_two_waves_cannot_tell(changed, perhaps):
+    """A wave of the course is no disturbance; a gain and a phase at two waves fit any lag."""
+    run = joint(**changed, course=TWO_WAVES)
+    run = dataclasses.replace(run, position_m=None, velocity_m_s=np.gradient(
+        run.position_m, 1.0 / RATE_HZ), information={'signals': {
+            'velocity': 'rad/s', 'command': 'Nm'}})
+    answer = document(diagnose([run], {}, 'joint'))
+    assert 'disturbance_force' not in answer['verdict']
+    assert perhaps <= set(answer['ambiguity_set'])
+
+
+def test_joint_with_a_reversed_sign_is_refused():
+    run = joint(friction=0.15)
+    with pytest.raises(InputError, match='joint: .*sign is reversed'):
+        diagnose([dataclasses.replace(run, command_n=-run.command_n)], {}, 'joint')
+
+
+def test_push_is_seen_beside_a_worse_start():
+    run = joint()
+    time, size = run.time_s, float(np.std(run.command_n))
+    command = run.command_n + 0.5 * size * ((time >= 5.0) & (time < 6.5))
+    command[time < 0.05] += 30.0 * size   # nothing is judged there
+    answer = document(diagnose([dataclasses.replace(run, command_n=command)], {}, 'joint'))
+    assert answer['verdict'] == 'disturbance_force'
+    push = answer['which'][0]['parameters']
+    assert push['disturbance_pulse'] == pytest.approx(-0.5 * size, rel=0.1)
+    assert push['disturbance_end'] == pytest.approx(6.5, abs=0.05)
+
+
+def test_slow_position_loop():
+    time = np.arange(0.0, 30.0, 0.01)
+    course = np.interp(time, np.arange(0.0, 31.0, 2.5), np.arange(13) * 5 % 7 / 7.0)
+    late = np.interp(time - 0.2, time, course)
+    followed = lfilter([1.0 - np.exp(-0.01 / 0.3)], [1.0, -np.exp(-0.01 / 0.3)], late)
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, time.size)
+    answer = document(diagnose([Run(time, reference_n=course, position_m=followed + noise,
+                                    source='loop',
+                                    information={'signals': {'reference': 'm'}})], {}, 'joint'))
+    assert {entry['effect'] for entry in answer['which'][:2]} == {'transport_delay', 'valve_lag'}
+    assert answer['gap']['before_nrmse'] > 0.15
+    assert answer['gap']['after_nrmse'] < 0.03
+
+
+def test_lag_of_a_slowly_sampled_drive():
+    """Its command is held for half a time constant, and its gain is not known without the lag."""
+    run = joint(course=TWO_WAVES)
+    kept = run.command_n[::4]
+    force = lfilter([0.0, 1.0 - math.exp(-0.8)], [1.0, -math.exp(-0.8)], kept)
+    slow = Run(TIME_S[::4], command_n=kept, force_n=force, source='drive')
+    answer = document(diagnose([slow], {}, 'joint', drive='drive'))
+    assert answer['verdict'] == 'valve_lag'
+    assert answer['which'][0]['parameters']['valve_lag'] == pytest.approx(0.01, rel=0.02)
+
+
+def test_model_that_is_far_too_heavy_is_refused():
+    with pytest.raises(InputError, match='a factor of 0.01.*load.mass'):
+        diagnose([joint()], {'load.mass': 100.0 * INERTIA, 'load.damping': 0.0}, 'joint')
+
+
+def test_push_that_stays_is_seen_from_where_it_begins():
+    push = np.where(np.arange(4000) < 1000, 0.0, 30.0)
+    constant = np.full((push.size, 1), push.size ** -0.5)   # as if it were free
+    left = push - constant @ (constant.T @ push)
+    assert _pulse(left, np.ones(4000), constant, push, 1e-3) == pytest.approx(
+        {'residual_start': 1.0, 'residual_end': 4.0})
+
+
+def test_lost_motion_of_a_position_loop_is_backlash():
+    course = WITH_RESTS[::2]
+    followed = course.copy()
+    for k in range(1, course.size):
+        followed[k] = np.clip(followed[k - 1], course[k - 1] - 0.03, course[k - 1] + 0.03)
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, course.size)
+    answer = document(diagnose([Run(TIME_S[::2], reference_n=course, position_m=followed + noise,
+                                    source='loop',
+                                    information={'signals': {'reference': 'rad'}})], {}, 'joint',
+                               drive='position'))
+    assert answer['which'][0]['effect'] == 'backlash'
+    assert answer['which'][0]['parameters']['loop_width'] == pytest.approx(0.03, rel=0.05)
+
+
+def test_uneven_friction_is_not_an_offset_for_sure():
+    answer = document(diagnose([joint(friction=0.15, uneven=0.5)], {}, 'joint'))
+    assert 'friction_asymmetry' in answer['ambiguity_set']
+    # As much friction either way, and more of an offset than it: no asymmetry does that.
+    answer = document(diagnose([joint(friction=0.15, offset=0.3)], {}, 'joint'))
+    assert 'friction_asymmetry' not in answer['ambiguity_set']
+
+
+def test_force_that_is_read_a_sample_late_is_no_slow_sensor():
+    speed = np.gradient(WITH_RESTS, 1.0 / RATE_HZ)
+    torque = INERTIA * np.gradient(speed, 1.0 / RATE_HZ) + DAMPING * speed
+    torque += np.random.default_rng(2).normal(0.0, 1e-3, torque.size)
+    late = np.append(0.0, torque[:-5:5])
+    answer = document(diagnose([Run(TIME_S[::5], force_n=late, position_m=WITH_RESTS[::5],
+                                    source='joint', information={'signals': {
+                                        'position': 'rad', 'force': 'Nm'}})], {}, 'joint'))
+    assert answer['verdict'] == 'no_gap'

@@ -1,0 +1,61 @@
+"""The diagnosis on measured recordings that no simulator of ours produced."""
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import diagnose, document
+
+DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f'no measured recordings at {DATA}')
+SERVO = {'signals': {'reference': 'm'}}
+
+
+def emps(name: str) -> Run:
+    """Return a recording of the prismatic joint: force N, position m."""
+    data = loadmat(DATA / 'emps' / name)
+    return Run(data['t'].ravel(), command_n=(data['gtau'] * data['vir']).ravel(),
+               position_m=data['qm'].ravel(), source=name)
+
+
+def press(name: str) -> Run:
+    """Return a recording of the press: commanded and measured displacement m."""
+    with gzip.open(DATA / 'servohydraulic_mts' / name, 'rt') as file:
+        rows = np.array([[float(cell) for cell in line.split(',')[2:5]]
+                         for line in file.read().splitlines()[7:]])
+    rows -= rows[:1000].mean(axis=0)
+    return Run(np.arange(len(rows)) * 1e-3, reference_n=rows[:, 2] / 100.0,
+               position_m=rows[:, 0] / 100.0, force_n=rows[:, 1] * 9806.65, source=name,
+               information=SERVO)
+
+
+@needs_data
+def test_joint_with_coulomb_friction():
+    runs = [emps('DATA_EMPS.mat'), emps('DATA_EMPS_PULSES.mat')]
+    diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])
+    answer = document(diagnosis)
+    named = [row['effect'] for row in answer['which']]
+    assert named[0] == 'coulomb_friction'
+    assert named[1] == 'friction_asymmetry'
+    assert 'stiction' not in answer['verdict']
+    alone = diagnosis.groups[0].candidates[('coulomb_friction',)].fitted.values
+    # Janot, Gautier, Brunot 2019.
+    assert alone['load_mass'] == pytest.approx(95.109, rel=0.01)
+    assert alone['load_damping'] == pytest.approx(203.50, rel=0.01)
+    assert alone['friction_level'] == pytest.approx(20.394, rel=0.01)
+    assert answer['gap']['before_nrmse'] == pytest.approx(0.17, abs=0.01)
+    assert answer['gap']['after_nrmse'] < 0.054
+
+
+@needs_data
+def test_press_with_lag_and_dead_time():
+    runs = [press(f'actuator_chirp_damper_{current}.txt.gz') for current in ('0A', '1A')]
+    answer = document(diagnose(runs, {}, 'joint', held_out=[False, True]))
+    assert answer['verdict'] == 'transport_delay+valve_lag'
+    assert answer['gap']['before_nrmse'] > 1.0
+    assert answer['gap']['after_nrmse'] < 0.05

@@ -1,0 +1,197 @@
+"""Limit cycles found in recordings: the accuracy, the verdicts, and what shows isolation."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from documented import problems
+
+from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle.detection.answer import limit_cycle
+from asi_analysis.limit_cycle.detection.check import FAMILIES, check_accuracy, check_verdicts
+from asi_analysis.limit_cycle.detection.drive import flat_share
+from asi_analysis.limit_cycle.detection.verdict import judge_run
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.noise import BLOCK, _triangle_of_lags
+from asi_analysis.measures.record import condensed, plain
+from asi_analysis.measures.sinusoid import fit_record
+
+
+@pytest.mark.parametrize('case', [(3, 5, 10), (3, 12, 40), (30, 5, 40), (300, 6, 10)])
+def test_errors_reach_the_cramer_rao_bound(case):
+    # 100 sines: the ratio spreads by 7 %, the coverage by 2 %.
+    row = check_accuracy(*case, count=100, seed=1)
+    assert row['frequency_error_over_bound'] < 1.5
+    assert row['amplitude_error_over_bound'] < 1.5
+    assert 0.88 <= row['frequency_coverage'] <= 0.995
+    assert 0.88 <= row['amplitude_coverage'] <= 0.995
+
+
+@pytest.mark.parametrize('missing', [0.0, 0.1])
+def test_condensed_record_gives_what_its_samples_give(missing):
+    random = np.random.default_rng(4)
+    t = np.arange(24000) / 12.0 - 1000.0
+    t = t[random.random(t.size) >= missing]
+    angle = 2.0 * np.pi * (1.01 * t + 3e-7 * t * t)
+    y = (np.exp(-2e-4 * t) * (np.cos(angle) + 0.1 * np.sin(3.0 * angle)) + (t / 1000.0) ** 3
+         + 0.01 * random.standard_normal(t.size))
+    short = condensed(t, y, 1.01, 5)
+    assert len(short.values) < 0.2 * t.size
+    few, all_samples = (fit_record(record, 1.01, 5, True) for record in (short, plain(t, y)))
+    assert len(few.harmonics) == len(all_samples.harmonics) == 3
+    for value in ('frequency_hz', 'amplitude', 'rate'):
+        deviation = getattr(all_samples, f'{value}_sd'.replace('hz_sd', 'sd_hz'))
+        assert getattr(few, value) == pytest.approx(getattr(all_samples, value),
+                                                    abs=0.01 * deviation)
+        assert np.diff(few.interval(value)) == pytest.approx(
+            np.diff(all_samples.interval(value)), rel=1e-4)
+    assert few.noise == pytest.approx(all_samples.noise, rel=1e-6)
+    assert few.at(t) == pytest.approx(all_samples.at(t), abs=1e-3)
+
+
+def test_noise_model_of_a_long_record_is_that_of_its_rows():
+    values = np.cumsum(np.random.default_rng(2).standard_normal(2 * BLOCK))
+    rows = np.lib.stride_tricks.sliding_window_view(values, 25)[:, ::-1]
+    assert _triangle_of_lags(values, 24) == pytest.approx(np.linalg.cholesky(rows.T @ rows).T)
+    # What its neighbours foretell is left to the rows: products of lags would lose the digits.
+    assert _triangle_of_lags(np.sin(0.01 * np.arange(2 * BLOCK)), 24) is None
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+def test_each_family_gets_its_verdict(family):
+    row = check_verdicts(family, count=3, seed=3)
+    assert row['right'] == 3, row
+    assert row['false_limit_cycles'] == 0
+
+
+def simulated(gain, step=100.0, duration=1.0):
+    run = simulate_loop({}, {'gain': gain, 'reference.shape': 'step',
+                             'reference.amplitude': step}, duration)
+    return Run(run.time_s, run.reference_n, run.command_n, run.force_n, run.valve_position_m,
+               source=f'gain {gain}')
+
+
+def test_actuator_cycles_at_high_gain_and_settles_at_low():
+    last = judge_run(simulated(11.0))[-1]
+    assert last.verdict == 'limit_cycle' and last.confidence > 0.9
+    assert 80.0 < last.frequency_hz < 100.0
+    assert all(s.verdict != 'limit_cycle' for s in judge_run(simulated(3.0)))
+
+
+def _cycle(amplitude_of_time, source):
+    t = np.arange(3000) / 1000.0
+    angle = 2 * np.pi * 20.0 * t
+    wave = np.cos(angle) + 0.1 * np.cos(3 * angle)
+    noise = 0.01 * np.random.default_rng(5).standard_normal(t.size)
+    return Run(t, force_n=amplitude_of_time(t) * wave + noise, source=source)
+
+
+def test_isolation_needs_the_orbit_from_both_sides():
+    inside = _cycle(lambda t: 1.0 - 0.9 * np.exp(-5 * t), 'inside')
+    outside = _cycle(lambda t: 1.0 + 1.5 * np.exp(-5 * t), 'outside')
+    alone = limit_cycle([inside])['segments'][-1]
+    assert alone['verdict'] == 'limit_cycle' and alone['came_from'] == 'inside'
+    assert not alone['isolated'] and 'isolation not shown' in alone['why']
+    both = [s for s in limit_cycle([inside, outside])['segments']
+            if s['verdict'] == 'limit_cycle']
+    assert len(both) == 2 and all(s['isolated'] for s in both)
+
+
+def test_orbits_of_different_size_are_no_evidence_for_each_other():
+    inside = _cycle(lambda t: 1.0 - 0.9 * np.exp(-5 * t), 'inside')
+    outside = _cycle(lambda t: 1.5 + 1.5 * np.exp(-5 * t), 'outside')
+    assert not any(s['isolated'] for s in limit_cycle([inside, outside])['segments'])
+
+
+def test_return_to_the_orbit_after_a_push_shows_isolation():
+    pushed = _cycle(lambda t: 1.0 + np.where(t > 1.5, -0.7 * np.exp(-8 * (t - 1.5)), 0.0), 'push')
+    last = limit_cycle([pushed])['segments'][-1]
+    assert last['isolated'] and 'disturbance' in last['why']
+
+
+def test_flat_share_tells_a_stop_from_a_relay_and_a_sine():
+    angle = np.linspace(0.0, 40.0 * np.pi, 4000)
+    assert flat_share(np.sin(angle)) == 0.0
+    assert flat_share(np.sign(np.sin(angle))) == 0.0
+    assert flat_share(np.round(20 * np.sin(angle)) / 20) == 0.0
+    assert flat_share(np.clip(2 * np.sin(angle), -1, 1)) == pytest.approx(2 / 3, abs=0.01)
+
+
+def _moved(reference, motion):
+    """Return a run of 4 s whose reference moves, and its longest segment."""
+    noise = 0.01 * np.random.default_rng(7).standard_normal(reference.size)
+    run = Run(np.arange(reference.size) / 1000.0, reference, force_n=motion + noise)
+    return max(judge_run(run), key=lambda s: s.end_s - s.start_s)
+
+
+def test_what_follows_a_moving_reference_is_forced_and_a_cycle_beside_it_is_not():
+    t = np.arange(4000) / 1000.0
+    chirp = np.sin(2 * np.pi * (1.0 + 4.0 * t) * t)
+    assert _moved(chirp, np.tanh(2 * np.roll(chirp, 7))).verdict == 'forced'
+    steps = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 400), 10)
+    cycle = np.cos(2 * np.pi * 40 * t) + 0.1 * np.cos(2 * np.pi * 120 * t)
+    beside = _moved(steps, 0.1 * np.roll(steps, 7) + cycle)
+    assert beside.verdict == 'limit_cycle' and beside.confidence > 0.9
+    assert beside.frequency_hz == pytest.approx(40.0, abs=0.01)
+
+
+def test_without_a_reference_nobody_is_sure_of_a_cycle():
+    run = _cycle(lambda t: np.ones(t.size), 'free')
+    alone, = judge_run(run)
+    assert alone.verdict == 'limit_cycle' and alone.confidence <= 0.8
+    assert 'no reference' in alone.why
+    held, = judge_run(Run(run.time_s, np.zeros(run.time_s.size), force_n=run.force_n))
+    assert held.verdict == 'limit_cycle' and held.confidence > 0.9
+
+
+@pytest.mark.parametrize('levels, verdict', [(4.0, 'unsteady'), (400.0, 'limit_cycle')])
+def test_harmonics_that_rounding_may_have_made_are_no_evidence(levels, verdict):
+    run = _cycle(lambda t: np.ones(t.size), 'rounded')
+    rounded, = judge_run(Run(run.time_s, force_n=np.round(levels * run.force_n) / levels))
+    assert rounded.verdict == verdict
+
+
+def test_times_that_repeat_or_run_back_are_left_out():
+    run = _cycle(lambda t: np.ones(t.size), 'stutter')
+    twice = Run(np.repeat(run.time_s, 2), force_n=np.repeat(run.force_n, 2))
+    assert judge_run(twice)[0].frequency_hz == judge_run(run)[0].frequency_hz
+    with pytest.raises(InputError, match='at least 9'):
+        judge_run(Run(run.time_s[::-1].copy(), force_n=run.force_n))
+
+
+@pytest.mark.parametrize('run, words', [
+    (Run(np.arange(100.0)), 'no signal'),
+    (Run(np.arange(5.0), force_n=np.arange(5.0)), 'at least 9')])
+def test_bad_input_is_named(run, words):
+    with pytest.raises(InputError, match=words):
+        judge_run(run)
+
+
+def test_command_prints_what_is_documented(tmp_path):
+    write_bag(simulated(10.0), tmp_path / 'bag')
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'limit-cycle', str(tmp_path / 'bag'),
+         '--report', str(tmp_path), '--json'],
+        capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert problems(document, 'asi limit-cycle') == []
+    assert document['segments'][-1]['verdict'] == 'limit_cycle'
+    assert (tmp_path / 'cycle_1.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_isolation_experiment_shows_the_orbit_from_both_sides(tmp_path, ros_environment):
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--experiment', 'isolation', '--gain',
+         '8', '--step', '100', '--duration', '0.7', '--out', str(tmp_path / 'out'), '--json'],
+        capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert problems(document, 'asi run --experiment isolation') == []
+    cycles = [s for s in document['segments'] if s['verdict'] == 'limit_cycle']
+    assert {s['came_from'].split()[0] for s in cycles} == {'inside', 'outside'}
+    assert all(s['isolated'] for s in cycles)

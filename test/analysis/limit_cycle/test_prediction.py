@@ -1,0 +1,110 @@
+"""Predicted cycles: describing functions against closed forms, the balance against simulation."""
+
+import control
+import numpy as np
+import pytest
+from study import STUDY, STUDY_CONTROLLER
+
+from asi_actuator.parameters import as_record
+from asi_analysis.limit_cycle.prediction.predict import branch, simulated_onset
+from asi_analysis.loop import describing_functions as describing
+from asi_analysis.loop import harmonic_balance as hb
+from asi_analysis.loop.floquet import multipliers
+from asi_analysis.loop.one_harmonic import hysteresis_alone, per_gain
+from asi_analysis.loop.simulation import as_balance, loop_of, remembering, step_run, sustained
+
+RATE_HZ = 5000.0
+
+
+@pytest.mark.parametrize('amplitude', [15.0, 20.0, 100.0, 1000.0])
+def test_play_is_python_controls(amplitude):
+    p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
+    # Its backlash: b is the whole width. One amplitude at a time: it forgets.
+    closed = control.friction_backlash_nonlinearity(28.0).describing_function(amplitude)
+    assert describing.hysteresis(amplitude, 50.0, 0.0, p) == pytest.approx(closed, abs=2e-3)
+
+
+def test_play_passes_nothing_of_a_sine_within_it():
+    p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
+    assert abs(describing.hysteresis(10.0, 50.0, 0.0, p)) < 1e-12
+
+
+@pytest.mark.parametrize('amplitude, bias', [
+    (5e-6, 0.0), (4e-5, 0.0), (4e-5, 1e-5), (3e-5, -2e-5)])
+def test_characteristic_is_its_closed_form(amplitude, bias):
+    p = as_record({})
+    slope = p['valve_characteristic_maximum_force'] / p['valve_characteristic_full_opening']
+    closed = slope * describing.saturation_closed_form(
+        amplitude, p['valve_characteristic_full_opening'], bias)
+    assert describing.characteristic(amplitude, bias, p).real == pytest.approx(closed, rel=1e-3)
+
+
+def test_fast_sliding_is_coulomb_friction():
+    p = as_record({'friction.presliding_stiffness': 1e8, 'friction.presliding_damping': 0.0})
+    assert describing.seal_friction(5.0, 10.0, p).real == pytest.approx(
+        4.0 * 7.0 / (np.pi * 5.0), rel=0.02)   # 4 F / (pi A)
+
+
+def test_damping_of_a_small_motion_is_its_slope():
+    p = as_record(STUDY)
+    assert describing.damping(1e-4, 0.0, p).real == pytest.approx(
+        p['hydraulic_damping_viscous'], rel=0.03)
+
+
+def test_linear_loop_is_what_the_simulator_passes():
+    actuator = {'valve_hysteresis.model': 'off', 'hydraulic_damping.model': 'off',
+                'friction.model': 'off', 'load.locked_damping': 500.0}
+    from asi_analysis.loop.closed_loop import simulate_loop
+    run = simulate_loop(actuator, {'gain': 0.0, 'feedforward': 1.0, 'reference.shape': 'sine',
+                                   'reference.amplitude': 100.0, 'reference.frequency': 100.0,
+                                   'reference.start': 0.0}, 0.5)
+    last = run.time_s > 0.3
+    turn = np.exp(-2j * np.pi * 100.0 * run.time_s[last])
+    passed = (run.force_n[last] @ turn) / (run.command_n[last] @ turn)
+    loop = loop_of(actuator, {'gain': 1.0}, RATE_HZ)
+    assert per_gain([100.0], loop)[0] == pytest.approx(passed, rel=2e-3)
+
+
+def test_describing_function_first_meets_the_loop_where_the_paper_says():
+    locus = hysteresis_alone(
+        loop_of(STUDY, {'gain': 1.0}, RATE_HZ), np.geomspace(500.0, 1.6e4, 12))
+    first = int(np.argmin(locus.gain))
+    assert locus.gain[first] == pytest.approx(8.0, rel=0.15)            # paper: 8
+    assert locus.frequency_hz[first] == pytest.approx(130.0, rel=0.15)  # paper: 130 Hz
+    assert locus.stable[-1] and not locus.stable[0]
+
+
+# The last is a small cycle near its fold: slow to settle, and its seals remember the step.
+@pytest.mark.parametrize('step, gain', [(100.0, 10.0), (300.0, 11.0), (600.0, 10.0)])
+def test_balance_is_the_simulated_cycle(step, gain):
+    settings = {'gain': gain, 'reference.amplitude': step}
+    run = step_run({}, settings, RATE_HZ)
+    swing = sustained(run)
+    loop = remembering(loop_of({}, settings, RATE_HZ), run, swing.frequency_hz)
+    # A guess that is well off, so that the balance has to find the cycle by itself.
+    guess = as_balance(run, swing, gain, 7)
+    guess = guess._replace(frequency_hz=1.03 * guess.frequency_hz, command=0.93 * guess.command)
+    found = hb.balance(loop, guess)
+    assert found.frequency_hz == pytest.approx(swing.frequency_hz, rel=0.002)
+    assert found.amplitude_n == pytest.approx(swing.amplitude, rel=0.01)
+    assert found.thd == pytest.approx(swing.thd, rel=0.1)
+
+
+def test_branch_folds_where_the_simulated_cycle_is_born():
+    settings = STUDY_CONTROLLER | {'reference.amplitude': 300.0}
+    gain, frequency, _ = simulated_onset(STUDY, settings, RATE_HZ, 8.0)
+    points = branch(STUDY, settings, RATE_HZ, 1.02 * gain, onset_only=True)
+    onset, at_hz, _ = hb.fold(points)
+    assert points[-1].gain > 1.02 * onset, 'the branch goes round the fold'
+    # The step may be too weak a kick just above the fold, never strong enough below it.
+    assert 0.995 * gain < onset * 1.03 and onset < 1.005 * gain
+    assert at_hz == pytest.approx(frequency, rel=0.01)
+
+
+def test_cycle_attracts_by_its_multipliers_and_ever_less_towards_the_fold():
+    near, far = (multipliers(
+        STUDY, STUDY_CONTROLLER | {'gain': gain, 'reference.amplitude': 100.0}, RATE_HZ, hz)
+                 for gain, hz in ((9.4, 92.5), (10.5, 90.0)))
+    for found in (near, far):
+        assert found[0] == pytest.approx(1.0, abs=0.02)
+    assert far[1] < near[1] < 0.95

@@ -1,0 +1,126 @@
+"""Bandwidth and delay of known filters, and of a real servo-hydraulic press."""
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import optimize, signal
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.bags.run import Run
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.frequency_response import (
+    actuator_bandwidth,
+    correlation_delay,
+    frequency_response,
+    loop_bandwidth,
+)
+from asi_common.parameter import completed
+
+RATE_HZ = 5000.0
+DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
+
+
+def excitation(kind):
+    t = np.arange(50000) / RATE_HZ
+    if kind == 'chirp':
+        return signal.chirp(t, 2.0, t[-1], 500.0, 'logarithmic')
+    if kind == 'multisine':
+        return sum(np.sin(2 * np.pi * f * t + 0.05 * f * f) for f in np.arange(5.0, 300.0, 5.0))
+    return np.repeat(np.random.default_rng(5).choice([-1.0, 1.0], 5000), 10)
+
+
+@pytest.mark.parametrize('kind', ['chirp', 'multisine', 'prbs'])
+def test_bandwidth_and_delay_of_a_known_filter(kind):
+    """A second-order Butterworth low pass at 50 Hz behind 3 ms of dead time."""
+    b, a = signal.butter(2, 50.0, fs=RATE_HZ)
+    x = excitation(kind)
+    y = np.concatenate([np.zeros(15), signal.lfilter(b, a, x)[:-15]])
+    found = frequency_response(x, y, 1.0 / RATE_HZ)
+    assert found.bandwidth_hz == pytest.approx(50.0, rel=0.03)
+    w, expected = signal.freqz(b, a, found.frequency_hz, fs=RATE_HZ)
+    expected = expected * np.exp(-2j * np.pi * w * 15 / RATE_HZ)
+    near = (w > 4.0) & (w < 150.0)
+    assert np.max(np.abs(found.response - expected)[near]) < 0.05
+    assert found.coherence.min() > 0.8
+
+
+def test_pure_delay():
+    x = excitation('prbs')
+    y = np.concatenate([np.zeros(15), x[:-15]])
+    assert frequency_response(x, y, 1.0 / RATE_HZ).delay_s == pytest.approx(0.003, rel=1e-2)
+    assert correlation_delay(x, y, 1.0 / RATE_HZ) == pytest.approx(0.003, abs=1e-5)
+
+
+def test_what_the_input_does_not_move_is_not_told():
+    """Beyond the chirp's last frequency and in an output of noise there is no response."""
+    x = excitation('chirp')
+    assert frequency_response(x, x, 1.0 / RATE_HZ).frequency_hz.max() < 600.0
+    assert frequency_response(x, np.random.default_rng(1).normal(size=x.size),
+                              1.0 / RATE_HZ) is None
+
+
+def test_bandwidth_from_a_step():
+    """Second order, zeta 0.456, 100 rad/s: -3 dB where the closed form says."""
+    t = np.arange(5000) / RATE_HZ
+    zeta, w = 0.456, 100.0
+    _, y = signal.step((w * w, [1.0, 2 * zeta * w, w * w]), T=t)
+    force = np.concatenate([np.zeros(250), 80.0 * y[:-250]])
+    found = loop_bandwidth(Run(t, reference_n=np.where(t >= 0.05, 80.0, 0.0), force_n=force))
+    q = 1 - 2 * zeta**2
+    assert found.method == 'step'
+    assert found.bandwidth_hz == pytest.approx(
+        w * np.sqrt(q + np.sqrt(q * q + 1)) / (2 * np.pi), rel=0.01)
+
+
+def test_actuator_in_the_loop_against_its_linear_blocks():
+    """With its nonlinear blocks off the actuator is four known filters and two delays."""
+    linear = {'valve_hysteresis.model': 'off', 'valve_characteristic.model': 'off',
+              'hydraulic_damping.model': 'off', 'friction.model': 'off'}
+    p = completed(linear, ACTUATOR_PARAMETERS)
+    run = Run(*simulate_loop(linear, {
+        'reference.shape': 'chirp', 'reference.frequency': 1.0, 'reference.duration': 8.0,
+        'reference.end_frequency': 300.0}, 8.5))
+
+    def second_order(block, f):
+        natural = p[f'{block}.natural_frequency']
+        return 1 / (1 - (f / natural)**2 + 2j * p[f'{block}.damping_ratio'] * f / natural)
+
+    def gain(f):
+        return abs(second_order('valve_flexure', f) * second_order('force_sensor', f)
+                   / (1 + 1j * f / p['valve_flexure.coil_frequency'])
+                   / (1 + 1j * f / p['fluid_dynamics.frequency']))
+
+    expected = optimize.brentq(lambda f: gain(f) - np.sqrt(0.5), 1.0, 200.0)
+    assert actuator_bandwidth(run) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize('current', ['0A', '1A'])
+def test_servohydraulic_press(current):
+    """
+    Reference to displacement of a real press: its lag is found in both recordings alike.
+
+    The correlation peaks where the chirp has most of its power, so it may differ from the phase
+    slope; the whole-record comparison below needs neither of our functions.
+    """
+    path = DATA / 'servohydraulic_mts' / f'actuator_chirp_damper_{current}.txt.gz'
+    if not path.exists():
+        pytest.skip(f'no measured data at {DATA}')
+    lines = gzip.open(path, 'rt').read().splitlines()[7:]
+    table = np.array([[float(cell) for cell in line.split(',')[2:5]]
+                      for line in lines if line.count(',') >= 4])
+    table -= table[:1000].mean(0)
+    measured, reference = table[:, 0] / 100.0, table[:, 2] / 100.0
+    run = Run(np.arange(len(table)) / 1000.0, reference_n=reference, position_m=measured,
+              information={'signals': {'reference': 'm'}})
+    found = loop_bandwidth(run)
+    shifts = np.arange(60)
+    best = shifts[np.argmin([np.mean((measured[100:] - reference[100 - k:len(reference) - k])**2)
+                             for k in shifts])]
+    assert found.method == 'excitation'
+    assert found.correlation_delay_s == pytest.approx(best / 1000.0, abs=1.5e-3)
+    assert 0.015 < found.delay_s < 0.03
+    # The gain of a plain sine fit near the bandwidth, where the chirp passes it.
+    assert 5.0 < found.bandwidth_hz < 10.0

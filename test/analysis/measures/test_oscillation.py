@@ -1,0 +1,88 @@
+"""What oscillates by itself, what dies out, and what the reference forces."""
+
+import numpy as np
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.analysis import analyze, as_text
+from asi_analysis.measures.oscillation import oscillation
+
+T = np.arange(5000) / 5000.0
+STEP = np.where(T >= 0.05, 100.0, 0.0)
+
+
+def swing(force, reference=STEP):
+    noise = np.random.default_rng(3).normal(0.0, 0.5, T.size)
+    return oscillation(Run(T, reference_n=reference, force_n=force + noise))
+
+
+def test_sine_is_found_exactly():
+    found = swing(STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T + 0.4))
+    assert found.sustained is True
+    assert found.frequency_hz == pytest.approx(91.37, abs=0.02)
+    assert found.amplitude_n == pytest.approx(40.0, rel=0.01)
+
+
+def test_a_torque_is_told_in_its_own_unit():
+    torque = STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T)
+    units = {'signals': {'force': 'Nm', 'reference': 'Nm'}}
+    told = as_text(analyze(Run(T, reference_n=STEP, force_n=torque, information=units)))
+    assert '91.4 Hz, 40 Nm, sustained' in told and ' N\n' not in told
+
+
+def test_lost_samples_at_the_end_are_no_change_of_the_reference():
+    """The last answer of a run may be missing from its bag."""
+    reference, force = STEP.copy(), STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T)
+    reference[-1] = force[-3] = np.nan
+    assert swing(force, reference).sustained is True
+
+
+def test_decaying_sine_is_not_sustained():
+    found = swing(STEP + 100.0 * np.exp(-T / 0.5) * np.sin(2 * np.pi * 91.37 * T))
+    assert found.sustained is False
+    assert found.frequency_hz == pytest.approx(91.37, abs=0.3)
+
+
+@pytest.mark.parametrize('force_n', [0.0, 42.1])
+def test_force_that_does_not_move_is_no_oscillation(force_n):
+    still = Run(T, reference_n=np.zeros(T.size), force_n=np.full(T.size, force_n))
+    assert oscillation(still) == (False, None, None, None)
+
+
+def test_noise_alone_is_no_oscillation():
+    assert swing(STEP) == (False, None, None, None)
+
+
+@pytest.mark.parametrize('frequency', [2.3, 17.0, 90.0])
+def test_forced_sine_with_harmonics_is_not_self_sustained(frequency):
+    angle = 2 * np.pi * frequency * T
+    found = swing(90.0 * np.sin(angle - 0.7) + 9.0 * np.sin(3 * angle), 100.0 * np.sin(angle))
+    assert found.sustained is False
+
+
+def test_own_oscillation_on_top_of_a_forced_one():
+    found = swing(90.0 * np.sin(2 * np.pi * 7.0 * T - 0.2) + 30.0 * np.sin(2 * np.pi * 88.0 * T),
+                  100.0 * np.sin(2 * np.pi * 7.0 * T))
+    assert found.sustained is True
+    assert found.frequency_hz == pytest.approx(88.0, abs=0.1)
+    assert found.amplitude_n == pytest.approx(30.0, rel=0.02)
+
+
+def test_many_frequencies_in_the_reference_leave_it_open():
+    chirp = 100.0 * np.sin(2 * np.pi * (5.0 + 40.0 * T) * T)
+    found = swing(chirp, chirp)
+    assert found.sustained is None
+    assert 'reference' in found.reason
+
+
+@pytest.mark.parametrize('gain, sustained', [(3.0, False), (10.5, True)])
+def test_the_loop_itself(gain, sustained):
+    run = simulate_loop({}, {'gain': gain, 'reference.shape': 'step'}, 1.0)
+    assert oscillation(Run(*run)).sustained is sustained
+
+
+def test_reference_of_two_sines_forces_what_cannot_be_told():
+    reference = 50.0 * np.sin(2 * np.pi * 10.0 * T) + 25.0 * np.sin(2 * np.pi * 27.0 * T)
+    found = swing(0.9 * reference, reference)
+    assert found.sustained is None and 'many frequencies' in found.reason

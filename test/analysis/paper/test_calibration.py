@@ -1,0 +1,127 @@
+"""The calibration: repeats, goes on where it stopped, and is not fooled by a waveform."""
+
+import math
+
+import numpy as np
+import pytest
+from study import STUDY
+
+from asi_analysis.errors import InputError
+from asi_analysis.paper.calibration import search
+from asi_analysis.paper.calibration.cost import AIMS, INNER, cost, misses
+from asi_analysis.paper.calibration.front import front
+from asi_analysis.paper.calibration.quantities import (
+    FREE,
+    STRUCTURES,
+    Candidate,
+    candidate,
+    decode,
+    encode,
+    quantities,
+    read_best,
+    write_best,
+)
+from asi_analysis.paper.calibration.search import LINES, calibrate, load, new_search, result
+from asi_analysis.paper.facts.conditions import SPRING, Conditions, StepTest
+from asi_analysis.paper.facts.measures import step_test
+
+SOME = ('valve_flexure.coil_frequency', 'conditions.lead_lag.gain')
+
+
+def small_search():
+    start = Candidate({}, Conditions())
+    return new_search(start, STRUCTURES['side'], seed=3, spread=0.05, only=SOME)
+
+
+def test_points_of_the_cube_are_their_quantities():
+    point = np.linspace(0.05, 0.95, len(FREE))
+    assert encode(decode(point)) == pytest.approx(point)
+    one = candidate(decode(point), {}, Conditions())
+    assert quantities(one) == pytest.approx(decode(point))
+
+
+def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
+    monkeypatch.setattr(search, 'RACE', (4, 3, 2, 2, 2))
+    whole = calibrate(small_search(), 8, 1, tmp_path / 'whole')
+    calibrate(small_search(), 4, 0, tmp_path / 'part')
+    resumed = calibrate(load(tmp_path / 'part'), 8, 1, tmp_path / 'part')
+    assert resumed.evaluations == whole.evaluations
+    assert resumed.best_cost == whole.best_cost
+    assert np.array_equal(resumed.best, whole.best)
+    assert whole.counts == [8, 6, 4, 4, 4]
+    # What was kept is what it costs: the race has measured it to the end.
+    assert cost(misses(whole.problem.measure(whole.best))) == whole.best_cost
+    write_best(result(whole), tmp_path / 'best.json')
+    assert quantities(read_best(tmp_path / 'best.json')) == quantities(result(whole))
+
+
+def test_polish_steps_to_the_limits_and_not_through_others():
+    """Two rows, two quantities: the first row is missed, the second would be by going too far."""
+    here, slopes = np.full(len(LINES), -5.0), np.zeros((len(LINES), 2))
+    here[search.TWO_SIDED] = 0.0
+    two_sided = np.flatnonzero(search.TWO_SIDED)[:2]
+    here[two_sided[0]] = 2.0
+    slopes[two_sided[0]] = -10.0, -10.0
+    slopes[two_sided[1]] = 20.0, 0.0
+    after = search._step(np.array([0.5, 0.5]), here, slopes, 0.2) - 0.5
+    rows = here + slopes @ after
+    assert np.all(np.abs(rows[two_sided]) < INNER)
+    assert np.all(np.abs(after) <= 0.2)
+    # Too short a reach: as far as it goes.
+    assert search._step(np.array([0.5, 0.5]), here, slopes, 0.01) == pytest.approx(0.51)
+
+
+def test_structures_hold_what_they_say():
+    cylinder = new_search(Candidate({}, Conditions()), STRUCTURES['cylinder'], 1, 0.1)
+    assert result(cylinder).actuator['force_sensor.mass_share'] == 0.0
+    one = result(new_search(Candidate({}, Conditions()), STRUCTURES['one-load'], 1, 0.1))
+    assert one.conditions.lead4.load == one.conditions.proportional.load
+
+
+def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
+    """Of a made-up row that only the coil moves: the rest is polished, the held is not."""
+    seen = []
+
+    def measured(problem, point):
+        found = decode(problem.whole(point))
+        seen.append(found['valve_hysteresis.radius'])
+        middle = {fact.value: 0.5 * (fact.low + fact.high) if math.isfinite(fact.high)
+                  else 2.0 * fact.low + 1.0 for fact in AIMS}
+        return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
+
+    monkeypatch.setattr(search.Problem, 'measure', measured)
+    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()), 8)
+    assert [each.value for each in held] == pytest.approx(sorted(set(seen), reverse=True))
+    assert [each.cost for each in held] == [0.0, 0.0]
+    assert held[0].evaluations > 1 == held[1].evaluations
+    assert not held[0].not_met
+
+
+def test_a_chattering_command_is_no_one_rise():
+    """The setting that settled in Table 1's 0.04 s by chattering between the limits."""
+    actuator = {}
+    test = Conditions().lead4
+    wild = test._replace(controller={**test.controller, 'gain': 60.0, 'lead4.ratio': 13.8})
+    assert step_test(actuator, Conditions(), test, 'lead4')['lead4_monotone'] == 1.0
+    assert step_test(actuator, Conditions(), wild, 'lead4')['lead4_monotone'] == 0.0
+
+
+def test_a_spike_does_not_win_the_row():
+    """A mass and spring of the first study that hit Kp = 3's figures by a spike and a dip."""
+    values = STUDY | {'load.mass': 6.1, 'load.stiffness': 33.7e3, 'load.damping': 20.0}
+    test = StepTest({'compensator': 'proportional', 'gain': 3.0}, 146.0, SPRING)
+    measured = step_test(values, Conditions(feedforward=1.869), test, 'proportional')
+    assert measured['proportional_monotone'] == 0.0
+    others = {name: value for name, value in measured.items() if not name.endswith('monotone')}
+    assert cost(misses(measured)) > cost(misses(others))
+
+
+def test_bad_files_are_named(tmp_path):
+    (tmp_path / 'state').write_text('no state')
+    with pytest.raises(InputError, match='state'):
+        load(tmp_path / 'state')
+    with pytest.raises(InputError, match='nowhere.json'):
+        read_best(tmp_path / 'nowhere.json')
+    with pytest.raises(InputError, match='no.such.name'):
+        new_search(Candidate({}, Conditions()), STRUCTURES['side'], 1, 0.1,
+                   only=('no.such.name',))

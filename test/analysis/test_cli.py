@@ -1,0 +1,299 @@
+"""The command line: help, exit statuses, one line of complaint, the documented JSON."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import PATIENCE_S, wait_until
+from documented import problems
+from rosbags.rosbag2 import Reader
+
+from asi_analysis import cli
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.experiments import running
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.analysis import analyze
+
+ROOT = Path(__file__).parents[2]
+
+
+def asi(*arguments, **options):
+    """Run the command in a process of its own, as a user does."""
+    return subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', *arguments], capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)}, **options)
+
+
+@pytest.mark.parametrize('command', ['run', 'analyze', 'import', 'export', 'reproduce', 'demo',
+                                     'gap'])
+def test_help_of_each_command_shows_an_example(command):
+    result = asi(command, '--help')
+    assert result.returncode == 0
+    assert f'Example: asi {command} ' in ' '.join(result.stdout.split())
+
+
+def test_help_loads_nothing_heavy():
+    code = ('import sys\nfrom asi_analysis import cli\nsys.argv = ["asi", "--help"]\n'
+            'cli.main()\n'
+            'heavy = {"rclpy", "numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)\n'
+            'sys.exit(f"loaded: {heavy}" if heavy else 0)')
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize('arguments, said', [
+    ((), 'Usage'),
+    (('bogus',), 'bogus'),
+    (('analyze',), 'bag'),
+    (('analyze', 'nowhere'), 'nowhere'),
+    (('analyze', 'empty.mcap'), 'empty.mcap'),
+    (('run', '--compensator', 'pid'), 'compensator'),
+    (('run', '--gain', 'nan'), 'gain'),
+    (('run', '--gain', 'much'), 'gain'),
+    (('run', '--duration', '-1'), 'duration'),
+    (('run', '--duration', 'nan'), 'duration'),
+    (('run', '--duration', 'inf'), 'duration'),
+    (('run', '--duration', '1e7'), 'duration'),
+    (('run', '--duration', '1e-5'), 'duration'),
+    (('run', '--mode', 'warp'), 'lockstep, realtime'),
+    (('run', '--rate', '1e9'), 'rate'),
+    (('run', '--rate', 'nan'), 'rate'),
+    (('run', '--rate', '100'), '180 Hz'),
+    (('predict', '--rate', 'nan'), 'rate'),
+    (('predict', '--rate', '0'), 'rate'),
+    (('predict', '--gain', '0'), 'gain'),
+    (('quench', '--rates', '5000,0'), 'rate'),
+    (('quench', '--replay', '-1'), '--replay'),
+    (('calibrate', '--spread', 'nan', '--out', 'new'), 'spread'),
+    (('calibrate', '--front', 'load.mas=1'), 'load.mas'),
+    (('calibrate', '--structure', 'round'), 'one-load'),
+    (('gap',), 'asi gap BAG...'),
+    (('gap', 'nowhere', '--plant', 'robot'), 'joint'),
+    (('run', '--step', '5', '--reference', 'sine'), '--step'),
+    (('run', '--set', 'load.mass=1'), 'actuator.NAME=VALUE'),
+    (('run', '--set', 'actuator.load.mas=1'), 'load.mass'),
+    (('run', '--set', 'actuator.load.mass=heavy'), 'load.mass'),
+    (('run', '--set', 'controller.custom.poles=5', '--compensator', 'custom'), 'custom.poles'),
+    (('run', '--actuator', 'nowhere.yaml'), 'nowhere.yaml'),
+    (('run', '--actuator', 'foreign.yaml'), 'foreign.yaml'),
+    (('run', '--controller', 'broken.yaml'), 'broken.yaml'),
+    (('run', '--controller', 'wrong.yaml'), 'gian'),
+    (('run', '--out', 'used'), 'used'),
+    (('demo', '--out', 'used'), 'used'),
+    (('demo', '--out', 'table.csv'), 'table.csv'),
+    (('limit-cycle', '--check', '0'), '--check'),
+    (('import', 'nowhere.csv', '--out', 'new'), 'nowhere.csv'),
+    (('import', 'table.csv', '--map', 'force=load', '--rate', '10', '--out', 'new'), 'load'),
+    (('import', 'short.csv', '--map', 'force=f', '--rate', '10', '--out', 'new'), 'short.csv'),
+    (('import', 'table.csv', '--map', 'colour=t', '--rate', '10', '--out', 'new'), 'colour'),
+    (('import', 'table.csv', '--map', 'force=f', '--rate', '10', '--zero', '-1', '--out', 'new'),
+     'zero'),
+    (('export', 'nowhere', '--out', 'new.csv'), 'nowhere'),
+])
+def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path, monkeypatch, capsys):
+    (tmp_path / 'empty.mcap').touch()
+    (tmp_path / 'foreign.yaml').write_text('camera:\n  ros__parameters: {exposure: 3}\n')
+    (tmp_path / 'broken.yaml').write_text('asi_controller: [')
+    (tmp_path / 'wrong.yaml').write_text('asi_controller:\n  ros__parameters: {gian: 3.0}\n')
+    (tmp_path / 'table.csv').write_text('t,f\n0,1\n1,2\n')
+    (tmp_path / 'short.csv').write_text('f\n1\n')
+    (tmp_path / 'used').mkdir()
+    (tmp_path / 'used' / 'thesis.tex').touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, 'argv', ['asi', *arguments])
+    assert cli.main() == 2
+    output, complaint = capsys.readouterr()
+    if arguments not in ((), ('gap',)):   # they are shown the help
+        assert output == ''
+        assert len(complaint.splitlines()) == 1, complaint
+    assert said in output + complaint
+    assert (tmp_path / 'used' / 'thesis.tex').exists()
+
+
+def test_bad_domain_is_told_in_one_line(monkeypatch, tmp_path):
+    monkeypatch.setenv('ROS_DOMAIN_ID', 'mine')
+    result = asi('run', '--out', 'new', cwd=tmp_path)
+    assert result.returncode == 2
+    assert 'ROS_DOMAIN_ID' in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+def test_two_runs_never_share_a_domain(monkeypatch):
+    """The one's controller would answer the other's actuator, and neither would notice."""
+    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+    with running._environment() as first, running._environment() as second:
+        assert first['ROS_DOMAIN_ID'] != second['ROS_DOMAIN_ID']
+        monkeypatch.setenv('ROS_DOMAIN_ID', first['ROS_DOMAIN_ID'])
+        with pytest.raises(InputError, match='another asi run'), running._environment():
+            pass
+    with running._environment() as again:
+        assert again['ROS_DOMAIN_ID'] == first['ROS_DOMAIN_ID']
+
+
+@pytest.mark.parametrize('controller', [
+    {'reference.shape': 'step'}, {'reference.shape': 'step', 'gain': 10.5},
+    {'reference.shape': 'sine'}, {'reference.shape': 'prbs', 'reference.frequency': 300.0}])
+def test_analysis_is_as_documented(controller):
+    answer = analyze(Run(*simulate_loop({}, controller, 0.5), source='in process'))
+    assert problems(json.loads(json.dumps(answer, allow_nan=False)), 'asi analyze') == []
+
+
+def test_one_sample_is_too_little_to_analyse():
+    with pytest.raises(InputError, match='one.mcap: one sample'):
+        analyze(Run(np.zeros(1), force_n=np.ones(1), source='one.mcap'))
+
+
+def test_documentation_check_can_fail():
+    answer = analyze(Run(*simulate_loop({}, {'reference.shape': 'step'}, 0.3)))
+    del answer['bandwidth_hz']
+    answer['oscillation']['sustained'] = 'yes'
+    answer['colour'] = 'blue'
+    assert len(problems(answer, 'asi analyze')) == 3
+
+
+def test_table_becomes_a_bag_and_a_table_again(tmp_path):
+    """A step in a CSV of milliseconds and kilonewtons: imported, analysed, exported."""
+    t = np.arange(2000)
+    force = np.where(t > 100, 0.1 * (1.0 - np.exp(-(t - 100) / 20.0)), 0.0)
+    np.savetxt(tmp_path / 'log.csv', np.column_stack([t, np.where(t >= 100, 0.1, 0.0), force]),
+               delimiter=',', header='t,wanted,load', comments='')
+    imported = asi('import', 'log.csv', '--map', 'time=t[ms]', '--map', 'reference=wanted[kN]',
+                   '--map', 'force=load[kN]', '--out', 'bag', '--json', cwd=tmp_path)
+    assert imported.returncode == 0, imported.stderr
+    document = json.loads(imported.stdout)
+    assert problems(document, 'asi import') == []
+    assert (document['rate_hz'], document['signals']) == (1000.0, ['reference', 'force'])
+    answer = json.loads(asi('analyze', 'bag', '--json', cwd=tmp_path).stdout)
+    assert answer['rise_time_s'] == pytest.approx(0.020 * np.log(9.0), rel=1e-3)
+    assert answer['bandwidth_hz'] == pytest.approx(1.0 / (2.0 * np.pi * 0.020), rel=0.02)
+    exported = asi('export', 'bag', '--out', 'again.csv', '--json', cwd=tmp_path)
+    assert problems(json.loads(exported.stdout), 'asi export') == []
+    table = np.genfromtxt(tmp_path / 'again.csv', delimiter=',', names=True)
+    assert np.allclose(table['force_n'], 1e3 * force)
+
+
+def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
+    """The analysis of a bag from three processes is that of the same loop computed here."""
+    out = tmp_path / 'out'
+    result = asi('run', '--compensator', 'lead_lag', '--step', '150', '--load', 'spring',
+                 '--set', 'actuator.load.mass=0.3', '--duration', '0.3', '--rate', '2000',
+                 '--out', str(out), '--json')
+    assert result.returncode == 0, result.stderr
+    answer = json.loads(result.stdout)
+    assert problems(answer, 'asi run') == []
+    assert (answer['mode'], answer['ticks'], answer['compensator']) == (
+        'lockstep', 600, 'lead_lag')
+    expected = analyze(Run(*simulate_loop(
+        {'load.type': 'spring', 'load.mass': 0.3},
+        {'compensator': 'lead_lag', 'reference.shape': 'step', 'reference.amplitude': 150.0},
+        0.3, 2000.0)))
+    for key in ('rise_time_s', 'overshoot_percent', 'settling_time_5_s', 'steady_state_error_n',
+                'bandwidth_hz'):
+        assert answer[key] == pytest.approx(expected[key], rel=1e-6), key
+
+    again = asi('analyze', answer['bag'], '--json')
+    assert again.returncode == 0
+    for key, value in json.loads(again.stdout).items():
+        assert answer[key] == value
+    table = asi('analyze', answer['bag'])
+    assert f'{answer["overshoot_percent"]:.3g} %' in table.stdout
+    assert 'oscillation none' in ' '.join(table.stdout.split())
+
+
+def messages_of(bag):
+    """Return the messages of a bag but /diagnostics, in its order: topic, time, bytes."""
+    with Reader(bag) as reader:
+        return [(connection.topic, time_ns, bytes(data))
+                for connection, time_ns, data in reader.messages()
+                if connection.topic != '/diagnostics']
+
+
+def test_same_command_twice_gives_the_same_bag(ros_environment, tmp_path):
+    bags = []
+    for name in ('first', 'second'):
+        result = asi('run', '--compensator', 'lead4', '--step', '100', '--duration', '0.1',
+                     '--set', 'actuator.force_sensor.noise=0.5', '--out', str(tmp_path / name),
+                     '--json')
+        assert result.returncode == 0, result.stderr
+        bags.append(messages_of(json.loads(result.stdout)['bag']))
+    assert len(bags[0]) == 7 * 500
+    assert bags[0] == bags[1]
+
+
+def processes_of(directory):
+    """Return the processes whose command line names a directory."""
+    found = []
+    for path in Path('/proc').glob('[0-9]*/cmdline'):
+        try:
+            if str(directory) in path.read_text():
+                found.append(path)
+        except OSError:
+            continue
+    return found
+
+
+@pytest.fixture
+def recording(ros_environment, tmp_path):
+    """Return an `asi run` to tmp_path / 'out', without end, whose bag has begun to grow."""
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--duration', '1000', '--out',
+         str(tmp_path / 'out')], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+
+    def grows():
+        assert process.poll() is None, process.stderr.read()
+        return any(path.stat().st_size > 50_000 for path in tmp_path.glob('out/bag/*.mcap'))
+
+    try:
+        wait_until(grows, 'a bag that grows')
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, recording, tmp_path):
+    out, process = tmp_path / 'out', recording
+    process.send_signal(how)
+    process.wait(PATIENCE_S)
+    wait_until(lambda: not processes_of(out), 'the end of every node')
+    if how == signal.SIGINT:
+        assert process.returncode == 130
+        assert process.stderr.read().strip() == (
+            f'asi: what was recorded is in {out / "bag"}\nasi: interrupted')
+    from asi_analysis.bags.bag import read_bag
+    run = read_bag(out / 'bag')
+    assert len(run) > 100
+    assert np.allclose(np.diff(run.time_s), 1.0 / 5000.0)
+
+
+def test_dead_node_is_named(recording, tmp_path):
+    """Kill -9 of the controller: the run ends, says which node died, and keeps its bag."""
+    out, process = tmp_path / 'out', recording
+    controller, = (path for path in processes_of(out)
+                   if 'asi_controller.controller_node' in path.read_text())
+    os.kill(int(controller.parent.name), signal.SIGKILL)
+    assert process.wait(PATIENCE_S) == 1
+    complaint = process.stderr.read().strip()
+    assert 'controller' in complaint and 'SIGKILL' in complaint
+    assert len(complaint.splitlines()) == 1
+    assert processes_of(out) == []
+    from asi_analysis.bags.bag import read_bag
+    assert len(read_bag(out / 'bag')) > 100
+
+
+def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(tmp_path / 'run'),
+         '--duration', '0.2', '--set', 'actuator.force_sensor.offset=3000'],
+        env=ros_environment, capture_output=True, text=True)
+    assert result.returncode == 1
+    assert 'limit.force = 2500 N' in result.stderr and 'Traceback' not in result.stderr
+    assert str(tmp_path / 'run' / 'bag') in result.stderr.replace('\n', '')

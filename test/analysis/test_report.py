@@ -1,0 +1,86 @@
+"""The demo's report: self-contained, its figures those of the runs, its verdicts honest."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.experiments.experiment import Experiment, checked
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.analysis import analyze
+from asi_analysis.paper.demo import RUNS, Published, Recorded, hysteresis_loop, limit_cycle
+from asi_analysis.paper.demo_report import compare, write_demo_report
+
+
+def recorded(plan, **changes):
+    """Return a run of the demo, computed in this process instead of over ROS."""
+    experiment = checked(Experiment(
+        plan.experiment.actuator, {**plan.experiment.controller, **changes},
+        plan.experiment.duration_s, 'lockstep', plan.experiment.rate_hz))
+    run = Run(*simulate_loop(experiment.actuator, experiment.controller, experiment.duration_s,
+                             experiment.control_rate_hz), source='in process')
+    return Recorded(plan, experiment, Path('bag'), run, analyze(run))
+
+
+@pytest.fixture(scope='module')
+def demo():
+    return {plan.name: recorded(plan) for plan in RUNS}
+
+
+def test_report_is_one_file_with_the_figures_of_the_runs(demo, tmp_path):
+    page = write_demo_report(list(demo.values()), tmp_path).read_text()
+    # Nothing is fetched: no address but the names of XML's namespaces.
+    addresses = set(re.findall(r'https?://[^"\s<]+', re.sub(r'xmlns[:\w]*="[^"]*"', '', page)))
+    assert {a for a in addresses if 'w3.org' not in a and 'purl.org' not in a
+            and 'creativecommons' not in a and 'matplotlib.org' not in a} == set()
+    assert not re.search(r'<(script|link|iframe)|src=|@import', page)
+    assert page.count('<svg') == 5
+    assert {path.stem for path in tmp_path.glob('*.png')} == {
+        'step_responses', 'limit_cycle', 'phase_plane', 'spectrum', 'hysteresis'}
+    cells = re.findall(r'<td data-label="rise time[^>]*>\s*(\S+) → <b>([^<]+)</b>', page)
+    assert [published for published, _ in cells] == ['40', '10', '7']
+    for (_, simulated), name in zip(cells, ('proportional', 'lead_lag', 'lead4'), strict=True):
+        assert float(simulated) == pytest.approx(1e3 * demo[name].analysis['rise_time_s'],
+                                                 rel=0.01)
+
+
+def test_report_says_so_where_there_is_no_cycle(demo, tmp_path):
+    plan = demo['limit_cycle'].plan
+    runs = demo | {'limit_cycle': recorded(plan, gain=3.0)}
+    page = write_demo_report(list(runs.values()), tmp_path).read_text()
+    assert 'No oscillation was found at Kp = 3' in page
+    assert page.count('<svg') == 2
+
+
+def test_cycle_and_loop_are_measured(demo):
+    """A cycle near the paper's 90 Hz; a loop at least as wide as the play that makes it."""
+    frequency = demo['limit_cycle'].analysis['oscillation']['frequency_hz']
+    cycle = limit_cycle(demo['limit_cycle'], frequency)
+    assert 80.0 < frequency < 100.0
+    assert cycle.distortion < 0.08
+    loop = hysteresis_loop(demo['hysteresis'])
+    radius = float(demo['hysteresis'].experiment.actuator['valve_hysteresis.radius'])
+    assert 2.0 * radius < loop.width_n < 2.0 * radius + 2.0 * loop.lag_n
+
+
+@pytest.mark.parametrize('value, verdict, alike', [
+    (0.0099, 'alike', True), (0.030, '3.0 times longer', False),
+    (0.005, '2.0 times shorter', False), (None, 'not reached', False)])
+def test_differences_are_said(value, verdict, alike):
+    entry = Published('rise time', 'rise_time_s', 'ms', 1e3, '10', 10.0)
+    cell = compare({'rise_time_s': value}, entry)
+    assert (cell.verdict, cell.alike) == (verdict, alike)
+
+
+def test_less_than_is_a_bound_on_the_size():
+    entry = Published('steady-state error', 'steady_state_error_n', 'N', 1.0, '< 2', 2.0)
+    assert compare({'steady_state_error_n': -1.9}, entry).alike
+    assert not compare({'steady_state_error_n': -2.1}, entry).alike
+
+
+@pytest.mark.parametrize('error_n, verdict', [
+    (-0.19, 'as published'), (0.8, 'below, not far below'), (-2.1, 'larger')])
+def test_much_less_than_is_more_than_less_than(error_n, verdict):
+    entry = Published('steady-state error', 'steady_state_error_n', 'N', 1.0, '≪ 2', 2.0)
+    assert compare({'steady_state_error_n': error_n}, entry).verdict == verdict

@@ -1,0 +1,75 @@
+"""What `ros2 run` starts: the entry points, and signals while a node is still importing."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+from conftest import PATIENCE_S, ROOT
+
+# The import of a node, as slow as can be.
+SLOW_IMPORT = """
+import time
+from asi_actuator import executables
+
+def slow(module):
+    print(module, flush=True)
+    time.sleep(600.0)
+
+executables.import_module = slow
+executables.actuator()
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signal_while_a_node_imports_ends_it_cleanly(number):
+    process = subprocess.Popen(
+        [sys.executable, '-c', SLOW_IMPORT], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert process.stdout.readline() == 'asi_actuator.actuator_node\n'
+    process.send_signal(number)
+    _, complaint = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, complaint) == (0, '')
+
+
+# A node whose middleware never lets go, as Fast DDS was seen to, with Python's lock held.
+HANGING_END = """
+import ctypes
+from rclpy.node import Node
+from asi_common.node import executor as spin
+
+class Hanging(Node):
+    def __init__(self):
+        super().__init__('hanging')
+        self.create_timer(0.01, self.finish)
+
+    def finish(self):
+        raise spin.RunFinished
+
+    def destroy_node(self):
+        ctypes.PyDLL(None).sleep(600)
+
+spin.END_S = 1.0
+spin.run_node(Hanging)
+"""
+
+
+def test_node_that_hangs_as_it_ends_says_where_and_exits(ros_environment):
+    result = subprocess.run([sys.executable, '-c', HANGING_END], capture_output=True, text=True,
+                            env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+    assert result.returncode == 1
+    assert 'in destroy_node' in result.stderr
+
+
+@pytest.mark.parametrize('name, function', re.findall(
+    r"'(\w+) = asi_actuator.executables:(\w+)'", (ROOT / 'setup.py').read_text()))
+def test_every_executable_says_what_it_cannot_do(name, function):
+    code = f'import sys; from asi_actuator import executables; sys.exit(executables.{function}())'
+    result = subprocess.run(
+        [sys.executable, '-c', code, '--ros-args', '--remap', 'no_rule'], capture_output=True,
+        text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert name == function
+    assert (result.returncode, 'Traceback' in result.stderr) == (2, False)
+    assert 'no_rule' in result.stderr or 'socketcan' in result.stderr

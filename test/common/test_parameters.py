@@ -1,0 +1,148 @@
+"""Parameters: the tables, the files made of them, and the services that `ros2 param` calls."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from asi_analysis.parameter_tables import NODES, NodeTables, files
+from asi_common.parameter import Parameter, ParameterError, completed, defaults
+
+ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
+ROOT = Path(__file__).parents[2]
+EVERY = [parameter for node in NODES for table in node.tables.values() for parameter in table]
+
+# What a user may get wrong, and a word of the reason.
+REFUSED = {
+    'asi_actuator': [
+        ('valve_flexure.coil_frequency', -1.0, '-1.0'),
+        ('valve_flexure.delay', math.nan, 'nan'),
+        ('force_sensor.gain', math.inf, 'inf'),
+        ('load.mass', 'heavy', "'heavy' is not allowed: it takes a number"),
+        ('load.type', 'loose', 'one of locked, spring, free, prescribed'),
+        ('force_sensor.noise_seed', 1.5, 'a whole number'),
+        ('valve_hysteresis.model', True, 'one of off, linear, full'),
+        ('load.mess', 1.0, 'load.mess'),
+        ('rate_hz', 1000.0, 'read-only'),
+    ],
+    'asi_controller': [
+        ('gain', -3.0, '-3.0'),
+        ('gain', [1.0], 'a number from 0 to 10000'),
+        ('lead_lag.lag_time', -0.5, '-0.5'),
+        ('compensator', 'pid', 'one of proportional, lead_lag'),
+        ('custom.zeros', '-50', 'more zeros than poles'),
+        ('custom.poles', 'fast', 'numbers in rad/s'),
+        ('mode', 'realtime', 'read-only'),
+    ],
+}
+
+
+@pytest.mark.parametrize('node', REFUSED)
+def test_bad_value_is_refused_with_a_reason_and_changes_nothing(
+        node: str, start_node: Callable, set_parameters: Callable, get_parameters: Callable,
+        call: Callable) -> None:
+    from rcl_interfaces.srv import DescribeParameters, SetParametersAtomically
+    from rclpy.parameter import Parameter as RosParameter
+
+    start_node(ACTUATOR if node == 'asi_actuator' else CONTROLLER)
+    names = sorted({name for name, _, _ in REFUSED[node] if name != 'load.mess'})
+    before = get_parameters(node, names)
+    for name, value, word in REFUSED[node]:
+        result, = set_parameters(node, {name: value})
+        assert not result.successful
+        assert name in result.reason and word in result.reason
+    # A good value in the same set does not get in either.
+    good = ('friction.coulomb', 3.0) if node == 'asi_actuator' else ('feedforward', 2.0)
+    bad = REFUSED[node][0]
+    answer = call(SetParametersAtomically, f'/{node}/set_parameters_atomically',
+                  SetParametersAtomically.Request(parameters=[
+                      RosParameter(name, value=value).to_parameter_msg()
+                      for name, value in (good, bad[:2])]))
+    assert not answer.result.successful and bad[0] in answer.result.reason
+    assert get_parameters(node, names) == before
+    assert get_parameters(node, [good[0]])[good[0]] != good[1]
+    described = call(DescribeParameters, f'/{node}/describe_parameters',
+                     DescribeParameters.Request(names=names)).descriptors
+    assert [d.type for d in described] == [
+        RosParameter.Type.from_parameter_value(before[name]).value for name in names]
+
+
+def test_what_is_typed_is_taken(
+        start_node: Callable, set_parameters: Callable, get_parameters: Callable) -> None:
+    """`ros2 param set /asi_controller gain 8` sends an integer."""
+    start_node(CONTROLLER, gain=5)
+    assert get_parameters('asi_controller', ['gain']) == {'gain': 5.0}
+    result, = set_parameters('asi_controller', {'gain': 8})
+    assert result.successful, result.reason
+    value = get_parameters('asi_controller', ['gain'])['gain']
+    assert value == 8.0 and isinstance(value, float)
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('asi_controller: {ros__parameters: {gain: -1.0}}', 'gain = -1.0 is not allowed'),
+    ('asi_controller: {ros__parameters: {lead_leg: {ratio: 2.0}}}', 'did you mean lead_lag.ratio'),
+    ('asi_controller: {ros__parameters: {gain: [1.0, 2.0]}}', 'gain = '),
+    ('asi_controller: [', 'parameters'),
+    (None, 'parameters'),
+])
+def test_wrong_parameter_file_is_one_line_and_exit_status_2(
+        text: str | None, words: str, start_node: Callable, tmp_path: Path) -> None:
+    file = tmp_path / 'parameters.yaml'
+    if text is not None:
+        file.write_text(text)
+    node = start_node(CONTROLLER, '--params-file', str(file))
+    assert node.exit_status() == 2
+    assert words in node.text and 'Traceback' not in node.text
+    # rcl itself logs that it failed; why, is in our line.
+    assert len([line for line in node.text.splitlines() if '[rcl]' not in line]) == 1
+
+
+def test_written_files_are_current() -> None:
+    for path, text in files().items():
+        assert (ROOT / path).read_text(encoding='utf-8') == text, (
+            f'{path}: run python -m asi_analysis.parameter_tables')
+
+
+@pytest.mark.parametrize('node', NODES, ids=lambda node: node.node)
+def test_yaml_file_holds_the_defaults(node: NodeTables) -> None:
+    def flat(tree: dict, prefix: str = '') -> dict:
+        return {key: value for name, branch in tree.items()
+                for key, value in (flat(branch, f'{prefix}{name}.').items()
+                                   if isinstance(branch, dict) else [(prefix + name, branch)])}
+
+    parameters = yaml.safe_load((ROOT / node.file).read_text())[f'/**/{node.node}']
+    table = tuple(p for part in node.tables.values() for p in part)
+    read = flat(parameters['ros__parameters'])
+    assert read == defaults(table)
+    assert {name: type(value) for name, value in read.items()} == {
+        p.name: type(p.default) for p in table}
+
+
+@given(st.sampled_from(EVERY), st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5),
+    st.lists(st.floats(), max_size=2)))
+def test_what_is_accepted_is_allowed_and_what_is_not_says_so(
+        parameter: Parameter, value: object) -> None:
+    problem = parameter.problem(value)
+    if problem is None:
+        assert type(value) is type(parameter.default) or (
+            isinstance(parameter.default, float) and type(value) is int)
+        if isinstance(parameter.default, float):
+            assert parameter.low <= value <= parameter.high
+        assert completed({parameter.name: value}, (parameter,)) == {parameter.name: value}
+    else:
+        assert parameter.name in problem and repr(value) in problem
+        assert parameter.allowed in problem
+        with pytest.raises(ParameterError):
+            completed({parameter.name: value}, (parameter,))
+
+
+@pytest.mark.parametrize('which', ['actuator', 'controller'])
+def test_shipped_file_is_what_asi_run_reads(which: str) -> None:
+    from asi_analysis.experiments.experiment import TABLES, read_parameters
+
+    assert read_parameters(ROOT / 'config' / f'{which}.yaml', which) == defaults(TABLES[which])
