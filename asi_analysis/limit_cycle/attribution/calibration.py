@@ -3,7 +3,8 @@ The weights of the attribution by shape, from simulated loops, and how well they
 
 `python -m asi_analysis.limit_cycle.attribution.calibration COUNT` makes shape_weights.json anew:
 COUNT loops of each cause of the world 'learn' to learn from; of the world 'judge', whose equations
-are others (`loops.py`), a fifth as many to find out how much less sure to be, and a fifth to judge by.
+are others (`loops.py`), a fifth as many to find out how much less sure to be, and a fifth to
+judge by.
 """
 
 import json
