@@ -1,0 +1,43 @@
+"""A measured figure with the change that twice the resolution makes to it."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+
+class Converged(NamedTuple):
+    """
+    A figure at its setting and at twice the resolution, both in the unit of the figure.
+
+    note: what a reader of the figure must know, such as two methods that disagree; often empty.
+    """
+
+    value: float
+    refined: float
+    note: str = ''
+
+    @property
+    def change(self) -> float:
+        """`refined` less `value`; 0 if both are the same infinity, NaN if one is missing."""
+        return 0.0 if self.value == self.refined else self.refined - self.value
+
+    @property
+    def relative_change(self) -> float:
+        """The size of the change as a share of the refined figure; infinite against 0."""
+        if self.change == 0.0:
+            return 0.0
+        if not math.isfinite(self.change) or self.refined == 0.0:
+            return math.inf
+        return abs(self.change / self.refined)
+
+
+def converged(measure: Callable[[int], Mapping[str, float]], notes: Mapping[str, str] | None = None
+              ) -> dict[str, Converged]:
+    """
+    Return each figure of a measurement with its change at twice the resolution.
+
+    measure: takes the refinement (1: as it is, 2: twice as fine) and returns figures by name.
+    """
+    coarse, fine = measure(1), measure(2)
+    return {name: Converged(float(value), float(fine[name]), (notes or {}).get(name, ''))
+            for name, value in coarse.items()}
