@@ -12,7 +12,7 @@ help:
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
 	@echo 'make soak     an hour of lock-step, ten minutes of real time: memory, files, threads'
 	@echo 'make bench    measure the speed, write doc/performance.md; BENCH=NAME: only that one'
-	@echo 'make lint     check style and types'
+	@echo 'make lint     check style, types and imports'
 	@echo 'make clean    remove the virtual environment and all that was built'
 
 demo: setup
@@ -33,6 +33,7 @@ bench: setup $(VENV)/benchmarked
 lint: setup
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy asi_common asi_actuator asi_controller asi_analysis asi_examiner
+	@$(BIN)/lint-imports
 
 setup: $(VENV)/installed
 
@@ -57,4 +58,4 @@ $(VENV)/benchmarked: $(VENV)/installed
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build install log runs *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log runs *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -49,7 +49,7 @@ setup(
         # What `make bench` compares with, over what the tests need.
         'bench': ['mujoco', 'mcap-ros2-support'],
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',
-                 'ruff', 'mypy', 'types-PyYAML', 'dask', 'distributed'],
+                 'ruff', 'mypy', 'import-linter>=2.0', 'types-PyYAML', 'dask', 'distributed'],
     },
     zip_safe=True,
     maintainer='asi_actuator maintainers',

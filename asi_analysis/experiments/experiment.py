@@ -4,8 +4,6 @@ What is to be run: an experiment, and its parameters from files, --set and optio
 `running.py` runs it.
 """
 
-import importlib.metadata
-import platform
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +15,7 @@ import yaml
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.errors import InputError
+from asi_analysis.versions import versions
 from asi_common.loop_parameters import DEFAULT_RATE_HZ
 from asi_common.parameter import Parameter, ParameterError, Value, completed
 from asi_controller.parameters import (
@@ -173,18 +172,6 @@ def gather(files: Mapping[str, Path | None], settings: list[str],
         start = float(controller.get('reference.start', 0.05))
         controller['reference.duration'] = max(duration_s - start, 1e-3)
     return values
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what a run depends on."""
-    names = ('asi_actuator', 'numpy', 'numba', 'scipy', 'ros-jazzy-rclpy', 'rosbags')
-    found = {'python': platform.python_version()}
-    for name in names:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def information(experiment: Experiment) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from asi_analysis.experiments.experiment import versions
 from asi_analysis.reporting import figures
+from asi_analysis.versions import versions
 
 
 def write_report(out: Path, template: str, pictures: Mapping[str, tuple[Figure, str]],
