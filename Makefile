@@ -4,15 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help setup demo test torture soak bench lint clean
+.PHONY: help setup demo test torture soak bench lint docs clean
 
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
 	@echo 'make test     run the tests'
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
 	@echo 'make soak     an hour of lock-step, ten minutes of real time: memory, files, threads'
-	@echo 'make bench    measure the speed, write doc/performance.md; BENCH=NAME: only that one'
+	@echo 'make bench    measure the speed of everything (doc/reference/performance.md); BENCH=NAME: one'
 	@echo 'make lint     check style, types and imports'
+	@echo 'make docs     build the documents, tutorials run: build/docs/index.html'
 	@echo 'make clean    remove the virtual environment and all that was built'
 
 demo: setup
@@ -35,6 +36,10 @@ lint: setup
 	@$(BIN)/mypy asi_common asi_actuator asi_controller asi_analysis asi_examiner
 	@$(BIN)/lint-imports
 
+docs: setup $(VENV)/documented
+	@$(BIN)/sphinx-build -q -W --keep-going -n -b html doc build/docs
+	@echo build/docs/index.html
+
 setup: $(VENV)/installed
 
 # Python 3.11 or 3.12, whichever is found first and can make virtual environments. An interpreter
@@ -55,6 +60,10 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 # The rivals that only the benchmark needs.
 $(VENV)/benchmarked: $(VENV)/installed
 	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[bench]'
+	@touch $@
+
+$(VENV)/documented: $(VENV)/installed
+	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[docs]'
 	@touch $@
 
 clean:

@@ -48,6 +48,8 @@ setup(
         'cluster': ['dask', 'distributed'],
         # What `make bench` compares with, over what the tests need.
         'bench': ['mujoco', 'mcap-ros2-support'],
+        # What `make docs` builds the documents with.
+        'docs': ['sphinx>=8', 'myst-nb>=1.2', 'furo', 'sphinxcontrib-mermaid>=1.0'],
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',
                  'ruff', 'mypy', 'import-linter>=2.0', 'types-PyYAML', 'dask', 'distributed'],
     },

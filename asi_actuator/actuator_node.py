@@ -268,7 +268,7 @@ class Loop(Protocol):
 
 
 class LockStep:
-    """The actuator owns time (doc/architecture.md, "Lock-step")."""
+    """The actuator owns time (doc/explanation/lock_step.md)."""
 
     def __init__(self, node: ActuatorNode):
         self.node = node

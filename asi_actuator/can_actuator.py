@@ -152,7 +152,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument('--command-timeout', type=float, default=0.02, metavar='S',
                         help='the valve is closed without a command for so long')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE',
-                        help='a parameter of the simulated actuator (doc/parameters.md)')
+                        help='a parameter of the simulated actuator (doc/reference/parameters.md)')
     parser.add_argument('--load', type=float, metavar='HZ',
                         help='print the load of the bus at a control rate, and end')
     return parser

@@ -44,8 +44,8 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
     Parameter('calibration_noise', 5.0, 'N',
               'Noise (standard deviation) up to which ~/calibrate trusts the mean', 0.0, 1e4),
     Parameter('driver', 'simulated', '',
-              'simulated: the model; can: hardware on a CAN bus (doc/bridge.md); replay: the '
-              'states of a bag', choices=('simulated', 'can', 'replay'), read_only=True),
+              'simulated: the model; can: hardware on a CAN bus (doc/how_to/bridge.md); replay: '
+              'the states of a bag', choices=('simulated', 'can', 'replay'), read_only=True),
     Parameter('can.interface', 'socketcan', '', 'Interface of python-can: socketcan, slcan …',
               read_only=True),
     Parameter('can.channel', 'can0', '', 'Channel of that interface: can0, /dev/ttyACM0 …',

@@ -10,7 +10,7 @@ from asi_common.parameter import Parameter, ParameterError, Table, Value, record
 # Sub-steps that the model's delays remember; a power of two, so that the index wraps by a mask.
 RING: Final = 1024
 
-# What the paper leaves open, fitted to its facts together: doc/reproduction.md.
+# What the paper leaves open, fitted to its facts together: doc/explanation/reproduction.md.
 FITTED = 'asi calibrate'
 
 MODEL = ('off', 'linear', 'full')

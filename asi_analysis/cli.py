@@ -25,7 +25,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={'help_option_names': ['-h', '--help']})
 
-Json = Annotated[bool, typer.Option('--json', help='Print one JSON document (doc/json.md).')]
+Json = Annotated[bool, typer.Option(
+    '--json', help='Print one JSON document (doc/reference/json.md).')]
 Report = Annotated[Path | None, typer.Option(
     help='Directory for an HTML report and its pictures as PNG')]
 Bag = Annotated[Path, typer.Argument(help='A bag: its directory or its .mcap file')]
@@ -168,7 +169,7 @@ def import_(
     Make a bag of someone else's recording, so that every analysis runs on it.
 
     Signals: time, reference, command, force, valve_position, position, velocity. A column of a
-    rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/importing.md.
+    rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/how_to/importing.md.
     """
     from asi_analysis.bags.exchange.importing import import_recording
     with bar() as report:
@@ -473,7 +474,8 @@ def gap(
 @gap_app.command('check', epilog='Example: `asi gap check --cases 60 --seed 20000`')
 def gap_check(
     directory: Annotated[Path | None, typer.Argument(
-        help='Blind cases of any examiner (doc/gap.md); default: new ones are written')] = None,
+        help='Blind cases of any examiner (doc/explanation/gap.md); '
+             'default: new ones are written')] = None,
     cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
     seed: Annotated[int, typer.Option(
         help='First seed of the new cases; those below 10000 were developed on')] = 20000,
@@ -551,7 +553,8 @@ def ensemble(
     seed: Annotated[int, typer.Option(help='Seed of the draws')] = 1,
     out: Annotated[Path, typer.Option(help='Directory of the members')] = Path('config/ensemble'),
     pictures: Annotated[Path, typer.Option(
-        help='Directory of the pictures and the sensitivity table')] = Path('doc/reproduction'),
+        help='Directory of the pictures and the sensitivity table')] = Path(
+        'doc/explanation/reproduction'),
     jobs: Jobs = 1,
     dask: Dask = None,
     as_json: Json = False,

@@ -1,5 +1,5 @@
 """
-Writes what people read of the tables of parameters: the YAML files and doc/parameters.md.
+Write the YAML files of parameters and doc/reference/parameters.md from the tables.
 
 `python -m asi_analysis.parameter_tables` in the root of the repository; the tests check that the
 files are current.
@@ -82,7 +82,7 @@ def _row(parameter: Parameter) -> str:
 
 
 def markdown_text() -> str:
-    """Return doc/parameters.md."""
+    """Return doc/reference/parameters.md."""
     lines = ['# Parameters', '', f'Written by `{COMMAND}`.', '',
              'Change one while a node runs by `ros2 param set /asi_controller gain 8.0`; those '
              'marked (fixed) only at the start. A value that is not allowed is refused with the '
@@ -99,7 +99,7 @@ def markdown_text() -> str:
 def files() -> dict[Path, str]:
     """Return the text of each file by its path in the repository."""
     return {Path(node.file): yaml_text(node) for node in NODES} | {
-        Path('doc/parameters.md'): markdown_text()}
+        Path('doc/reference/parameters.md'): markdown_text()}
 
 
 if __name__ == '__main__':

@@ -106,7 +106,8 @@ def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict
         if name not in by_name:
             near = get_close_matches(name, by_name)
             raise ParameterError(f'{name} is not a parameter' + (
-                f': did you mean {" or ".join(near)}?' if near else '; see doc/parameters.md'))
+                f': did you mean {" or ".join(near)}?' if near else
+                '; see doc/reference/parameters.md'))
         if problem := by_name[name].problem(value):
             raise ParameterError(problem)
     complete = defaults(table) | dict(values)

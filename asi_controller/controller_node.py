@@ -163,7 +163,7 @@ class Loop(Protocol):
 
 class LockStep:
     """
-    Answers each state once the clock has reached it (doc/architecture.md, "Lock-step").
+    Answers each state once the clock has reached it (doc/explanation/lock_step.md).
 
     State and clock may come in either order, so both look whether an answer is due: the state
     when it comes, the clock by the timer.

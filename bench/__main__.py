@@ -1,5 +1,5 @@
 """
-`python -m bench [NAME ...]`: run the benchmarks and write doc/performance.md with its pictures.
+`python -m bench [NAME ...]`: run the benchmarks, write doc/reference/performance.md.
 
 Named: only those, of the others the last results are shown with their date; --quick: a few rounds
 each, to see that they work, and no page.
@@ -83,7 +83,8 @@ def main() -> None:
             LAST.parent.mkdir(exist_ok=True)
             LAST.write_text(json.dumps(last, indent=1))
     if not options.quick:
-        print(write_page({name: last[name] for name in MODULES if name in last}, ROOT / 'doc'))
+        print(write_page({name: last[name] for name in MODULES if name in last},
+                         ROOT / 'doc/reference'))
     if failed:
         sys.exit(f'failed: {", ".join(failed)}')
 

@@ -1,4 +1,4 @@
-"""doc/performance.md and its pictures, from what was measured."""
+"""doc/reference/performance.md and its pictures, from what was measured."""
 
 import textwrap
 from collections.abc import Mapping, Sequence

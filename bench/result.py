@@ -2,7 +2,7 @@
 One figure of the benchmark, and how rivals are timed.
 
 Each module of `bench` that measures has `measure(quick) -> list[Result]`; quick: a few rounds
-only, to see that it works. `make bench` runs them all and writes doc/performance.md.
+only, to see that it works. `make bench` runs them all and writes doc/reference/performance.md.
 """
 
 import statistics

@@ -1,11 +1,11 @@
-"""What the `--json` of each command holds, as doc/json.md says."""
+"""What the `--json` of each command holds, as doc/reference/json.md says."""
 
 import re
 from typing import Any
 
 from conftest import ROOT
 
-PAGE = (ROOT / 'doc' / 'json.md').read_text()
+PAGE = (ROOT / 'doc/reference/json.md').read_text()
 KINDS: dict[str, Any] = {
     'number': (int, float), 'integer': int, 'text': str, 'boolean': bool, 'object': dict}
 

@@ -1,4 +1,4 @@
-"""The documents name what is there: files, pictures, pages, and every source file has its row."""
+"""What the documents name exists, and their generated parts are current."""
 
 import re
 from pathlib import Path
@@ -15,8 +15,9 @@ from asi_controller.parameters import (
     CONTROLLER_NODE_PARAMETERS,
     REFERENCE_PARAMETERS,
 )
+from doc import generate
 
-PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
+PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'doc').rglob('*.md'))]
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
@@ -25,20 +26,14 @@ def test_links_and_pictures_lead_to_files(page: Path) -> None:
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
-def test_architecture_names_every_module_and_nothing_else() -> None:
-    table = (ROOT / 'doc' / 'architecture.md').read_text().split('## Run')[0]
-    for row in table.splitlines():
-        folder = ROOT
-        for text in re.findall(r'`([\w/*.]+)`', row.split('|')[1]) if row.startswith('|') else ():
-            found = list((folder / text).parent.glob(Path(text).name))
-            assert found, f'doc/architecture.md names {text}, which does not exist'
-            folder = found[0].parent
-    named = {part for text in re.findall(r'`([\w/*.]+)', table) for part in Path(text).parts}
-    sources = [path for package in ('asi_actuator', 'asi_controller', 'asi_analysis', 'bench')
-               for path in (ROOT / package).iterdir()
-               if path.suffix == '.py' or (path / '__init__.py').exists()]
-    assert [str(path.relative_to(ROOT)) for path in sources if path.name != '__init__.py'
-            and not any(path.match(name) for name in named)] == []
+@pytest.mark.parametrize('page', generate.PARTS, ids=lambda page: page.name)
+def test_rooms_and_imports_are_as_documented(page: Path) -> None:
+    assert generate.with_parts(page) == page.read_text(), 'run python doc/generate.py'
+
+
+@pytest.mark.parametrize('room', generate.rooms())
+def test_every_room_says_in_its_first_line_what_it_is_for(room: str) -> None:
+    assert len(generate.first_line(room)) > 20
 
 
 def test_every_command_has_its_documented_json() -> None:

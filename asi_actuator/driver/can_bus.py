@@ -1,4 +1,4 @@
-"""The driver for hardware on a CAN bus; doc/bridge.md says what the other end must do."""
+"""The driver for hardware on a CAN bus; doc/how_to/bridge.md says what the other end must do."""
 
 import math
 import time

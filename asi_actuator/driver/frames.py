@@ -1,5 +1,5 @@
 """
-The frames between bridge and actuator, as config/asi_actuator.dbc defines them (doc/bridge.md).
+The CAN frames of config/asi_actuator.dbc, packed and unpacked (doc/how_to/bridge.md).
 
 Layout, scaling, limits and units are in that file alone; here are only the checksum, which the
 format cannot express, and the way from numbers to bytes and back.

@@ -12,7 +12,7 @@ from asi_analysis.measures.step_response import Step, headline, step_responses
 
 
 def step_as_dict(step: Step) -> dict[str, Any]:
-    """Return a step with the keys of doc/json.md."""
+    """Return a step with the keys of doc/reference/json.md."""
     return step._asdict() | {'monotone_rise': step.monotone_rise, 'notes': list(step.notes)}
 
 
@@ -26,7 +26,7 @@ def _why_no_step(run: Run) -> str:
 
 def analyze(run: Run) -> dict[str, Any]:
     """
-    Return all that `asi analyze --json` prints of a run; doc/json.md tells the keys.
+    Return all that `asi analyze --json` prints of a run; doc/reference/json.md tells the keys.
 
     What cannot be measured is None; `notes` says why. Raises InputError for a single sample.
     """

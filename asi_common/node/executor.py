@@ -220,7 +220,7 @@ def choose_transport(environment: MutableMapping[str, str]) -> None:
     Have Fast DDS use UDP alone, unless the user has settings of their own.
 
     Its shared memory is guarded by locks that a killed process keeps, and a loop that comes
-    across one stands still for 2 s (doc/reliability.md). Asked to stay on this machine,
+    across one stands still for 2 s (doc/explanation/reliability.md). To stay on this machine,
     rmw_fastrtps adds shared memory whatever a profile says; so a profile does what it would do.
     """
     if 'FASTRTPS_DEFAULT_PROFILES_FILE' in environment:

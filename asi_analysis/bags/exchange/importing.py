@@ -1,4 +1,4 @@
-"""Someone else's recording (CSV, MAT, Parquet, rosbag2, …) → `Run` and bag; doc/importing.md."""
+"""Recordings of others (CSV, MAT, rosbag2, …) to `Run` and bag; doc/how_to/importing.md."""
 
 import warnings
 from collections.abc import Sequence

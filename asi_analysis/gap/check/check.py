@@ -1,8 +1,8 @@
 """
 `asi gap check`: a directory of blind cases through the diagnosis, and how often it was right.
 
-Any examiner may write such a directory (doc/gap.md). The diagnosis sees bags and model files; the
-sealed answers are opened only after the last case is done.
+Any examiner may write such a directory (doc/explanation/gap.md). The diagnosis sees bags and
+model files; the sealed answers are opened only after the last case is done.
 """
 
 import base64

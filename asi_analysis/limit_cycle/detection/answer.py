@@ -14,7 +14,7 @@ def _number(value: float) -> float | None:
 
 
 def segment_as_dict(segment: Segment) -> dict[str, Any]:
-    """Return a segment with the keys of doc/json.md; what does not apply is None."""
+    """Return a segment with the keys of doc/reference/json.md; what does not apply is None."""
     first = segment.harmonics[0] if segment.harmonics else 1.0
     return {
         'source': segment.source, 'signal': segment.signal, 'unit': segment.unit,

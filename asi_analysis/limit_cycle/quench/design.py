@@ -231,5 +231,5 @@ def trade_off(candidates: list[Candidate], noise_limit: float) -> list[dict[str,
 
 
 def as_dict(found: Candidate) -> dict[str, Any]:
-    """Return a candidate with the keys of doc/json.md."""
+    """Return a candidate with the keys of doc/reference/json.md."""
     return {**found._asdict(), 'margin': found.margin.distance}

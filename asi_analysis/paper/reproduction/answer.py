@@ -79,7 +79,7 @@ def over_ros(result: Reproduction, out: Path,
 
 
 def as_dict(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison with the keys of doc/json.md."""
+    """Return a comparison with the keys of doc/reference/json.md."""
     return {key: _finite(value) for key, value in comparison._asdict().items()} | {
         'equal': comparison.equal}
 

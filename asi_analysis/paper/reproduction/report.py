@@ -34,7 +34,7 @@ def _roots(values: np.ndarray) -> str:
 
 
 def _table(document: Mapping[str, Any]) -> str:
-    """Return the table in Markdown, for doc/reproduction."""
+    """Return the table in Markdown, for doc/explanation/reproduction."""
     lines = ['| fact | quantity | paper | published | simulated | met if | | role |',
              '|---|---|---|---|---|---|---|---|']
     for fact in document['facts']:
