@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.experiment import next_experiment
@@ -29,7 +30,7 @@ from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.prepare import prepare
-from asi_common.parameter import Value
+from asi_common.parameter import Value, field_name
 
 Report = Callable[[str, float | None], None]
 
@@ -143,12 +144,20 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     experiment, chain = None, None
     if plant == 'actuator' and len(left) > 1:
         force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0
-        experiment = next_experiment.choose(weighed, left, model, max(round(force, -1), 10.0))
+        experiment = next_experiment.choose(weighed, left, model, max(round(force, -1), 10.0),
+                                            _missing(runs, ('position', 'valve_position')))
     elif len(left) > 1:
-        experiment = choose_motion(weighed, left)
+        experiment = choose_motion(weighed, left, _missing(runs, ('position', 'force')))
     if [g.channels for g in groups] == [('valve',), ('force', 'load')]:
-        chain = where.along_the_chain(groups[0], groups[1], groups[0].nominal, groups[1].nominal)
+        # With the parameters refitted: what they explain within their tolerance is no gap.
+        chain = where.along_the_chain(groups[0], groups[1], *(
+            w.candidates[()].fitted.record for w in weighed))
     return Diagnosis(answer.sources, weighed, joined, verdict, shrinks, notes, experiment, chain)
+
+
+def _missing(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
+    """Return the wanted signals that some run does not hold."""
+    return [name for name in wanted if any(name not in run.signals() for run in runs)]
 
 
 def told(names: Names) -> str:
@@ -198,6 +207,16 @@ def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Va
     return sizes
 
 
+def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Return the nominal parameters that the verdict puts at the limit of their tolerance."""
+    dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
+    return [{'parameter': dotted[field], 'channel': weighed.group.channels[-1],
+             'value': float(fitted.record[field]), 'nominal': float(weighed.group.nominal[field]),
+             'limit': limit}
+            for weighed in diagnosis.groups for fitted in [diagnosis.best(weighed).fitted]
+            for field, limit in fitted.at_limit.items()]
+
+
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the answer as `asi gap --json` prints it; plain data."""
     chance = marginals(diagnosis.joined)
@@ -240,7 +259,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'regimes': [regime._asdict() for regime in regimes],
         'unexplained': unexplained,
         'consequences': [],
-        'next_experiment': diagnosis.next_experiment,
+        'next_experiment': diagnosis.next_experiment, 'at_limit': _at_limit(diagnosis),
         'notes': diagnosis.notes, 'sources': diagnosis.sources,
         'nuisance': {weighed.group.channels[-1]: {
             free.field: float(diagnosis.best(weighed).fitted.record[free.field])
@@ -274,11 +293,16 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
     rest = [name for name in answer['ambiguity_set'] if name != verdict]
     third = ('Nothing else explains it nearly as well.' if not rest else
              f'It could also be {" or ".join(rest)}.')
+    if answer['at_limit']:
+        limits = ', '.join(f'{row["parameter"]} ({row["value"]:.3g}, '
+                           f'{row["value"] / row["nominal"]:.3g} times nominal)'
+                           for row in answer['at_limit'])
+        third = (f'At the limit of the tolerance: {limits}. If the real value lies beyond it, '
+                 f'the verdict may be wrong. {third}')
     if UNKNOWN in verdict.split('+') and answer['unexplained']:
         third = f'{answer["unexplained"]} {third}'
     if answer['next_experiment']:
-        next_one = answer['next_experiment']
-        third += f' To tell: {next_one["command"] or next_one["excitation"]}'
+        third += f' What next: {answer["next_experiment"]["advice"]}.'
     return [first, second, third]
 
 

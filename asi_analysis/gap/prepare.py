@@ -342,6 +342,16 @@ def _ends(count: int, period: float) -> Mask:
     return np.minimum(time, time[::-1]) < min(RINGING_S, RINGING * time[-1])
 
 
+def _centre(signals: dict[str, Array], drive: str, run: Run) -> None:
+    """Move the origin of a joint's coordinate, which is arbitrary, to the middle of its motion."""
+    if drive == 'position' and run.controlled() == 'position' and 'reference' in signals:
+        origin = signals['reference'].mean()
+        for name in {'reference', 'position'} & signals.keys():
+            signals[name] = signals[name] - origin
+    elif drive == 'force' and 'position' in signals:
+        signals['position'] = signals['position'] - signals['position'].mean()
+
+
 def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
     """Return the period (s) and the signals that move, under the names of the diagnosis."""
     period, signals = _uniform(run)
@@ -350,6 +360,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
                    for name, values in signals.items()}
         period *= thinned
+    _centre(signals, drive, run)
     named = {name: signals.get(name)
              for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
     if drive == 'force':

@@ -70,8 +70,10 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
         told('in the loop', None)
         answer['consequences'] = plain([each._asdict() for each
                                         in consequences(diagnosis, values, runs[0])])
-        if model is not None and answer['next_experiment']:
-            answer['next_experiment']['command'] += f' --actuator {model}'
+        following = answer['next_experiment']
+        if model is not None and following and following['command']:
+            for key in ('command', 'advice'):
+                following[key] += f' --actuator {model}'
     answer['report'] = None
     if report is not None:
         from asi_analysis.gap.answer.report import write_gap_report

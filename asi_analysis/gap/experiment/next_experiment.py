@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,23 @@ LOOP: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
 OPTIONS = {'compensator': '--compensator', 'gain': '--gain', 'reference.shape': '--reference',
            'reference.amplitude': '--amplitude', 'reference.offset': '--offset',
            'reference.frequency': '--frequency', 'reference.end_frequency': '--end-frequency'}
+
+# In noise floors: two hypotheses whose predictions differ by less are not told apart.
+LEAST_SEPARATION = 1.0
+# Signals that tell most, the first first.
+SENSORS = ('position', 'valve_position', 'velocity', 'force')
+# What to measure besides, by the effects that it tells apart.
+MEASURE = (
+    (('sensor_offset', 'sensor_drift'), 'the force with no load, before and after the run'),
+    (('sensor_gain',), 'a known weight or a calibrated spring with the force sensor'),
+    (('supply_pressure', 'internal_leakage'), 'the supply pressure and the flow of oil'),
+    (('entrained_air', 'sensor_lag'), 'the pressure in the cylinder'),
+    (('transport_delay', 'command_quantisation', 'valve_lag', 'valve_bias', 'valve_deadband'),
+     'the current of the drive (in the coil of the valve)'),
+    (('backlash', 'load_compliance', 'disturbance_force'), 'the position of the load itself'),
+    (('coulomb_friction', 'stiction', 'friction_asymmetry', 'viscous_friction',
+      'hydraulic_damping'), 'the force on the load beside that of the sensor'),
+)
 
 
 class Experiment(NamedTuple):
@@ -132,14 +149,39 @@ def pairs_of(groups: list[Weighed], left: list[Names]) -> list[tuple[Group, np.v
     return pairs
 
 
-def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value], force: float
-           ) -> dict[str, object] | None:
+def suggestion(excitation: str, command: str | None, separation_: float,
+               separations: Mapping[str, float], left: Sequence[Names],
+               missing: Sequence[str]) -> dict[str, object]:
+    """
+    Return the next experiment as the document has it, with `advice`: what to do, in words.
+
+    separation_: how differently the hypotheses `left` predict it, in noise floors; if that is less
+    than LEAST_SEPARATION no experiment is suggested. missing: signals that were not recorded.
+    """
+    tells = separation_ >= LEAST_SEPARATION
+    sensor = next((signal for signal in SENSORS if signal in missing), None)
+    steps = [f'record the {sensor.replace("_", " ")} too'] if sensor else []
+    if tells:
+        steps.append(command or excitation)
+    elif not steps:
+        everywhere = [name for name in left[0] if all(name in names for names in left)]
+        doubtful = {name for names in left for name in names if name not in everywhere}
+        wanted = next((text for names, text in MEASURE if doubtful & set(names)), None)
+        steps = ['no recording of these signals tells them apart'
+                 + (f': measure {wanted}' if wanted else '')]
+    return {'excitation': excitation, 'separation': separation_, 'separations': dict(separations),
+            'command': command if tells else None, 'separates': tells,
+            'advice': '; '.join(steps)}
+
+
+def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value], force: float,
+           missing: Sequence[str] = ()) -> dict[str, object] | None:
     """
     Return the experiment of the catalogue that separates the hypotheses `left` best.
 
     It is judged by the pair that it separates worst; one in which the nominal actuator would not
-    move is left out. model: the actuator's nominal parameters; force: the largest, N. None if
-    fewer than two hypotheses with a prediction are left.
+    move is left out. model: the actuator's nominal parameters; force: the largest, N; missing:
+    signals that were not recorded. None if fewer than two hypotheses with a prediction are left.
     """
     pairs = pairs_of(groups, left)
     own = str(model.get('load.type', LOADS[0]))
@@ -156,8 +198,8 @@ def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value],
         return None
     best = max((experiment for experiment in CATALOGUE if experiment.name in worst),
                key=lambda experiment: worst[experiment.name])
-    return {'excitation': best.name, 'separation': worst[best.name], 'separations': worst,
-            'command': command_line(best, force, own)}
+    return suggestion(best.name, command_line(best, force, own), worst[best.name], worst, left,
+                      missing)
 
 
 def _under(record: np.void, load: int) -> np.void:

@@ -6,7 +6,7 @@ of a drive that should follow it. None leaves the range, or is faster or sharper
 recorded.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import chirp, sawtooth
 
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.experiment.next_experiment import pairs_of, separation
+from asi_analysis.gap.experiment.next_experiment import pairs_of, separation, suggestion
 from asi_analysis.gap.inference.verdict import Names, Weighed
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.prepare import Recording, prepare
 
-DURATION_S = 20.0
+DURATION_S, LEAST_SAMPLES = 20.0, 2000
 Array = npt.NDArray[np.float64]
 Course = Callable[[Array, float], Array]
 
@@ -54,12 +54,13 @@ CATALOGUE: dict[str, tuple[Course, float, float]] = {
 }
 
 
-def choose_motion(groups: list[Weighed], left: list[Names]) -> dict[str, object] | None:
+def choose_motion(groups: list[Weighed], left: list[Names], missing: Sequence[str] = ()
+                  ) -> dict[str, object] | None:
     """
     Return the course of the catalogue that separates the hypotheses `left` best, with its size.
 
-    It is judged by the pair that it separates worst. None if fewer than two hypotheses with a
-    prediction are left.
+    It is judged by the pair that it separates worst. missing: signals that were not recorded.
+    None if fewer than two hypotheses with a prediction are left.
     """
     pairs = pairs_of(groups, left)
     if not pairs:
@@ -68,8 +69,14 @@ def choose_motion(groups: list[Weighed], left: list[Names]) -> dict[str, object]
              for name in CATALOGUE}
     best = max(worst, key=lambda name: worst[name])
     _, size, frequency = imagined(pairs[0][0], best)
-    return {'excitation': f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for '
-            f'{DURATION_S:g} s', 'separation': worst[best], 'separations': worst, 'command': None}
+    return suggestion(
+        f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {_duration(pairs[0][0]):g} s',
+        None, worst[best], worst, left, missing)
+
+
+def _duration(group: Group) -> float:
+    """Return how long (s) a course is: slow recordings need longer ones."""
+    return max(DURATION_S, LEAST_SAMPLES * group.recordings[0].period_s)
 
 
 def _rounded(position: Array, known: Array) -> Array:
@@ -89,7 +96,7 @@ def imagined(group: Group, name: str) -> tuple[Recording, float, float]:
     moved = np.asarray(known.command if known.motion is None else known.motion.position, float)
     size = share * 0.5 * float(np.ptp(moved))
     fastest = float(np.quantile(np.abs(np.gradient(moved, known.period_s)), 0.999))
-    time: Array = np.arange(int(DURATION_S / known.period_s)) * np.float64(known.period_s)
+    time: Array = np.arange(round(_duration(group) / known.period_s)) * np.float64(known.period_s)
     # So that the course, whatever its form, is nowhere faster.
     slope = float(np.abs(np.gradient(course(time, 1.0), known.period_s)).max())
     frequency = speed * fastest / (size * slope)

@@ -29,6 +29,7 @@ ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth ano
 POLISHING = 6        # of those, with all derivatives
 LARGEST = 3.0        # times a start that an effect is taken to be
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
+AT_LIMIT = 0.005     # of the way between bounds, within which a parameter rests on one
 STARTS = 2           # of the best starting points that are followed
 
 
@@ -41,6 +42,15 @@ class Fitted(NamedTuple):
     cost: float                  # on the fitted parts, weighed by the floors
     held_out: Values             # mean square left on the held-out parts, by channel
     problem: 'Problem'
+
+    @property
+    def at_limit(self) -> dict[str, str]:
+        """Return the nominal parameters that rest on a bound: 'low' or 'high', by field."""
+        declared = {free for free in self.problem.group.nuisance
+                    if free.scale == 'nominal' and free.field in NOMINAL_FIELDS}
+        return {free.field: 'low' if share < 0.5 else 'high'
+                for free, share in zip(self.free, self.theta, strict=True)
+                if free in declared and min(share, 1.0 - share) < AT_LIMIT}
 
     @property
     def values(self) -> Values:

@@ -179,7 +179,7 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     command = recording.command
     assert command is not None
     left, _ = _left(fitted, channel)
-    count = next_fast_len(command.size + int(RESPONSE_S / recording.period_s), real=True)
+    count = next_fast_len(command.size + _response_samples(recording), real=True)
     # What a step of one newton explains, when it comes: the product with the valve's answer to it.
     asked = np.fft.irfft(np.conj(_response(recording, p, count)) * np.fft.rfft(left, count),
                          count)[:command.size]
@@ -205,13 +205,18 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     return found
 
 
+def _response_samples(recording: Recording) -> int:
+    """Return in how many samples a valve has answered; at least the step and one after it."""
+    return max(int(RESPONSE_S / recording.period_s), 2)
+
+
 def _response(recording: Recording, p: np.void, count: int) -> Complex:
     """Return the valve's frequency response to its command, all that is not linear left out."""
     plain = p.copy()
     for name in ('valve_hysteresis_model', 'loop_width', 'command_deadband', 'command_bias',
                  'command_quantum', 'valve_limit'):
         plain[name] = 0
-    step = np.zeros((2, int(RESPONSE_S / recording.period_s)))
+    step = np.zeros((2, _response_samples(recording)))
     step[0, 1:] = 1.0
     blocks.valve(step[0], *blocks.parts(plain), recording.period_s, recording.sub_steps(1e-3),
                  step[1])

@@ -75,6 +75,7 @@ USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
 SINGLES, FOLLOWED, SECONDS, FORMS = 8, 3, 4, 2
+LEAST_EXPLAINED = 0.002   # of the cost: an effect that lowers it by less has size zero
 LEAST_PROMISE = 0.04   # of the cost: what promises less is not fitted
 # How many are fitted to the end, of those that cost less than this multiple of the least.
 FINISHED, RIVAL = 4, 4.0
@@ -413,7 +414,23 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
 
 def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     """Return a group with the probability of every hypothesis, `unknown` among them."""
-    return Weighed(group, found, probabilities(evidence_of(group, found)))
+    kept = explaining(found)
+    return Weighed(group, kept, probabilities(evidence_of(group, kept)))
+
+
+def explaining(found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """
+    Return the hypotheses of which every effect explains something of the fitted parts.
+
+    An effect that was fitted to size zero leaves what the hypothesis without it leaves. It is no
+    explanation of its own, and would only take probability from those that are.
+    """
+    def explains(candidate: Candidate) -> bool:
+        return all(candidate.fitted.cost < (1.0 - LEAST_EXPLAINED) * found[part].fitted.cost
+                   for part in (tuple(n for n in candidate.names if n != name)
+                                for name in candidate.names) if part in found)
+
+    return {names: candidate for names, candidate in found.items() if explains(candidate)}
 
 
 def weigh_groups(groups: Sequence[Group], tolerance: float,

@@ -1,5 +1,6 @@
 """Where the gap lies: by block, along the chain, and by regime."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -7,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from asi_analysis.gap.inference.verdict import Weighed
+from asi_analysis.gap.inference.fit import held_out_error
+from asi_analysis.gap.inference.verdict import Names, Weighed
 from asi_analysis.gap.model.blocks import impedance, load_constants
 from asi_analysis.gap.model.effects import BLOCK_OF, BLOCKS
 from asi_analysis.gap.model.group import Group
@@ -20,7 +22,8 @@ ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
          'load': ('mechanics', 'sensor')}
 
 
-LEAST_SHARE = 0.01     # of the samples: what is rarer is no regime
+LEAST_SHARE = 0.01     # of the samples: what is rarer is no regime; of a gap: a trace
+LEAST_TOLD = 0.02      # probability of a hypothesis whose effects are told apart
 BINS = 16
 TOLD_SHARE = 0.2       # of what is left, that is worth a word
 TOLD_FACTOR = 1.6      # between the regime with most and that with least
@@ -45,7 +48,8 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
     Return the share of each block in the gap, most first.
 
     The gap of a channel (what the refitted nominal model leaves beyond the noise, over the size
-    of the signal) belongs to the blocks of the effects that may explain it, by their probability.
+    of the signal) belongs to the blocks of the hypotheses, by their probability; within one, to
+    each effect by what it explains.
     """
     share = dict.fromkeys(BLOCKS, 0.0)
     for weighed in groups:
@@ -54,18 +58,66 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
         for channel in group.channels:
             size = np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings])
             gap = max(null[channel] - group.floor[channel], 0.0) / float(size)
-            blocks: dict[str, float] = {}
             for names, probability in weighed.probability.items():
-                known = [BLOCK_OF[name] for name in names if name in BLOCK_OF]
-                for block in known or ALONG[channel]:
-                    blocks[block] = (blocks.get(block, 0.0)
-                                     + probability / len(known or ALONG[channel]))
-            for block, probability in blocks.items():
-                share[block] += gap * probability
+                for block, part in _blocks_of(weighed, names, channel, probability).items():
+                    share[block] += gap * probability * part
     total = sum(share.values())
     if total > 0.0:
         share = {block: value / total for block, value in share.items()}
     return dict(sorted(share.items(), key=lambda item: -item[1]))
+
+
+def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
+               ) -> dict[str, float]:
+    """Return the share of each block in a channel's gap under a hypothesis; their sum is 1."""
+    if len(names) > 1 and names in weighed.candidates and probability > LEAST_TOLD:
+        parts = explained(weighed, names, channel)
+    else:
+        parts = {name: 1.0 for name in names if name in BLOCK_OF}
+    blocks: dict[str, float] = {}
+    for name, part in parts.items():
+        blocks[BLOCK_OF[name]] = blocks.get(BLOCK_OF[name], 0.0) + part
+    if not blocks:   # no gap, or unknown: as the best effect of each block would explain it
+        null = weighed.candidates[()].fitted.held_out[channel]
+        for block in ALONG[channel]:
+            blocks[block] = LEAST_SHARE * null + max(
+                (null - candidate.fitted.held_out[channel]
+                 for tried, candidate in weighed.candidates.items()
+                 if len(tried) == 1 and BLOCK_OF[tried[0]] == block), default=0.0)
+            blocks[block] = max(blocks[block], LEAST_SHARE * null)
+    total = sum(blocks.values())
+    return {block: part / total for block, part in blocks.items()}
+
+
+def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
+    """
+    Return how much each effect of a hypothesis explains of a channel (mean square).
+
+    Shapley values: its mean over all orders in which the effects are put into the fitted model;
+    at least a trace of what all of them explain.
+    """
+    group, whole = weighed.group, weighed.candidates[names]
+    fields = {effect.name: {free.field for variant in effect.variants
+                            if variant in whole.variants for free in variant.free}
+              for effect in group.effects if effect.name in names}
+
+    def left(present: frozenset[str]) -> float:
+        p = whole.fitted.record.copy()
+        kept = set().union(*(fields[name] for name in present))
+        for field in set().union(*fields.values()) - kept:
+            p[field] = group.nominal[field]
+        return held_out_error(group, p)[channel]
+
+    known = {chosen: left(chosen) for count in range(len(names) + 1)
+             for chosen in map(frozenset, itertools.combinations(names, count))}
+    parts = dict.fromkeys(names, 0.0)
+    orders = list(itertools.permutations(names))
+    for order in orders:
+        for place, name in enumerate(order):
+            before = frozenset(order[:place])
+            parts[name] += (known[before] - known[before | {name}]) / len(orders)
+    trace = LEAST_SHARE * max(max(parts.values()), 1e-300)
+    return {name: max(part, trace) for name, part in parts.items()}
 
 
 def _load_velocity(recording: Recording, p: np.void) -> Array:

@@ -1,0 +1,41 @@
+"""What cannot matter does not change the verdict: the origin of a coordinate, the sample rate."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import diagnose, document
+
+SERVO = {'signals': {'reference': 'rad', 'position': 'rad'}}
+
+
+def servo(period_s: float, duration_s: float, lag_s: float, middle: float = 0.0,
+          slowest_hz: float = 0.3) -> Run:
+    """Return a position servo (rad) that follows a multisine with a first-order lag, and noise."""
+    rng = np.random.default_rng(7)
+    time = period_s * np.arange(round(duration_s / period_s))
+    reference = sum(0.1 * np.sin(2.0 * np.pi * slowest_hz * k * time + phase)
+                    for k, phase in zip((1, 2.3, 5.1), rng.uniform(0.0, 6.0, 3), strict=True))
+    decay = np.exp(-period_s / lag_s)
+    position = lfilter([0.0, 1.0 - decay], [1.0, -decay], reference)
+    return Run(time, reference_n=reference + middle,
+               position_m=position + middle + rng.normal(0.0, 1e-4, time.size),
+               source='servo', information=SERVO)
+
+
+def test_verdict_does_not_depend_on_the_origin_of_the_coordinate():
+    answers = [document(diagnose([servo(2e-3, 12.0, 0.03, middle)], {}, 'joint', drive='position'))
+               for middle in (0.0, 1.5)]
+    assert answers[0]['verdict'] == answers[1]['verdict'] == 'valve_lag'
+    first, second = answers
+    assert first['probability'] == pytest.approx(second['probability'], abs=0.02)
+    for key in ('before_nrmse', 'after_nrmse', 'shrink'):
+        assert first['gap'][key] == pytest.approx(second['gap'][key], rel=0.02, abs=1e-3), key
+
+
+def test_slow_recording_of_an_hour_is_diagnosed():
+    """At 1 Hz a valve has answered before the next sample."""
+    answer = document(diagnose([servo(1.0, 3600.0, 5.0, slowest_hz=0.004)], {}, 'joint',
+                               drive='position'))
+    assert answer['verdict'] != 'no_gap'
