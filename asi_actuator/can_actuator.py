@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import can
-import yaml
 
 from asi_actuator.driver.can_bus import close_bus, open_bus, received
 from asi_actuator.driver.frames import COUNTER, Frames, load_table
@@ -22,6 +21,7 @@ from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.driver.simulated import SimulatedActuator
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_common.parameter import ParameterError, Value, completed
+from asi_common.parameter_file import read_scalar
 
 # The physics is advanced by this much at a time, s, and over at most so much at once.
 PERIOD_S: Final = 0.2e-3
@@ -137,7 +137,7 @@ def physical_values(settings: Sequence[str]) -> dict[str, Value]:
     values: dict[str, Value] = {}
     for setting in settings:
         name, _, text = setting.partition('=')
-        values[name] = yaml.safe_load(text)
+        values[name] = read_scalar(text.strip())
     return completed(values, ACTUATOR_PARAMETERS)
 
 

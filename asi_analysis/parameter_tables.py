@@ -5,15 +5,13 @@ Write the YAML files of parameters and doc/reference/parameters.md from the tabl
 files are current.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import yaml
-
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
-from asi_common.parameter import Parameter
+from asi_common.parameter import Parameter, defaults
+from asi_common.parameter_file import parameter_file, parameter_lines, scalar
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
     CONTROLLER_NODE_PARAMETERS,
@@ -40,43 +38,25 @@ NODES: Final = (
 )
 
 
-def _scalar(value: object) -> str:
-    """Return a value as YAML 1.1 that ROS reads back with the same type."""
-    if isinstance(value, float):
-        # YAML 1.1 takes 1e-05 for a text: it wants a point.
-        text = f'{value!r}'
-        return text if '.' in text else text.replace('e', '.0e')
-    return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None
-                          ).splitlines()[0]
-
-
-def _yaml_lines(tables: dict[str, tuple[Parameter, ...]]) -> Iterator[str]:
-    block = ''
-    for title, table in tables.items():
-        yield f'    # {title}'
-        for parameter in table:
-            first, _, rest = parameter.name.partition('.')
-            if rest and first != block:
-                yield f'    {first}:'
-            block = first if rest else ''
-            indent = '      ' if rest else '    '
-            unit = '' if parameter.allowed.endswith(parameter.unit) else f' in {parameter.unit}'
-            fixed = '; fixed while the node runs' if parameter.read_only else ''
-            yield f'{indent}# {parameter.description}'
-            yield f'{indent}# {parameter.allowed}{unit}{fixed}'
-            yield f'{indent}{rest or first}: {_scalar(parameter.default)}'
+def _comments(parameter: Parameter) -> list[str]:
+    unit = '' if parameter.allowed.endswith(parameter.unit) else f' in {parameter.unit}'
+    fixed = '; fixed while the node runs' if parameter.read_only else ''
+    return [parameter.description, f'{parameter.allowed}{unit}{fixed}']
 
 
 def yaml_text(node: NodeTables) -> str:
     """Return the parameter file of a node with the defaults, as `ros2 run` takes it."""
-    return '\n'.join([f'# Parameters of {node.node}, all at their defaults.',
-                      f'# Written by `{COMMAND}`.',
-                      f'/**/{node.node}:', '  ros__parameters:', *_yaml_lines(node.tables)]) + '\n'
+    lines = []
+    for title, table in node.tables.items():
+        lines += [f'    # {title}', *parameter_lines(
+            defaults(table), {parameter.name: _comments(parameter) for parameter in table})]
+    return parameter_file(f'/**/{node.node}', lines, [
+        f'Parameters of {node.node}, all at their defaults.', f'Written by `{COMMAND}`.'])
 
 
 def _row(parameter: Parameter) -> str:
     cells = (f'`{parameter.name}`' + (' (fixed)' if parameter.read_only else ''),
-             f'`{_scalar(parameter.default)}`', parameter.unit, parameter.description,
+             f'`{scalar(parameter.default)}`', parameter.unit, parameter.description,
              parameter.allowed, parameter.source)
     return '| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |'
 

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
+from asi_common.parameter_file import write_parameters
 from asi_examiner.cases import EFFECTS, Case, draw, excite
 from asi_examiner.plant import PERIOD_S, simulate
 
@@ -69,18 +69,6 @@ def fresh(case: Case) -> np.ndarray:
     return simulate(case.plant, reference, case.bench, case.seed + 1_000_000)
 
 
-def model_text(nominal: Mapping[str, Any]) -> str:
-    """Return the nominal parameters as a ROS parameter file."""
-    tree: dict[str, Any] = {}
-    for name, value in nominal.items():
-        *outer, last = name.split('.')
-        branch = tree
-        for part in outer:
-            branch = branch.setdefault(part, {})
-        branch[last] = value
-    return yaml.safe_dump({'/**/asi_actuator': {'ros__parameters': tree}})
-
-
 def model_name(world: str, load: str, number: int) -> str:
     """Return the model file of a case: one for all, but of a foreign world."""
     return f'nominal_{number:04d}.yaml' if world == 'foreign' else f'nominal_{world}_{load}.yaml'
@@ -92,7 +80,8 @@ def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answ
         shutil.rmtree(out / torn, ignore_errors=True)
     write_bag(as_run(case.recording, HIDDEN[signals]), out / f'case_{number:04d}', {})
     write_bag(as_run(fresh(case), HIDDEN[signals]), out / f'fresh_{number:04d}', {})
-    (out / model_name(case.world, case.load, number)).write_text(model_text(case.nominal))
+    write_parameters(out / model_name(case.world, case.load, number), '/**/asi_actuator',
+                     dict(sorted(case.nominal.items())))
     return Answer(case.kind, list(case.effects),
                   [EFFECTS[name] for name in case.effects if name in EFFECTS], case.excitation,
                   case.world, case.load, signals, case.visibility,

@@ -4,18 +4,16 @@ What is to be run: an experiment, and its parameters from files, --set and optio
 `running.py` runs it.
 """
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
-
-import yaml
 
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.errors import InputError
 from asi_analysis.versions import versions
+from asi_common import parameter_file
 from asi_common.loop_parameters import DEFAULT_RATE_HZ
 from asi_common.parameter import Parameter, ParameterError, Value, completed
 from asi_controller.parameters import (
@@ -77,41 +75,20 @@ def read_parameters(path: Path, which: str) -> dict[str, Value]:
     """
     Return the parameters of a ROS parameter file for 'actuator' or 'controller', by dotted name.
 
-    The node may be named asi_actuator, /asi_actuator, /**/asi_actuator or /**. Parameters of the
-    node alone, such as its mode, are left out: `asi run` sets them. Raises InputError.
+    Parameters of the node alone, such as its mode, are left out: `asi run` sets them. Raises
+    InputError if the file cannot be read or has nothing for the node.
     """
     try:
-        content = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise InputError(f'{path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
-    names = ('/**', f'/**/asi_{which}', f'/asi_{which}', f'asi_{which}')
-    values: dict[str, Value] = {}
-    found = [content[name] for name in names
-             if isinstance(content, dict) and name in content]
-    for section in found:
-        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
-            raise InputError(f'{path}: ros__parameters is missing under the node')
-        values |= dict(_flat(section['ros__parameters']))
-    if not found:
-        raise InputError(f'{path} has nothing for the node asi_{which}: it takes a ROS parameter '
-                         f'file with asi_{which}: ros__parameters: ...')
+        values = parameter_file.read_parameters(path, f'asi_{which}')
+    except ParameterError as error:
+        raise InputError(str(error)) from None
     known = {parameter.name: parameter for parameter in TABLES[which]}
     return {name: _as_meant(known[name], value) if name in known else value
             for name, value in values.items() if name not in OF_THE_NODE}
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Value]]:
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f'{prefix}{name}.')
-        else:
-            yield prefix + str(name), value
-
-
 def _as_meant(parameter: Parameter, value: Value) -> Value:
-    """Return 8 as 8.0 where a number is wanted; a text of digits stays what YAML says it is."""
+    """Return 8 as 8.0 where the parameter is a float, as the nodes do."""
     if isinstance(parameter.default, float) and type(value) is int:
         return float(value)
     return value
@@ -136,18 +113,7 @@ def parse_setting(text: str) -> tuple[str, str, Value]:
     table_entry = known[parameter]
     if isinstance(table_entry.default, str):
         return which, parameter, value.strip()
-    try:
-        return which, parameter, _as_meant(table_entry, yaml.safe_load(_as_number(value)))
-    except yaml.YAMLError:
-        raise InputError(f'--set {text}: {value!r} is not a value') from None
-
-
-def _as_number(text: str) -> str:
-    """Return 1e5 as 1.0e+5: YAML 1.1 takes the first for a text."""
-    try:
-        return repr(float(text)) if re.search(r'\d[eE]', text) else text
-    except ValueError:
-        return text
+    return which, parameter, _as_meant(table_entry, parameter_file.read_scalar(value.strip()))
 
 
 def gather(files: Mapping[str, Path | None], settings: list[str],

@@ -18,12 +18,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked, information
 from asi_analysis.terminal import Progress, silent
-from asi_common.parameter import Value
+from asi_common.parameter_file import write_parameters
 
 # Started in this order, asked to end in the reverse: while the recorder waits for the last
 # messages, the controller is still there to send a lost one again.
@@ -87,16 +85,12 @@ def _prepare(experiment: Experiment, out: Path) -> None:
         (out / 'log').mkdir()
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
         node = experiment.of_the_node | {'await_recorder': True}
-        _write_parameters(out, 'actuator', {**experiment.actuator, **node})
+        write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
         del node['duration']
-        _write_parameters(out, 'controller', {**experiment.controller, **node})
+        write_parameters(out / 'controller.yaml', 'asi_controller',
+                         {**experiment.controller, **node})
     except OSError as error:
         raise InputError(f'{out}: {error.strerror}') from None
-
-
-def _write_parameters(out: Path, which: str, values: Mapping[str, Value]) -> None:
-    (out / f'{which}.yaml').write_text(yaml.safe_dump(
-        {f'asi_{which}': {'ros__parameters': dict(values)}}, sort_keys=False))
 
 
 @contextmanager

@@ -12,11 +12,12 @@ from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.diagnose import Diagnosis, sentences, told
 from asi_analysis.gap.inference.verdict import Names, Weighed
-from asi_analysis.gap.model.model_file import improved_model, write_model
+from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
 from asi_analysis.reporting.report import write_report
 from asi_common.parameter import Value
+from asi_common.parameter_file import write_parameters
 
 STRETCH_S = 2.0     # of the overlay
 CAPTIONS = {
@@ -49,7 +50,7 @@ def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, 
         values, missing = improved_model(model, [diagnosis.best(w).fitted.record
                                                  for w in diagnosis.groups])
         out.mkdir(parents=True, exist_ok=True)
-        write_model(out / 'improved.yaml', values)
+        write_parameters(out / 'improved.yaml', '/**/asi_actuator', dict(sorted(values.items())))
     return write_report(
         out, 'gap.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
         answer=answer, sentences=sentences(answer), missing=missing)

@@ -2,10 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
-import yaml
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
@@ -104,16 +102,3 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
         values |= improved(p, kind)
         missing += left_out(p)
     return values, missing
-
-
-def write_model(path: Path, values: Mapping[str, Value]) -> None:
-    """Write parameters by dotted name as a ROS parameter file."""
-    tree: dict[str, object] = {}
-    for name, value in sorted(values.items()):
-        *outer, last = name.split('.')
-        branch = tree
-        for part in outer:
-            branch = branch.setdefault(part, {})  # type: ignore[assignment]
-        branch[last] = value
-    path.write_text(yaml.safe_dump({'/**/asi_actuator': {'ros__parameters': tree}},
-                                   sort_keys=False))

@@ -23,6 +23,7 @@ from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.measures import Measured
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
+from asi_common.parameter_file import write_parameters
 
 Array = npt.NDArray[np.float64]
 
@@ -152,23 +153,11 @@ def write_members(found: Sequence[Member], out: Path) -> None:
     """Write each member as a ROS parameter file of the actuator: what differs from defaults."""
     out.mkdir(parents=True, exist_ok=True)
     for number, member in enumerate(found, 1):
-        lines = [f'# Ensemble, member {number}: meets {member.met} of the {len(AIMS)} rows that '
-                 'the calibration aims at.', '# Written by `asi ensemble`.', '/**/asi_actuator:',
-                 '  ros__parameters:']
-        block = ''
-        for name, value in member.quantities.items():
-            first, _, rest = name.partition('.')
-            if first != block:
-                lines.append(f'    {first}:')
-                block = first
-            lines.append(f'      {rest}: {_yaml_number(value)}')
-        (out / f'member_{number:02d}.yaml').write_text('\n'.join(lines) + '\n')
-
-
-def _yaml_number(value: float) -> str:
-    # YAML 1.1 takes 1e-05 for a text: it wants a point.
-    text = repr(float(f'{value:.6g}'))
-    return text if '.' in text else text.replace('e', '.0e')
+        write_parameters(
+            out / f'member_{number:02d}.yaml', '/**/asi_actuator',
+            {name: float(f'{value:.6g}') for name, value in member.quantities.items()},
+            [f'Ensemble, member {number}: meets {member.met} of the {len(AIMS)} rows that the '
+             'calibration aims at.', 'Written by `asi ensemble`.'])
 
 
 def sensitivity_table(found: Sensitivity) -> str:
