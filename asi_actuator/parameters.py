@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from asi_common.parameter import Parameter, ParameterError, Table, Value, record_dtype, record_of
+from asi_common.parameter import Parameter, ParameterError, Table, Value
+from asi_common.record import record_dtype, record_of
 
 # Sub-steps that the model's delays remember; a power of two, so that the index wraps by a mask.
 RING: Final = 1024

@@ -18,6 +18,7 @@ import typer.core
 
 from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
+from asi_controller.compensators import COMPENSATORS
 
 app = typer.Typer(
     help='Run, record and understand a force-controlled hydraulic actuator.',
@@ -35,7 +36,7 @@ Settings = Annotated[list[str] | None, typer.Option(
     '--set', metavar='NODE.NAME=VALUE',
     help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
 Compensator = Annotated[str | None, typer.Option(
-    help='proportional, lead_lag, lead2, lead4 or custom')]
+    help=', '.join(COMPENSATORS))]
 Gain = Annotated[float | None, typer.Option(help='Its gain; 0: its own default')]
 Held = Annotated[float, typer.Option(help='Force that the loop is to hold, N')]
 Rate = Annotated[float, typer.Option(help='Control rate, Hz')]

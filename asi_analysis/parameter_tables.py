@@ -5,6 +5,7 @@ Write the YAML files of parameters and doc/reference/parameters.md from the tabl
 files are current.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -12,8 +13,9 @@ from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_common.parameter import Parameter, defaults
 from asi_common.parameter_file import parameter_file, parameter_lines, scalar
+from asi_controller.compensators import COMPENSATORS, DOCUMENTATION
 from asi_controller.parameters import (
-    COMPENSATOR_PARAMETERS,
+    CHOICE_PARAMETERS,
     CONTROLLER_NODE_PARAMETERS,
     REFERENCE_PARAMETERS,
 )
@@ -27,14 +29,17 @@ class NodeTables(NamedTuple):
     node: str
     file: str
     tables: dict[str, tuple[Parameter, ...]]
+    texts: Mapping[str, str] = {}    # what stands above a table in doc/reference/parameters.md
 
 
 NODES: Final = (
     NodeTables('asi_actuator', 'config/actuator.yaml',
                {'Node': ACTUATOR_NODE_PARAMETERS, 'Physics': ACTUATOR_PARAMETERS}),
     NodeTables('asi_controller', 'config/controller.yaml',
-               {'Node': CONTROLLER_NODE_PARAMETERS, 'Compensator': COMPENSATOR_PARAMETERS,
-                'Reference': REFERENCE_PARAMETERS}),
+               {'Node': CONTROLLER_NODE_PARAMETERS, 'Compensator': CHOICE_PARAMETERS,
+                **{f'Compensator {name}': each.table for name, each in COMPENSATORS.items()},
+                'Reference': REFERENCE_PARAMETERS},
+               {f'Compensator {name}': text for name, text in DOCUMENTATION.items()}),
 )
 
 
@@ -48,8 +53,9 @@ def yaml_text(node: NodeTables) -> str:
     """Return the parameter file of a node with the defaults, as `ros2 run` takes it."""
     lines = []
     for title, table in node.tables.items():
-        lines += [f'    # {title}', *parameter_lines(
-            defaults(table), {parameter.name: _comments(parameter) for parameter in table})]
+        if table:
+            lines += [f'    # {title}', *parameter_lines(
+                defaults(table), {parameter.name: _comments(parameter) for parameter in table})]
     return parameter_file(f'/**/{node.node}', lines, [
         f'Parameters of {node.node}, all at their defaults.', f'Written by `{COMMAND}`.'])
 
@@ -70,9 +76,12 @@ def markdown_text() -> str:
     for node in NODES:
         lines += ['', f'## /{node.node}', '', f'File: `{node.file}`']
         for title, table in node.tables.items():
-            lines += ['', f'### {title}', '',
-                      '| parameter | default | unit | what it is | allowed | source |',
-                      '|---|---|---|---|---|---|', *map(_row, table)]
+            lines += ['', f'### {title}']
+            if text := node.texts.get(title):
+                lines += ['', text]
+            if table:
+                lines += ['', '| parameter | default | unit | what it is | allowed | source |',
+                          '|---|---|---|---|---|---|', *map(_row, table)]
     return '\n'.join(lines) + '\n'
 
 

@@ -1,16 +1,14 @@
 """
-The parameter type, and what a table of parameters yields.
+The parameter type and tables of parameters.
 
-A table is the one place: the YAML file, the ROS descriptors, the documentation and the record that
-compiled code reads are all made from it.
+The YAML file, the ROS descriptors, the documentation and the record that compiled code reads are
+all made from the table.
 """
 
 import math
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import NamedTuple
-
-import numpy as np
 
 Value = bool | int | float | str
 
@@ -76,18 +74,9 @@ class Table(tuple[Parameter, ...]):
         """Raise ParameterError for values that are allowed one by one, but not together."""
 
 
-def field_name(name: str) -> str:
-    """Return the field of the record that holds the parameter `name`."""
-    return name.replace('.', '_')
-
-
-def record_dtype(table: tuple[Parameter, ...]) -> np.dtype:
-    """Return the record type of a table: one float64 field a parameter, texts left out."""
-    return np.dtype([(field_name(p.name), np.float64) for p in table if _is_number(p)])
-
-
-def _is_number(parameter: Parameter) -> bool:
-    return bool(parameter.choices) or not isinstance(parameter.default, str)
+def with_its_type(parameter: Parameter, value: Value) -> Value:
+    """Return 8 as 8.0 where the parameter is a float, and any other value as it is."""
+    return float(value) if isinstance(parameter.default, float) and type(value) is int else value
 
 
 def defaults(table: tuple[Parameter, ...]) -> dict[str, Value]:
@@ -114,21 +103,3 @@ def completed(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> dict
     if isinstance(table, Table):
         table.check(complete)
     return complete
-
-
-def as_number(parameter: Parameter, value: Value) -> float:
-    """Return the number that stands for `value` in the record: a choice becomes its index."""
-    return float(parameter.choices.index(str(value)) if parameter.choices else value)
-
-
-def record_of(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> np.void:
-    """
-    Return the record that compiled code reads: a table's defaults, changed by `values`.
-
-    Raises ParameterError for an unknown name, or a value or combination that is not allowed.
-    """
-    record = np.zeros(1, record_dtype(table))[0]
-    complete = completed(values, table)
-    for parameter in filter(_is_number, table):
-        record[field_name(parameter.name)] = as_number(parameter, complete[parameter.name])
-    return record

@@ -1,42 +1,35 @@
 """
-The compensators of the paper's section 5, and one of the user's own.
+How a compensator is made discrete and run; `compensators/` says which there are.
 
-Designed in continuous time as products of (s/z + 1)/(s/p + 1), so that the gain is that at zero
-frequency, as in the paper; made discrete for the control rate by Tustin's rule, prewarped where
-the limit cycle is; run as a cascade of second-order sections, the slowest pole last.
+One is designed in continuous time as a product of (s/z + 1)/(s/p + 1), so that the gain is that at
+zero frequency, as in the paper; made discrete for the control rate by Tustin's rule, prewarped at
+the frequency of the limit cycle; run as a cascade of second-order sections, the slowest pole last.
 """
 
 import math
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
 from asi_common.jit import jit
-from asi_common.parameter import ParameterError, Value, completed
+from asi_common.parameter import ParameterError, Value, completed, with_its_type
+from asi_controller.compensators import COMPENSATORS
+from asi_controller.design import MOST_POLES, Design
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 # Phase counts most where the limit cycle is.
 PREWARP_HZ: Final = 90.0
-MOST_SECTIONS: Final = 8
-OWN_GAIN: Final = {'proportional': 3.0, 'lead_lag': 13.0, 'lead2': 2.16, 'lead4': 1.92,
-                   'custom': 1.0}
-
+MOST_SECTIONS: Final = MOST_POLES // 2
+# The gain in use while the parameter `gain` is 0, by compensator.
+OWN_GAIN: Final = {name: each.gain for name, each in COMPENSATORS.items()}
 
 # What `fresh` says about the memory: it begins at the next error, with the lag at rest, or as if
 # the lag had been giving the running command.
 REST: Final = 1
 TAKE_OVER: Final = 2
-
-
-class Design(NamedTuple):
-    """A compensator in continuous time: zeros and poles in rad/s, gain at zero frequency."""
-
-    zeros: tuple[complex, ...]
-    poles: tuple[complex, ...]
-    gain: float
 
 
 COMPENSATOR_DTYPE = np.dtype([
@@ -56,26 +49,6 @@ COMPENSATOR_DTYPE = np.dtype([
 ])
 
 
-def _roots(name: str, text: Value) -> tuple[complex, ...]:
-    """Return the complex numbers of a text such as '-50, -30+40j, -30-40j'."""
-    try:
-        roots = tuple(complex(part.replace(' ', '')) for part in str(text).split(',')
-                      if part.strip())
-    except ValueError:
-        raise ParameterError(f'{name} = {text!r} is not allowed: it takes numbers in rad/s with '
-                             'commas between, as "-50, -30+40j, -30-40j"') from None
-    if not all(math.isfinite(abs(root)) for root in roots):
-        raise ParameterError(f'{name} = {text!r} is not allowed: every number must be finite')
-    if sorted(roots, key=_order) != sorted((root.conjugate() for root in roots), key=_order):
-        raise ParameterError(f'{name} = {text!r} is not allowed: complex numbers must come in '
-                             'conjugate pairs')
-    return roots
-
-
-def _order(root: complex) -> tuple[float, float]:
-    return root.real, root.imag
-
-
 def design(values: Mapping[str, Value]) -> Design:
     """
     Return the compensator that the parameters ask for, in continuous time.
@@ -83,43 +56,10 @@ def design(values: Mapping[str, Value]) -> Design:
     Raises ParameterError if a parameter or the combination is not allowed.
     """
     v = completed(values, COMPENSATOR_PARAMETERS)
-    name = str(v['compensator'])
-    gain = float(v['gain']) or OWN_GAIN[name]
-    if name == 'proportional':
-        return Design((), (), gain)
-    if name == 'lead_lag':
-        centre = 2.0 * math.pi * float(v['lead_lag.centre_frequency'])
-        spread = math.sqrt(float(v['lead_lag.ratio']))
-        return Design((-centre / spread,),
-                      (-centre * spread, -1.0 / float(v['lead_lag.lag_time'])), gain)
-    if name in ('lead2', 'lead4'):
-        order = int(name[-1])
-        zero = 2.0 * math.pi * float(v[f'{name}.zero_frequency'])
-        lag = 1.0 / float(v[f'{name}.lag_time'])
-        ratio = float(v[f'{name}.lag_ratio'])
-        return Design((-zero,) * order + (-lag,),
-                      (-zero * float(v[f'{name}.ratio']),) * order + (-lag / ratio,),
-                      gain * ratio)
-    return _custom(_roots('custom.zeros', v['custom.zeros']),
-                   _roots('custom.poles', v['custom.poles']), gain)
-
-
-def _custom(zeros: tuple[complex, ...], poles: tuple[complex, ...], gain: float) -> Design:
-    if len(zeros) > len(poles):
-        raise ParameterError(f'custom.zeros has {len(zeros)} and custom.poles {len(poles)} '
-                             'numbers: there may not be more zeros than poles')
-    if len(poles) > 2 * MOST_SECTIONS:
-        raise ParameterError(f'custom.poles has {len(poles)} numbers: at most '
-                             f'{2 * MOST_SECTIONS} are allowed')
-    for pole in poles:
-        if pole.real >= 0.0:
-            raise ParameterError(f'custom.poles: {pole:g} is not allowed: every pole needs a real '
-                                 'part below 0')
-    for zero in zeros:
-        if zero == 0.0:
-            raise ParameterError('custom.zeros: 0 is not allowed: the gain is that at zero '
-                                 'frequency')
-    return Design(zeros, poles, gain)
+    chosen = COMPENSATORS[str(v['compensator'])]
+    return chosen.design(float(v['gain']) or chosen.gain, **{
+        parameter.name: with_its_type(parameter, v[f'{chosen.name}.{parameter.name}'])
+        for parameter in chosen.parameters})
 
 
 def _discrete(root: complex, rate_hz: float) -> complex:

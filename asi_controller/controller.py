@@ -6,8 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_common.jit import compiled_for, jit
-from asi_common.parameter import Parameter, Value, record_of
+from asi_common.parameter import Parameter, Value
+from asi_common.record import record_of
 from asi_controller.compensator import REST, compensate, compensator
+from asi_controller.compensators import COMPENSATORS
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
 from asi_controller.reference import TOPIC, reference_force
 
@@ -54,8 +56,10 @@ class Controller:
         """Raise ParameterError if the parameters do not go together."""
         chosen = _of(COMPENSATOR_PARAMETERS, values)
         compensator(chosen, rate_hz)
-        # Its texts are refused when they are given, not when it is chosen.
-        compensator(chosen | {'compensator': 'custom'}, rate_hz)
+        for each in COMPENSATORS.values():
+            # A text is refused when it is given, not when its compensator is chosen.
+            if any(isinstance(parameter.default, str) for parameter in each.parameters):
+                compensator(chosen | {'compensator': each.name}, rate_hz)
 
     def begin(self, values: Mapping[str, Value]) -> None:
         """Begin anew: nothing remembered, and the reference starts at the next answer."""

@@ -15,7 +15,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.versions import versions
 from asi_common import parameter_file
 from asi_common.loop_parameters import DEFAULT_RATE_HZ
-from asi_common.parameter import Parameter, ParameterError, Value, completed
+from asi_common.parameter import ParameterError, Value, completed, with_its_type
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
     CONTROLLER_NODE_PARAMETERS,
@@ -83,15 +83,8 @@ def read_parameters(path: Path, which: str) -> dict[str, Value]:
     except ParameterError as error:
         raise InputError(str(error)) from None
     known = {parameter.name: parameter for parameter in TABLES[which]}
-    return {name: _as_meant(known[name], value) if name in known else value
+    return {name: with_its_type(known[name], value) if name in known else value
             for name, value in values.items() if name not in OF_THE_NODE}
-
-
-def _as_meant(parameter: Parameter, value: Value) -> Value:
-    """Return 8 as 8.0 where the parameter is a float, as the nodes do."""
-    if isinstance(parameter.default, float) and type(value) is int:
-        return float(value)
-    return value
 
 
 def parse_setting(text: str) -> tuple[str, str, Value]:
@@ -113,7 +106,7 @@ def parse_setting(text: str) -> tuple[str, str, Value]:
     table_entry = known[parameter]
     if isinstance(table_entry.default, str):
         return which, parameter, value.strip()
-    return which, parameter, _as_meant(table_entry, parameter_file.read_scalar(value.strip()))
+    return which, parameter, with_its_type(table_entry, parameter_file.read_scalar(value.strip()))
 
 
 def gather(files: Mapping[str, Path | None], settings: list[str],

@@ -30,7 +30,8 @@ from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.prepare import prepare
-from asi_common.parameter import Value, field_name
+from asi_common.parameter import Value
+from asi_common.record import field_name
 
 Report = Callable[[str, float | None], None]
 

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from asi_actuator.model.actuator import Trajectory, rest, simulate
 from asi_analysis.experiments.experiment import Experiment
 from asi_analysis.loop.closed_loop import LoopRun, close_loop, simulate_loop
-from asi_common.parameter import Value, record_of
+from asi_common.parameter import Value
+from asi_common.record import record_of
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import SINE, STEP

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from asi_actuator.model.actuator import STATE_DTYPE, advance, check_period, measure, prepare, rest
 from asi_actuator.parameters import as_record
 from asi_common.jit import jit
-from asi_common.parameter import Value, record_of
+from asi_common.parameter import Value
+from asi_common.record import record_of
 from asi_controller.compensator import compensate, compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import reference_force

@@ -20,6 +20,8 @@ from asi_controller.compensator import (
     design,
     frequency_response,
 )
+from asi_controller.compensators import COMPENSATORS, DOCUMENTATION
+from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 RATES = [1000.0, 5000.0, 20000.0]
 NOTCH: dict[str, Value] = {'compensator': 'custom', 'gain': 2.0,
@@ -122,7 +124,11 @@ def closed(command: Callable[[float, float], float], reference: npt.NDArray[np.f
     return np.array(forces), np.array(commands)
 
 
-@pytest.mark.parametrize('name', ['lead_lag', 'lead2', 'lead4'])
+WITH_LAG = [name for name, each in COMPENSATORS.items()
+            if 'lag_time' in {parameter.name for parameter in each.parameters}]
+
+
+@pytest.mark.parametrize('name', WITH_LAG)
 def test_saturated_step_recovers_without_windup(name: str) -> None:
     # For half a second more than the actuator can give, then less.
     reference = np.repeat([0.0, 1500.0, 300.0], [100, 2500, 2500])
@@ -226,3 +232,24 @@ def test_rate_too_low_for_the_prewarping_is_refused() -> None:
 def test_custom_without_roots_is_a_gain() -> None:
     c = compensator({'compensator': 'custom', 'gain': 4.0, 'feedforward': 0.0}, 5000.0)
     assert [compensate(c, 100.0, force) for force in (0.0, 50.0)] == [400.0, 200.0]
+
+
+@pytest.mark.parametrize('name', COMPENSATORS)
+def test_compensator_declares_all_that_is_made_of_it(name: str) -> None:
+    each = COMPENSATORS[name]
+    assert each.name == name and each.gain > 0.0 and DOCUMENTATION[name].endswith('.')
+    assert all(parameter.description and parameter.problem(parameter.default) is None
+               for parameter in each.parameters)
+    assert set(each.table) <= set(COMPENSATOR_PARAMETERS)
+    assert f'{name} {each.gain:g}' in COMPENSATOR_PARAMETERS[1].description
+    assert name in COMPENSATOR_PARAMETERS[0].choices
+    # Its own gain, unless another is given.
+    values: dict[str, Value] = {'compensator': name}
+    assert design(values).gain == pytest.approx(design(values | {'gain': each.gain}).gain)
+    assert design(values | {'gain': 2.0}).gain == pytest.approx(
+        design(values | {'gain': 1.0}).gain * 2.0)
+
+
+def test_compensators_are_in_the_order_that_they_ask_for() -> None:
+    orders = [each.order for each in COMPENSATORS.values()]
+    assert orders == sorted(orders) and len(set(orders)) == len(orders)

@@ -7,7 +7,8 @@ import numpy.typing as npt
 import pytest
 from scipy import signal
 
-from asi_common.parameter import Value, record_of
+from asi_common.parameter import Value
+from asi_common.record import record_of
 from asi_controller.parameters import REFERENCE_PARAMETERS, SHAPES
 from asi_controller.reference import reference_force
 

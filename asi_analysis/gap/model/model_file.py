@@ -8,7 +8,8 @@ import numpy as np
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
 from asi_common.jit import FULL
-from asi_common.parameter import Value, as_number, field_name
+from asi_common.parameter import Value
+from asi_common.record import as_number, field_name
 
 # Fields of an effect that the actuator's parameters can hold, with what holds them.
 HELD = ('command_delay', 'loop_width', 'valve_lag', 'damping_viscous', 'supply_drop', 'air_time',
