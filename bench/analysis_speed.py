@@ -20,9 +20,8 @@ from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
 from asi_analysis.limit_cycle.detection.answer import limit_cycle
-from asi_analysis.limit_cycle.prediction.predict import COMMANDS_N
 from asi_analysis.loop.bench import RATE_HZ, Bench
-from asi_analysis.loop.one_harmonic import hysteresis_alone
+from asi_analysis.loop.one_harmonic import COMMANDS_N, OneHarmonic, locus
 from asi_analysis.loop.simulation import loop_of
 from asi_analysis.measures.analysis import analyze
 from asi_examiner.bags import as_run
@@ -88,8 +87,9 @@ def reading(length_s: int) -> Result:
 def measure(quick: bool) -> list[Result]:
     """Return what each analysis costs."""
     loop = loop_of({}, {'gain': 5.0, 'reference.amplitude': 100.0}, RATE_HZ)
-    hysteresis_alone(loop, COMMANDS_N[:2])
-    described = seconds(partial(hysteresis_alone, loop, COMMANDS_N))
+    one = OneHarmonic(loop, held=True)
+    locus(one, COMMANDS_N[:2])
+    described = seconds(partial(locus, one, COMMANDS_N))
     case = draw(1)
     run = as_run(case.recording)
     half = run.between(run.time_s[0], run.time_s[0] + 0.5 * run.duration_s)

@@ -11,36 +11,50 @@ from typing import Final
 
 import numpy as np
 
-from asi_actuator.model.actuator import rest
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.valve_characteristic import valve_characteristic
-from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
+from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
 from asi_common.jit import jit
 
-# Samples a period, and periods until the memory has settled.
+# Samples a period; the error falls with their square. Periods until the memory has settled.
 SAMPLES: Final = 720
 SETTLING: Final = 3
 
 
 @jit
-def _hysteresis(state, amplitude, frequency, bias, limit, p):
-    step = 1.0 / (frequency * SAMPLES)
+def _hysteresis(amplitude, frequency, bias, limit, samples, p):
+    step = 1.0 / (frequency * samples)
     decay = rate_decay(p, step)
+    # Of a command that moves in straight lines the rate filter lags by this, exactly.
+    lag = (1.0 - decay) / (2.0 * math.pi * p.valve_hysteresis_rate_filter * step)
+    flux = filtered = 0.0
     total = 0.0 + 0.0j
-    for k in range((SETTLING + 1) * SAMPLES):
-        angle = 2.0 * math.pi * k / SAMPLES
+    # The first period finds the periodic state of the filter, the second settles the play.
+    for k in range(3 * samples):
+        if k == samples:
+            filtered /= 1.0 - decay ** samples
+        angle = 2.0 * math.pi * k / samples
+        before = min(max(bias + amplitude * math.sin(angle - 2.0 * math.pi / samples), -limit),
+                     limit)
         command = min(max(bias + amplitude * math.sin(angle), -limit), limit)
-        drive = magnetise(state, command, decay, p)
-        if k >= SETTLING * SAMPLES:
-            total += drive * complex(math.sin(angle), math.cos(angle))
-    return total * 2.0 / (SAMPLES * amplitude)
+        filtered = command - lag * (command - before) + (filtered - before) * decay
+        if k >= samples:
+            flux = valve_hysteresis(flux, command, filtered, p)
+        if k >= 2 * samples:
+            total += saturated(flux, p) * complex(math.sin(angle), math.cos(angle))
+    return total * 2.0 / (samples * amplitude)
 
 
 def hysteresis(amplitude_n: float, frequency_hz: float, bias_n: float, p: np.void,
-               limit_n: float = math.inf) -> complex:
-    """Return N of the magnetic circuit (N/N) for a command bias + A sin, cut at ± limit."""
-    return complex(_hysteresis(rest(), amplitude_n, frequency_hz, bias_n, limit_n, p))
+               limit_n: float = math.inf, samples: int = SAMPLES) -> complex:
+    """
+    Return N of the magnetic circuit (N/N) for a command bias + A sin, cut at ± limit.
+
+    In continuous time. Play, rate filter and saturation have no common closed form: the block
+    function is run at so many samples a period.
+    """
+    return complex(_hysteresis(amplitude_n, frequency_hz, bias_n, limit_n, samples, p))
 
 
 @jit
@@ -78,10 +92,10 @@ def _friction(amplitude, frequency, p):
     for k in range((SETTLING + 1) * SAMPLES):
         angle = 2.0 * math.pi * k / SAMPLES
         velocity = amplitude * math.sin(angle)
-        rub = friction(seal, 0.5 * (before + velocity), velocity, p, step)
-        seal, before = rub.seal, velocity
+        force_and_seal = friction(seal, 0.5 * (before + velocity), velocity, p, step)
+        seal, before = force_and_seal.seal, velocity
         if k >= SETTLING * SAMPLES:
-            total += rub.force * complex(math.sin(angle), math.cos(angle))
+            total += force_and_seal.force * complex(math.sin(angle), math.cos(angle))
     return total * 2.0 / (SAMPLES * amplitude)
 
 

@@ -25,7 +25,7 @@ from asi_actuator.model.valve_characteristic import (
 )
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
 from asi_analysis.errors import InputError
-from asi_analysis.loop import linear_blocks as linear
+from asi_analysis.loop import linear_model as linear
 from asi_common.jit import FULL, jit
 from asi_controller.compensator import frequency_response
 
@@ -178,10 +178,10 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     drive = np.empty(count + 1, complex)
     limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
     _drive(rest(), command, frequency_hz, limit, p, loop.period_s, drive)
-    position = valve_position(_wave(drive * linear.flexure(f, p)), p)
+    position = valve_position(_wave(drive * linear.flexure(p)(f)), p)
     speed = _wave(velocity)
     static, damping = valve_forces(position, speed, p)
-    hydraulic = _harmonics(static - damping, count) * linear.fluid(f, p)
+    hydraulic = _harmonics(static - damping, count) * linear.fluid(p)(f)
 
     stiffness = load_spring(p)[0]
     seal = 0.0
@@ -199,7 +199,8 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     _rub(speed, seal, 1.0 / frequency_hz, p, rub)
     transmitted = hydraulic - _harmonics(rub, count)
     excess = transmitted[1:] - velocity[1:] * linear.impedance(f[1:], p)
-    force = (transmitted - velocity * linear.inertia(f, p)) * linear.sensor(f, p)
+    felt = transmitted - velocity * linear.inertia(f, p)
+    force = felt * linear.sensor(p)(f) * linear.card(p)(f)
     force[0] += p['force_sensor_offset']
     return force, excess
 

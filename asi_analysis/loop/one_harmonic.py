@@ -1,137 +1,203 @@
 """
-The paper's method: one harmonic, the hysteresis alone, everything else linear (section 4.1).
+The paper's prediction: one harmonic, one nonlinearity, everything else linear (section 4.1).
 
-A cycle of the command of amplitude A at frequency f is predicted where K L(f) N(A, f) = -1: static
-characteristic a gain, damping and friction left out. The limit of the command is kept with the
-hysteresis, since without it nothing bounds the amplitude. It is stable by Loeb's criterion (Gelb
-and Vander Velde 1968, section 3.5).
+A cycle with a command of amplitude A at frequency f is predicted where K L(f) N(A, f) = -1: static
+characteristic a gain, damping and friction left out. It is stable by Loeb's criterion (Gelb and
+Vander Velde 1968, section 3.5).
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from asi_analysis.loop import describing_functions as describing
-from asi_analysis.loop import linear_blocks as linear
+from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.harmonic_balance import Loop
 from asi_controller.compensator import frequency_response
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
+# Gain that a cycle at a frequency (Hz) needs; complex where no gain makes one.
+NeededGain = Callable[[float], complex]
 
 FREQUENCIES_HZ: Final = np.geomspace(5.0, 600.0, 60)
+# From a neighbour's frequency a crossing is bracketed by this factor, at most so many times.
+BRACKET: Final = 1.02
+BRACKETS: Final = 20
+COMMANDS_N: Final = np.geomspace(60.0, 1.6e4, 36)
 # Amplitudes of the piston at which damping and friction are tried.
 VELOCITIES_M_S: Final = np.geomspace(1e-4, 2.0, 12)
 
 
-class Locus(NamedTuple):
-    """Predicted cycles: amplitude of the command (N), gain, frequency, amplitude of force (N)."""
+class OneHarmonic(NamedTuple):
+    """
+    A loop as the one-harmonic prediction takes it.
 
-    command_n: Array
-    gain: Array
-    frequency_hz: Array
-    amplitude_n: Array
-    stable: npt.NDArray[np.bool_]
+    held: the command is held over the control period (a linear hold in series), as the simulated
+    loop does; False: continuous time, as the paper calculates. limited: the limit of the command
+    cuts the sine before the hysteresis. samples: a period, of the describing function.
+    """
+
+    loop: Loop
+    held: bool
+    limited: bool = True
+    samples: int = describing.SAMPLES
+
+    def per_gain(self, frequency_hz: npt.ArrayLike) -> Complex:
+        """Return L: the loop without its gain, its sign and its hysteresis."""
+        loop = self.loop
+        return (linear.plant(frequency_hz, loop.plant, loop.period_s if self.held else 0.0)
+                * frequency_response(loop.compensator, frequency_hz, 1.0 / loop.period_s)
+                / loop.compensator['gain'])
+
+    @property
+    def limit_n(self) -> float:
+        """Limit of the command (N), infinite if it is left out."""
+        return min(float(self.loop.plant['command_limit']),
+                   float(self.loop.compensator['saturation'])) if self.limited else math.inf
+
+    def hysteresis(self, amplitude_n: float, frequency_hz: float) -> complex:
+        """Return N of the hysteresis for a command of an amplitude."""
+        return describing.hysteresis(amplitude_n, frequency_hz, 0.0, self.loop.plant,
+                                     self.limit_n, self.samples)
 
 
-def plant_without_damping(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:
-    """Return command to measured force, sampled and held; hysteresis, damping, friction out."""
-    p = loop.plant
-    return (linear.hold(frequency_hz, loop.period_s) * linear.flexure(frequency_hz, p)
-            * p['valve_characteristic_gain'] * linear.fluid(frequency_hz, p)
-            * linear.felt(frequency_hz, p) * linear.sensor(frequency_hz, p))
+class Intersection(NamedTuple):
+    """A predicted cycle: amplitudes of command and force (N), gain, frequency (Hz)."""
+
+    command_n: float
+    gain: float
+    frequency_hz: float
+    amplitude_n: float
 
 
-def per_gain(frequency_hz: npt.ArrayLike, loop: Loop) -> Complex:
-    """Return L: the loop without its gain, its sign and its hysteresis."""
-    return (plant_without_damping(frequency_hz, loop)
-            * frequency_response(loop.compensator, frequency_hz, 1.0 / loop.period_s)
-            / loop.compensator['gain'])
+def _crossings(needed: NeededGain, near_hz: float | None) -> list[tuple[float, float]]:
+    """Return frequencies (Hz) between which the needed gain becomes real and positive."""
+    tried: Iterable[Array] = [FREQUENCIES_HZ]
+    if near_hz is not None:
+        tried = [near_hz * np.array([BRACKET ** -k, BRACKET ** k]) for k in range(1, BRACKETS)]
+    found: list[tuple[float, float]] = []
+    for frequencies in tried:
+        values = np.array([needed(f) for f in frequencies])
+        turned = np.flatnonzero((values.imag[:-1] < 0.0) != (values.imag[1:] < 0.0))
+        found = [(frequencies[k], frequencies[k + 1]) for k in turned
+                 if values[k].real >= 0.0 or values[k + 1].real >= 0.0]
+        if found:
+            break
+    return found
 
 
-def _least_gain(needed: Callable[[float], complex]) -> tuple[float, float] | None:
-    """Return (gain, frequency) of the least gain above 0 that is real where it is needed."""
-    values = np.array([needed(f) for f in FREQUENCIES_HZ])
+def least_gain(needed: NeededGain, near_hz: float | None = None) -> tuple[float, float] | None:
+    """
+    Return (gain, frequency) of the least gain above 0 that is real where it is needed.
+
+    near_hz: look about this frequency only, which is faster.
+    """
     best = None
-    turned = np.flatnonzero((values.imag[:-1] < 0.0) != (values.imag[1:] < 0.0))
-    for k in turned:
-        if values[k].real < 0.0 and values[k + 1].real < 0.0:
-            continue
-        f = brentq(lambda f: needed(f).imag, FREQUENCIES_HZ[k], FREQUENCIES_HZ[k + 1],
-                   xtol=1e-4)
+    for low, high in _crossings(needed, near_hz):
+        f = float(brentq(lambda f: needed(f).imag, low, high, xtol=1e-4))
         gain = needed(f).real
         if gain > 0.0 and (best is None or gain < best[0]):
             best = (gain, f)
     return best
 
 
-def _in_series(loop: Loop, passed: Callable[[float], complex]) -> Callable[[float], complex]:
+def in_series(of: OneHarmonic, passed: NeededGain) -> NeededGain:
     """Return the gain that a cycle needs with a nonlinearity between command and force."""
-    return lambda f: complex(-1.0 / (per_gain([f], loop)[0] * (passed(f) or 1e-12)))
+    return lambda f: complex(-1.0 / (of.per_gain([f])[0] * (passed(f) or 1e-12)))
 
 
-def _on_the_piston(loop: Loop, opposed: Callable[[float], complex], friction: bool
-                   ) -> Callable[[float], complex]:
+def _on_the_piston(of: OneHarmonic, opposed: NeededGain, friction: bool) -> NeededGain:
     """Return the gain that a cycle needs with a nonlinear force (N s/m) against the velocity."""
+    p = of.loop.plant
+
     def needed(f: float) -> complex:
-        at = [f]
-        direct = 1.0 if friction else linear.fluid(at, loop.plant)[0]
-        held = opposed(f) * direct / linear.impedance(at, loop.plant)[0]
-        return complex(-(1.0 + held) / per_gain(at, loop)[0])
+        direct = 1.0 if friction else complex(linear.fluid(p)(f))
+        held = opposed(f) * direct / linear.impedance([f], p)[0]
+        return complex(-(1.0 + held) / of.per_gain([f])[0])
     return needed
 
 
-def _passed(loop: Loop, amplitude_n: float, frequency_hz: float) -> complex:
-    limit = min(float(loop.plant['command_limit']), float(loop.compensator['saturation']))
-    return describing.hysteresis(amplitude_n, frequency_hz, 0.0, loop.plant, limit)
+def intersection(of: OneHarmonic, amplitude_n: float, near_hz: float | None = None
+                 ) -> Intersection | None:
+    """Return the cycle that the hysteresis alone makes with a command of an amplitude (N)."""
+    found = least_gain(in_series(of, partial(of.hysteresis, amplitude_n)), near_hz)
+    if found is None:
+        return None
+    gain, f = found
+    loop = of.loop
+    compensated = abs(frequency_response(loop.compensator, [f], 1.0 / loop.period_s)[0])
+    # The command is the compensated force.
+    return Intersection(float(amplitude_n), gain, f,
+                        float(amplitude_n / compensated * loop.compensator['gain'] / gain))
 
 
-def hysteresis_alone(loop: Loop, amplitudes_n: Array) -> Locus:
-    """Return the predicted cycles; amplitudes of the command without any are left out."""
-    rows, stable = [], []
+def locus(of: OneHarmonic, amplitudes_n: Array = COMMANDS_N) -> list[Intersection]:
+    """Return the cycles that the hysteresis alone makes; amplitudes without any are left out."""
+    rows: list[Intersection] = []
     for amplitude in amplitudes_n:
-        found = _least_gain(_in_series(loop, partial(_passed, loop, amplitude)))
+        found = (intersection(of, amplitude, rows[-1].frequency_hz) if rows else None
+                 ) or intersection(of, amplitude)
         if found is not None:
-            gain, f = found
-            compensated = abs(frequency_response(loop.compensator, [f], 1.0 / loop.period_s)[0])
-            # The command is the compensated force.
-            rows.append((amplitude, gain, f,
-                         amplitude / compensated * loop.compensator['gain'] / gain))
-            stable.append(_loeb(loop, gain, amplitude, f))
-    command, gains, frequencies, forces = np.array(rows).reshape(-1, 4).T
-    return Locus(command, gains, frequencies, forces, np.array(stable, bool))
+            rows.append(found)
+    return rows
 
 
-def _loeb(loop: Loop, gain: float, amplitude_n: float, frequency_hz: float) -> bool:
+def first_intersection(of: OneHarmonic, rows: list[Intersection]) -> Intersection:
+    """Return the cycle of the least gain, between the rows of a locus about it."""
+    k = int(np.argmin([row.gain for row in rows]))
+    if not 0 < k < len(rows) - 1:
+        return rows[k]
+
+    def at(logarithm: float) -> Intersection:
+        return intersection(of, math.exp(logarithm), rows[k].frequency_hz) or rows[k]
+
+    best = minimize_scalar(lambda x: at(x).gain, method='bounded', options={'xatol': 1e-4},
+                           bounds=np.log([rows[k - 1].command_n, rows[k + 1].command_n]))
+    return min(rows[k], at(float(best.x)), key=lambda row: row.gain)
+
+
+def at_gain(of: OneHarmonic, rows: list[Intersection], gain: float) -> Intersection | None:
+    """Return the large cycle of a locus at a gain; None where the locus does not reach it."""
+    first = int(np.argmin([row.gain for row in rows]))
+    above = next((k for k in range(first + 1, len(rows)) if rows[k].gain >= gain), None)
+    if above is None or gain < rows[first].gain:
+        return None
+    near = rows[above].frequency_hz
+
+    def at(logarithm: float) -> Intersection:
+        return intersection(of, math.exp(logarithm), near) or rows[above]
+
+    return at(float(brentq(lambda x: at(x).gain - gain, math.log(rows[above - 1].command_n),
+                           math.log(rows[above].command_n), xtol=1e-5)))
+
+
+def stable(of: OneHarmonic, cycle: Intersection) -> bool:
     """Return whether a cycle is stable: more amplitude moves the roots into the left half."""
     def response(amplitude: float, f: float) -> complex:
-        return complex(gain * per_gain([f], loop)[0] * _passed(loop, amplitude, f))
+        return complex(cycle.gain * of.per_gain([f])[0] * of.hysteresis(amplitude, f))
 
-    with_amplitude = (response(1.02 * amplitude_n, frequency_hz)
-                      - response(0.98 * amplitude_n, frequency_hz))
-    with_frequency = (response(amplitude_n, 1.01 * frequency_hz)
-                      - response(amplitude_n, 0.99 * frequency_hz))
+    a, f = cycle.command_n, cycle.frequency_hz
+    with_amplitude = response(1.02 * a, f) - response(0.98 * a, f)
+    with_frequency = response(a, 1.01 * f) - response(a, 0.99 * f)
     return (with_amplitude * with_frequency.conjugate()).imag < 0.0
 
 
-def linear_limit(loop: Loop) -> tuple[float, float] | None:
+def linear_limit(of: OneHarmonic) -> tuple[float, float] | None:
     """Return (gain, frequency) at which the loop is unstable with no nonlinearity at all."""
-    return _least_gain(_in_series(loop, _always(1.0)))
+    return least_gain(in_series(of, _always(1.0)))
 
 
-def _always(value: complex) -> Callable[[float], complex]:
+def _always(value: complex) -> NeededGain:
     return lambda _: value
 
 
-def _rubbed(velocity_m_s: float, p: np.void, frequency_hz: float) -> complex:
-    return describing.seal_friction(velocity_m_s, frequency_hz, p)
-
-
-def each_alone(loop: Loop) -> dict[str, tuple[float, float] | None]:
+def each_alone(of: OneHarmonic) -> dict[str, tuple[float, float] | None]:
     """
     Return (gain, frequency) of the first cycle that each nonlinearity makes alone.
 
@@ -139,34 +205,37 @@ def each_alone(loop: Loop) -> dict[str, tuple[float, float] | None]:
     so it makes none below the linear limit; damping and friction make one only if, at some
     amplitude, they turn the force far enough.
     """
-    p = loop.plant
-    limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
+    p = of.loop.plant
     slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p).real
     openings = p['valve_characteristic_full_opening'] * np.geomspace(0.01, 4.0, 12)
     candidates = {
-        'valve_hysteresis': [_in_series(loop, partial(_passed, loop, a))
-                             for a in np.geomspace(60.0, 1.6e4, 36)],
-        'valve_characteristic': [_in_series(
-            loop, _always(describing.characteristic(a, 0.0, p) / slope)) for a in openings],
+        'valve_characteristic': [in_series(
+            of, _always(describing.characteristic(a, 0.0, p) / slope)) for a in openings],
         'hydraulic_damping': [_on_the_piston(
-            loop, _always(describing.damping(v, 0.0, p)), False) for v in VELOCITIES_M_S],
+            of, _always(describing.damping(v, 0.0, p)), False) for v in VELOCITIES_M_S],
         'friction': [_on_the_piston(
-            loop, partial(_rubbed, v, p), True) for v in VELOCITIES_M_S],
-        'command_limit': [_in_series(
-            loop, _always(describing.saturation_closed_form(a, limit)))
-            for a in limit * np.geomspace(1.0, 8.0, 8)]}
-    first = {name: [found for found in map(_least_gain, rows) if found]
-             for name, rows in candidates.items()}
-    return {name: min(found) if found else None for name, found in first.items()}
+            of, partial(lambda v, f: describing.seal_friction(v, f, p), v), True)
+            for v in VELOCITIES_M_S],
+        'command_limit': [in_series(
+            of, _always(describing.saturation_closed_form(a, of.limit_n)))
+            for a in of.limit_n * np.geomspace(1.0, 8.0, 8)]}
+    rows = locus(of)
+    first = first_intersection(of, rows) if rows else None
+    alone: dict[str, tuple[float, float] | None] = {
+        'valve_hysteresis': (first.gain, first.frequency_hz) if first else None}
+    for name, needed in candidates.items():
+        found = [each for each in map(least_gain, needed) if each]
+        alone[name] = min(found) if found else None
+    return alone
 
 
-def seen_by_damping(frequency_hz: npt.ArrayLike, loop: Loop, friction: bool) -> Complex:
+def piston_response(of: OneHarmonic, frequency_hz: npt.ArrayLike, friction: bool) -> Complex:
     """
     Return W of Fig. 8: a cycle by damping (or friction) alone needs -1/D(A) = W.
 
     From the force against the piston to its velocity, the loop closed around, hysteresis a gain.
     """
     f = np.asarray(frequency_hz, float)
-    direct = 1.0 if friction else linear.fluid(f, loop.plant)
-    return direct / (linear.impedance(f, loop.plant)
-                     * (1.0 + loop.compensator['gain'] * per_gain(f, loop)))
+    direct = 1.0 if friction else linear.fluid(of.loop.plant)(f)
+    return direct / (linear.impedance(f, of.loop.plant)
+                     * (1.0 + of.loop.compensator['gain'] * of.per_gain(f)))

@@ -1,4 +1,4 @@
-"""Cycles of the simulated loop: to begin harmonic balance from, and to judge it by."""
+"""Simulated steps until what they leave has settled: the cycle, or rest."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,21 +6,19 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.closed_loop import LoopRun, records, simulate_loops
+from asi_analysis.loop.closed_loop import LoopRun, close_many, loops_of, records
 from asi_analysis.loop.harmonic_balance import HARMONICS, Balance, Loop, valve_forces
-from asi_analysis.measures.sinusoid import Oscillation, fit
+from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 from asi_common.parameter import Value
 
 Values = Mapping[str, Value]
-# A step is watched so long, again longer until what it leaves has settled or died out, and the
-# cycle is measured over the last part. Close to its fold a cycle is slow to settle.
-WATCHED_S: Final = (1.0, 4.0, 12.0)
+# The loop is first watched for so long, then twice as long each time, until what the step left
+# has settled or died out; in all at most the second. Close to its fold a cycle settles slowly.
+FIRST_WATCHED_S: Final = 1.0
+WATCHED_S: Final = 32.0
 MEASURED_S: Final = 0.35
-# The second half of the measured part is as large as the first within the first share if the
-# motion has settled; it is no cycle if it has fallen by more than the second.
-SETTLED: Final = 0.003
-FALLEN: Final = 0.03
-LEAST_N: Final = 0.5
+# A motion has settled if its amplitude changes by less than this share a period.
+SETTLED: Final = 1e-4
 
 
 def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
@@ -30,44 +28,52 @@ def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
     return Loop(plant, compensator, 1.0 / rate_hz, held_n)
 
 
-def step_run(actuator: Values, controller: Values, rate_hz: float) -> LoopRun:
-    """Return the loop's answer to a step of its reference, until what it leaves has settled."""
-    return step_runs([actuator], [controller], rate_hz)[0]
+def step_run(actuator: Values, controller: Values, rate_hz: float, watched_s: float = WATCHED_S
+             ) -> LoopRun:
+    """Return the end of the loop's answer to a step, when what the step left has settled."""
+    return step_runs([actuator], [controller], rate_hz, watched_s)[0]
 
 
-def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float
-              ) -> list[LoopRun]:
-    """Return `step_run` of each actuator with its controller, on all cores."""
+def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float,
+              watched_s: float = WATCHED_S) -> list[LoopRun]:
+    """
+    Return the last MEASURED_S of the loops' answers to a step, on all cores.
+
+    The step is that of the controllers' reference (from its offset, by its amplitude). Each loop
+    runs on until its oscillation has settled or died out, for `watched_s` s at most.
+    """
     stepped = [{'reference.start': 0.01, **each, 'reference.shape': 'step'}
                for each in controllers]
-    runs = simulate_loops(actuators, stepped, WATCHED_S[0], rate_hz)
-    for duration in WATCHED_S[1:]:
-        moving = [k for k, run in enumerate(runs) if not _settled(*_swings(run))]
-        longer = simulate_loops([actuators[k] for k in moving], [stepped[k] for k in moving],
-                                duration, rate_hz) if moving else []
-        for k, run in zip(moving, longer, strict=True):
-            runs[k] = run
-    return runs
+    loops = loops_of(actuators, stepped, rate_hz)
+    found: dict[int, LoopRun] = {}
+    moving = np.arange(len(actuators))
+    piece_s, elapsed_s = min(FIRST_WATCHED_S, watched_s), 0.0
+    while len(moving):
+        signals = close_many(loops, piece_s, MEASURED_S)
+        elapsed_s += piece_s
+        # The next piece counts its time from 0: the step has been made by then.
+        loops.references['reference_start'] = 0.0
+        time_s = elapsed_s + np.arange(-signals.shape[2], 0) / rate_hz
+        found |= {int(k): LoopRun(time_s, *each) for k, each in zip(moving, signals, strict=True)}
+        piece_s = min(elapsed_s, watched_s - elapsed_s)
+        if piece_s < MEASURED_S:
+            break
+        unsettled = np.flatnonzero([not _settled(each[2], rate_hz) for each in signals])
+        moving, loops = moving[unsettled], loops.some(unsettled)
+    return [found[k] for k in range(len(actuators))]
 
 
-def _swings(run: LoopRun) -> tuple[float, float]:
-    """Return the force's swing (N, peak to peak) in both halves of the measured part."""
-    force = run.force_n[run.time_s > run.time_s[-1] - MEASURED_S]
-    first, second = np.array_split(force, 2)
-    return float(np.ptp(first)), float(np.ptp(second))
-
-
-def _settled(before: float, after: float) -> bool:
-    return not after >= 2.0 * LEAST_N or abs(after / before - 1.0) < SETTLED
+def _settled(force: np.ndarray, rate_hz: float) -> bool:
+    found = of_samples(force, rate_hz)
+    return not found.amplitude_n > FLOOR_N or (
+        abs(found.growth_1_s) < SETTLED * found.frequency_hz)
 
 
 def sustained(run: LoopRun) -> Oscillation | None:
-    """Return the oscillation that is left at the end of a run; None if it dies out."""
-    before, after = _swings(run)
-    if not after >= 2.0 * LEAST_N or after < (1.0 - FALLEN) * before:
-        return None
-    last = run.time_s > run.time_s[-1] - MEASURED_S
-    return fit(run.time_s[last], run.force_n[last])
+    """Return the oscillation at the end of a run; None if it is not sustained."""
+    rate_hz = (len(run.time_s) - 1) / (run.time_s[-1] - run.time_s[0])
+    found = of_samples(run.force_n[-round(MEASURED_S * rate_hz):], rate_hz)
+    return found if found.sustained and math.isfinite(found.amplitude_n) else None
 
 
 def _projected(run: LoopRun, values: np.ndarray, frequency_hz: float, harmonics: int
@@ -83,8 +89,9 @@ def _projected(run: LoopRun, values: np.ndarray, frequency_hz: float, harmonics:
 def remembering(loop: Loop, run: LoopRun, frequency_hz: float) -> Loop:
     """Return the loop with the mean friction of a simulated cycle: what its seals remember."""
     static, damping = valve_forces(run.valve_position_m, run.velocity_m_s, loop.plant)
-    rub = static - damping - (run.force_n - loop.plant['force_sensor_offset'])
-    return loop._replace(friction_n=float(_projected(run, rub, frequency_hz, HARMONICS)[0].real))
+    friction = static - damping - (run.force_n - loop.plant['force_sensor_offset'])
+    return loop._replace(friction_n=float(
+        _projected(run, friction, frequency_hz, HARMONICS)[0].real))
 
 
 def as_balance(run: LoopRun, oscillation: Oscillation, gain: float, harmonics: int) -> Balance:

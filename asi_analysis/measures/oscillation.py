@@ -1,63 +1,185 @@
-"""Does the force oscillate by itself in the steady part of a run, how fast and how much."""
+"""
+The definition of a sustained oscillation, and its measure.
 
-from typing import Final, NamedTuple
+An oscillation is sustained if its amplitude is above the noise floor and does not decay: the 95 %
+interval of its growth rate, 1/s, is not wholly below -MOST_DECAY times its frequency. All of the
+software decides by `is_sustained`; the growth rate is estimated from noisy recordings by maximum
+likelihood (`sinusoid.fits`), and from simulated records, by the thousand, from the amplitudes of
+their periods (`of_samples`). A test compares the two.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, signal
+from scipy import optimize, signal, special
 
 from asi_analysis.bags.run import Run
+from asi_analysis.measures.sinusoid import dominant_frequency, fits
 from asi_analysis.measures.step_response import held
+from asi_common.jit import jit
 
+# An amplitude that falls by more than this share a period decays (damping ratio 3e-4).
+MOST_DECAY: Final = 0.002
+# Noise floor of simulated forces (N): smaller motions are creep and rounding.
+FLOOR_N: Final = 0.5
 # Part of the run after the last change of the reference's course that counts as steady.
 STEADY_SHARE: Final = 0.5
 FEWEST_PERIODS: Final = 5
-# From the first half of the steady part to the second an oscillation that lasts keeps this share.
-KEEPS: Final = 0.9
 # Least amplitude, as share of the whole movement of the force, and share of the movement in the
 # steady part that the sine must explain.
 LEAST_SHARE: Final = 1e-3
 LEAST_EXPLAINED: Final = 0.3
 HARMONICS: Final = 9
+# Periods from which a growth rate can be estimated.
+FEWEST_RATED: Final = 3
 
 Array = npt.NDArray[np.float64]
 
 
 class Oscillation(NamedTuple):
-    """What swings in the steady part; frequency and amplitude None if nothing does."""
+    """
+    An oscillation and whether it is sustained; figures are NaN where nothing oscillates.
 
-    sustained: bool | None      # None: cannot be told, `reason` says why
-    frequency_hz: float | None
-    amplitude_n: float | None   # of the fundamental
-    reason: str | None
+    sustained: None if that cannot be told; `reason` says why. amplitude_n: of the fundamental, in
+    the unit of the signal; thd: rms of the harmonics over that of the fundamental; growth_1_s:
+    rate of the amplitude's logarithm. The `_sd` are standard deviations.
+    """
+
+    sustained: bool | None = False
+    frequency_hz: float = math.nan
+    amplitude_n: float = math.nan
+    thd: float = math.nan
+    growth_1_s: float = math.nan
+    frequency_sd_hz: float = math.nan
+    amplitude_sd_n: float = math.nan
+    growth_sd_1_s: float = math.nan
+    reason: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keys of `asi analyze --json`; figures that are missing are None."""
+        return {'sustained': self.sustained,
+                **{name: value if math.isfinite(value) else None
+                   for name, value in (('frequency_hz', self.frequency_hz),
+                                       ('amplitude_n', self.amplitude_n))}}
+
+
+def is_sustained(growth_1_s: float, growth_sd_1_s: float, freedom: float, frequency_hz: float,
+                 amplitude: float, noise_floor: float) -> bool:
+    """
+    Return whether an oscillation is sustained: the definition.
+
+    growth_1_s, growth_sd_1_s: growth rate of the amplitude and its standard deviation, 1/s, with
+    `freedom` degrees of freedom; amplitude and noise_floor in one unit.
+    """
+    if not amplitude > noise_floor:
+        return False
+    half = special.stdtrit(max(freedom, 1.0), 0.975) * growth_sd_1_s
+    return bool(growth_1_s + half >= -MOST_DECAY * frequency_hz)
+
+
+@jit
+def _amplitude(values, mean, slope, begin, end, period):
+    """Return the complex amplitude at a period, from sample `begin` to `end`, parts included."""
+    total, weights = 0.0 + 0.0j, 0.0
+    for k in range(math.ceil(begin), math.floor(end) + 1):
+        weight = min(1.0, k - begin + 0.5) * min(1.0, end - k + 0.5)
+        angle = 2.0 * math.pi * k / period
+        value = values[k] - mean - slope * (k - 0.5 * (values.size - 1))
+        total += weight * value * complex(math.cos(angle), -math.sin(angle))
+        weights += weight
+    return 2.0 * total / weights
+
+
+@jit
+def _periods(values, harmonics, sizes, middles):
+    """
+    Measure the periods of a signal about its straight line, in samples.
+
+    Fills the rms value of each period and its middle; returns their number, mean period, amplitude
+    of the fundamental and distortion.
+    """
+    n = values.size
+    # The straight line through the samples: a slow drift of the mean is no oscillation.
+    slope = mean = 0.0
+    for k in range(n):
+        mean += values[k] / n
+        slope += (k - 0.5 * (n - 1)) * values[k]
+    slope *= 12.0 / (n * (n * n - 1.0))
+    first = last = -1.0
+    count = 0
+    for k in range(1, n):
+        before = values[k - 1] - mean - slope * (k - 1 - 0.5 * (n - 1))
+        after = values[k] - mean - slope * (k - 0.5 * (n - 1))
+        if not before < 0.0 <= after:
+            continue
+        crossing = k - 1 - before / (after - before)
+        if count == 0:
+            first = crossing
+        elif count <= sizes.size:
+            total = squares = weights = 0.0
+            for j in range(math.ceil(last), math.floor(crossing) + 1):
+                weight = min(1.0, j - last + 0.5) * min(1.0, crossing - j + 0.5)
+                value = values[j] - mean - slope * (j - 0.5 * (n - 1))
+                total += weight * value
+                squares += weight * value * value
+                weights += weight
+            sizes[count - 1] = math.sqrt(max(squares / weights - (total / weights) ** 2, 0.0))
+            middles[count - 1] = 0.5 * (last + crossing)
+        last = crossing
+        count += 1
+    if count < 3:
+        return 0, 0.0, 0.0, 0.0
+    period = (last - first) / (count - 1)
+    # What the phase of the fundamental turns from half to half corrects the period.
+    half = (count - 1) // 2 * period
+    turned = np.angle(_amplitude(values, mean, slope, first + half, first + 2.0 * half, period)
+                      / _amplitude(values, mean, slope, first, first + half, period))
+    period /= 1.0 + turned / (2.0 * math.pi) * period / half
+    base = abs(_amplitude(values, mean, slope, first, last, period))
+    power = 0.0
+    for h in range(2, harmonics + 1):
+        power += abs(_amplitude(values, mean, slope, first, last, period / h)) ** 2
+    return min(count - 1, sizes.size), period, base, math.sqrt(power) / base
+
+
+def of_samples(values: Array, rate_hz: float, noise_floor: float = FLOOR_N) -> Oscillation:
+    """
+    Return the oscillation of an even record without noise, such as a simulated force.
+
+    Periods are cut at the upward crossings of the record's straight line; the growth rate is the
+    slope of the logarithm of their rms values. Fewer than FEWEST_RATED periods are no oscillation;
+    a record that runs away (not finite) is sustained, without figures.
+    """
+    if not np.isfinite(values).all():
+        return Oscillation(True, reason='the signal runs away')
+    if values.size < 4:
+        return Oscillation()
+    sizes, middles = np.empty(values.size // 2), np.empty(values.size // 2)
+    count, period, amplitude, thd = _periods(
+        np.ascontiguousarray(values), HARMONICS, sizes, middles)
+    if count < FEWEST_RATED or not amplitude > 0.0:
+        return Oscillation()
+    time = middles[:count] / rate_hz
+    time -= time.mean()
+    level = np.log(np.maximum(sizes[:count], 1e-300))
+    moment = float(time @ time)
+    growth = float(time @ level) / moment
+    left = level - level.mean() - growth * time
+    deviation = math.sqrt(float(left @ left) / (count - 2) / moment)
+    frequency = rate_hz / period
+    return Oscillation(
+        is_sustained(growth, deviation, count - 2, frequency, amplitude, noise_floor), frequency,
+        amplitude, thd, growth, math.nan, math.nan, deviation)
 
 
 def fit_sine(time: Array, values: Array, frequency_hz: float) -> tuple[complex, Array]:
-    """Return amplitude and phase (a complex number) at a frequency, and what is left (N)."""
+    """Return the complex amplitude of a sine at a frequency (Hz), and the residual."""
     angle = 2.0 * np.pi * frequency_hz * time
     basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(time)])
     weights, *_ = np.linalg.lstsq(basis, values, rcond=None)
     return complex(weights[0], -weights[1]), values - basis @ weights
-
-
-def dominant_frequency(time: Array, values: Array, fewest_periods: int = FEWEST_PERIODS) -> float:
-    """
-    Return the frequency (Hz) of the strongest sine of at least so many periods.
-
-    The peak of the windowed spectrum, refined by least squares within a line of it.
-    """
-    period = (time[-1] - time[0]) / (time.size - 1)
-    spectrum = np.abs(np.fft.rfft(values * signal.windows.hann(values.size)))
-    spectrum[:fewest_periods] = 0.0
-    # At half the sampling rate itself amplitude and phase cannot be told apart.
-    spectrum[int(0.95 * spectrum.size):] = 0.0
-    line = 1.0 / (period * values.size)
-    guess = float(np.argmax(spectrum)) * line
-    best = optimize.minimize_scalar(
-        lambda f: float(np.sum(fit_sine(time, values, f)[1]**2)),
-        bounds=(max(guess - line, 0.1 * line), guess + line), method='bounded',
-        options={'xatol': 1e-4 * line})
-    return float(best.x)
 
 
 def _steady_part(run: Run) -> slice:
@@ -79,10 +201,14 @@ def _without_reference(time: Array, force: Array, reference: Array) -> Array | N
     """
     if np.ptp(reference) <= 1e-3 * max(np.ptp(force), 1e-12):
         return force
-    frequency = dominant_frequency(time, reference, 1)
-    amplitude, left = fit_sine(time, reference, frequency)
+    guess, line = dominant_frequency(time, reference, 0.5, 0), 1.0 / (time[-1] - time[0])
+    frequency = float(optimize.minimize_scalar(
+        lambda f: float(np.sum(fit_sine(time, reference, f)[1]**2)),
+        bounds=(max(guess - line, 0.1 * line), guess + line), method='bounded',
+        options={'xatol': 1e-4 * line}).x)
+    _, residual = fit_sine(time, reference, frequency)
     # A triangle leaves 1.4 % of its power; a chirp or a PRBS most of it.
-    if np.var(left) > 0.05 * np.var(reference):
+    if np.var(residual) > 0.05 * np.var(reference):
         return None
     for k in range(1, HARMONICS + 1):
         force = fit_sine(time, force, k * frequency)[1]
@@ -93,34 +219,37 @@ def oscillation(run: Run) -> Oscillation:
     """
     Return the self-sustained oscillation of the force in the steady part of a run.
 
-    Sustained: its amplitude in the second half of that part is at least 0.9 of the first half's.
-    What a periodic reference forces (its frequency and harmonics) is taken out before.
+    The steady part is the second half of the time after the last jump of the reference. What a
+    periodic reference forces (its frequency and harmonics) is taken out before.
     """
     if run.force_n is None:
-        return Oscillation(None, None, None, 'the run holds no force')
+        return Oscillation(None, reason='the run holds no force')
     part = _steady_part(run)
     time, force = run.time_s[part], run.force_n[part]
     valid = np.isfinite(force)
     time, force = time[valid], force[valid]
     if time.size < 50:
-        return Oscillation(None, None, None, 'the steady part is shorter than 50 samples')
-    least = LEAST_SHARE * np.ptp(run.force_n[np.isfinite(run.force_n)])
-    if least == 0.0:
-        return Oscillation(False, None, None, None)
+        return Oscillation(None, reason='the steady part is shorter than 50 samples')
+    noise_floor = LEAST_SHARE * np.ptp(run.force_n[np.isfinite(run.force_n)])
+    if noise_floor == 0.0:
+        return Oscillation()
     force = signal.detrend(force)
     if run.reference_n is not None:
         reference = held(run.reference_n)[part][valid]
-        freed = _without_reference(time, force, reference - reference.mean())
-        if freed is None:
-            return Oscillation(None, None, None,
-                               'the reference moves at many frequencies to the end of the run')
-        force = freed
-    frequency = dominant_frequency(time, force)
-    amplitude, left = fit_sine(time, force, frequency)
-    explained = 1.0 - np.var(left) / max(float(np.var(force)), 1e-300)
-    if abs(amplitude) < least or explained < LEAST_EXPLAINED:
-        return Oscillation(False, None, None, None)
-    half = time.size // 2
-    first = abs(fit_sine(time[:half], force[:half], frequency)[0])
-    second = abs(fit_sine(time[half:], force[half:], frequency)[0])
-    return Oscillation(second >= KEEPS * first, frequency, abs(amplitude), None)
+        own = _without_reference(time, force, reference - reference.mean())
+        if own is None:
+            return Oscillation(
+                None, reason='the reference moves at many frequencies to the end of the run')
+        force = own
+    found = fits(time, force, dominant_frequency(time, force, FEWEST_PERIODS), (True,))
+    if not found:
+        return Oscillation()
+    fit = found[0]
+    explained = 1.0 - np.var(fit_sine(time, force, fit.frequency_hz)[1]) / np.var(force)
+    if fit.amplitude < noise_floor or explained < LEAST_EXPLAINED:
+        return Oscillation()
+    return Oscillation(
+        is_sustained(fit.rate, fit.rate_sd, fit.freedom, fit.frequency_hz, fit.amplitude,
+                     noise_floor),
+        fit.frequency_hz, fit.amplitude, fit.thd, fit.rate, fit.frequency_sd_hz,
+        fit.amplitude_sd, fit.rate_sd)

@@ -29,7 +29,7 @@ LONG_SPECTRUM: Final = 2**18
 CLOSE: Final = 1e-8
 
 
-class Oscillation(NamedTuple):
+class HarmonicFit(NamedTuple):
     """
     A sum of harmonics found in a signal; amplitudes have the unit of the signal.
 
@@ -96,11 +96,12 @@ def on_grid(time_s: Array, values: Array) -> tuple[Array, float]:
     return np.interp(grid, time_s, values), period
 
 
-def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5) -> float:
+def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5, drift: int = 3
+                       ) -> float:
     """
     Return the frequency (Hz) of the highest peak of the periodogram.
 
-    The drift of the mean, to third order, is taken off first; fewer than `lowest_cycles` in the
+    The drift of the mean, to an order, is taken off first; fewer than `lowest_cycles` in the
     record do not count. NaN if there are too few samples. To an eighth of a line of the spectrum,
     half a line in records so long that no peak can hide between lines.
     """
@@ -108,8 +109,8 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5)
     if len(values) < 8:
         return np.nan
     even, period = on_grid(time_s, values)
-    drift = legendre(np.linspace(-0.5, 0.5, len(even)), 1.0, 3)
-    even = even - drift @ least_squares(drift, even)
+    slow = legendre(np.linspace(-0.5, 0.5, len(even)), 1.0, drift)
+    even = even - slow @ least_squares(slow, even)
     size = fft.next_fast_len(max(min(8 * len(even), LONG_SPECTRUM), 2 * len(even)), real=True)
     power = np.abs(fft.rfft(even, size)) ** 2
     first = int(np.ceil(lowest_cycles * size / len(even)))
@@ -332,7 +333,7 @@ def _local_noise(record: Record, solution: _Solution, freedom: int) -> tuple[flo
     return white, freedom
 
 
-def fit(time_s: Array, values: Array, frequency_hz: float | None = None) -> Oscillation | None:
+def fit(time_s: Array, values: Array, frequency_hz: float | None = None) -> HarmonicFit | None:
     """
     Return the oscillation of constant amplitude in a signal, None if there are too few samples.
 
@@ -344,7 +345,7 @@ def fit(time_s: Array, values: Array, frequency_hz: float | None = None) -> Osci
 
 
 def fits(time_s: Array, values: Array, frequency_hz: float | None = None,
-         grows: tuple[bool, ...] = (False, True)) -> list[Oscillation]:
+         grows: tuple[bool, ...] = (False, True)) -> list[HarmonicFit]:
     """
     Return the oscillation in a signal, once for each of `grows`; none if too few samples.
 
@@ -364,7 +365,7 @@ def fits(time_s: Array, values: Array, frequency_hz: float | None = None,
             for each in grows]
 
 
-def fit_record(record: Record, frequency_hz: float, most: int, grows: bool) -> Oscillation:
+def fit_record(record: Record, frequency_hz: float, most: int, grows: bool) -> HarmonicFit:
     """Return the oscillation in a record, of up to so many harmonics; times as in the record."""
     most_drift = int(np.clip(frequency_hz * record.span_s, 0, min(10, record.samples // 5)))
     start = np.array([frequency_hz, 0.0, 0.0])
@@ -375,7 +376,7 @@ def fit_record(record: Record, frequency_hz: float, most: int, grows: bool) -> O
 
 
 def _result(record: Record, solution: _Solution, drift: int, harmonics: int, grows: bool
-            ) -> Oscillation:
+            ) -> HarmonicFit:
     nonlinear = 3 if grows else 1
     frequency, rate, sweep = map(float, solution.nonlinear)
     freedom = max(record.samples - solution.columns.shape[1] - nonlinear, 1)
@@ -396,7 +397,7 @@ def _result(record: Record, solution: _Solution, drift: int, harmonics: int, gro
     power = np.array([max(sizes[h] ** 2 - covariance[at_cosine + h, at_cosine + h]
                           - covariance[at_sine + h, at_sine + h], 0.0)
                       for h in range(1, harmonics)])
-    return Oscillation(
+    return HarmonicFit(
         origin_s=0.0, span_s=record.span_s,
         frequency_hz=frequency, frequency_sd_hz=float(deviations[0]),
         amplitude=float(sizes[0]),

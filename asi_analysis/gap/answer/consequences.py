@@ -15,8 +15,8 @@ from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.inference.uncertainty import draw, likelihood
 from asi_analysis.gap.model.model_file import improved_model
-from asi_analysis.limit_cycle.prediction.predict import simulated_onset
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.onset import onset
 from asi_analysis.measures.analysis import analyze
 from asi_common.parameter import ParameterError, Value
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
@@ -67,8 +67,8 @@ def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Conseque
 
     nominal = loop_figures(model, controller, rate_hz, duration_s, LOWEST_GAINS)
     improved = loop([candidate.fitted.record for candidate in best], LOWEST_GAINS)
-    onset = improved['onset_gain']
-    lowest = [NEAR * onset] if onset else []
+    known_gain = improved['onset_gain']
+    lowest = [NEAR * known_gain] if known_gain else []
     rng = np.random.default_rng(1)
     fits = [(candidate.fitted, likelihood(candidate.fitted)) for candidate in best]
     others = [loop([draw(fitted, found, rng) for fitted, found in fits], lowest)
@@ -89,11 +89,11 @@ def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_
     found: dict[str, float | None] = dict.fromkeys(
         ('onset_gain', 'onset_frequency_hz', 'onset_amplitude_n'))
     try:
-        onsets = (simulated_onset(actuator, {**controller, 'reference.shape': 'step'}, rate_hz,
-                                  low, ACCURACY) for low in lowest)
-        onset = next((each for each in onsets if each is not None), None)
-        if onset is not None:
-            found = dict(zip(found, onset, strict=True))
+        onsets = (onset(actuator, {**controller, 'reference.shape': 'step'}, rate_hz, low,
+                        ACCURACY) for low in lowest)
+        first = next((each for each in onsets if each is not None), None)
+        if first is not None:
+            found = dict(zip(found, first[:3], strict=True))
         simulated = simulate_loop(actuator, controller, duration_s, rate_hz)
     except ParameterError:   # a compensator that this rate does not allow
         return found | dict.fromkeys((*STEP_KEYS, 'oscillation_frequency_hz',

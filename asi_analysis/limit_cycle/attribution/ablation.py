@@ -13,18 +13,15 @@ from typing import Any, Final, NamedTuple
 
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import as_record
-from asi_analysis.limit_cycle.prediction.predict import simulated_onset, with_gain
 from asi_analysis.loop import harmonic_balance as hb
+from asi_analysis.loop.onset import Onset, balanced_cycle, onset, with_gain
 from asi_analysis.loop.simulation import (
     Values,
-    as_balance,
-    loop_of,
-    remembering,
     step_run,
     step_runs,
     sustained,
 )
-from asi_analysis.measures.sinusoid import Oscillation
+from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.terminal import Progress, silent
 
 NONLINEARITIES: Final = ('valve_hysteresis', 'valve_characteristic', 'hydraulic_damping',
@@ -34,13 +31,12 @@ ABOVE_ONSET: Final = 1.12
 HARMONICS: Final = 7
 
 
-
 class Cycles(NamedTuple):
     """What a loop with some of the nonlinearities does: simulated and balanced cycle, onset."""
 
     simulated: Oscillation | None
     predicted: hb.Balance | None
-    onset: tuple[float, float, float] | None
+    onset: Onset | None
 
 
 def only(kept: Sequence[str], actuator: Values) -> dict[str, Any]:
@@ -83,14 +79,9 @@ def shapley(amplitude: dict[tuple[str, ...], float]) -> dict[str, float]:
 def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: float,
            gain: float) -> Cycles:
     changed, settings = only(kept, actuator), with_gain(controller, gain)
-    run = step_run(changed, settings, rate_hz)
-    simulated, predicted = sustained(run), None
-    if simulated is not None:
-        loop = remembering(loop_of(changed, settings, rate_hz), run, simulated.frequency_hz)
-        guess = as_balance(run, simulated, float(loop.compensator['gain']), HARMONICS)
-        predicted = hb.balance(loop, guess)
-    return Cycles(simulated, predicted,
-                  simulated_onset(changed, controller, rate_hz, 0.35 * gain, 0.01))
+    balanced = balanced_cycle(changed, settings, rate_hz, HARMONICS)
+    return Cycles(_cycle(changed, settings, rate_hz), balanced[1] if balanced else None,
+                  onset(changed, controller, rate_hz, 0.35 * gain, 0.01))
 
 
 def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float | None = None,
@@ -101,14 +92,14 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
     gain: of the compensator, where the cycles are compared; by default a little above the onset.
     """
     report('onset', 0.0)
-    onset = simulated_onset(actuator, controller, rate_hz, 0.7 * gain if gain else 4.0)
-    at = gain or (ABOVE_ONSET * onset[0] if onset else 0.0)
+    first = onset(actuator, controller, rate_hz, 0.7 * gain if gain else 4.0)
+    at = gain or (ABOVE_ONSET * first.gain if first else 0.0)
     whole = _cycle(actuator, with_gain(controller, at), rate_hz) if at else None
     document: dict[str, Any] = {
         'gain': at or None, 'rate_hz': rate_hz,
-        'onset_gain': onset[0] if onset else None,
+        'onset_gain': first.gain if first else None,
         'frequency_hz': whole.frequency_hz if whole else None,
-        'amplitude_n': whole.amplitude if whole else None}
+        'amplitude_n': whole.amplitude_n if whole else None}
     if whole is None:
         return document | {'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'}
     report('shares', 0.1)
@@ -116,7 +107,7 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
     runs = step_runs([only(subset, actuator) for subset in subsets],
                      [with_gain(controller, at)] * len(subsets), rate_hz)
     swings = [sustained(run) for run in runs]
-    amplitudes = {subset: swing.amplitude if swing else 0.0
+    amplitudes = {subset: swing.amplitude_n if swing else 0.0
                   for subset, swing in zip(subsets, swings, strict=True)}
     shares = shapley(amplitudes)
     total = sum(max(value, 0.0) for value in shares.values()) or 1.0
@@ -137,13 +128,13 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
 
 
 def _figures(prefix: str, cycles: Cycles) -> dict[str, float | None]:
-    simulated, predicted, onset = cycles
+    simulated, predicted, first = cycles
     return {
         f'{prefix}_frequency_hz': simulated.frequency_hz if simulated else None,
-        f'{prefix}_amplitude_n': simulated.amplitude if simulated else None,
+        f'{prefix}_amplitude_n': simulated.amplitude_n if simulated else None,
         f'{prefix}_predicted_frequency_hz': predicted.frequency_hz if predicted else None,
         f'{prefix}_predicted_amplitude_n': predicted.amplitude_n if predicted else None,
-        f'{prefix}_onset_gain': onset[0] if onset else None}
+        f'{prefix}_onset_gain': first.gain if first else None}
 
 
 def _verdict(causes: list[dict[str, Any]], linear: bool, document: dict[str, Any]) -> str:

@@ -21,6 +21,7 @@ from asi_actuator.model.valve_hysteresis import play as play_step
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.attribution.shape import standing_frequency
 from asi_analysis.limit_cycle.attribution.valves import Stem, stick_step
+from asi_analysis.measures.oscillation import of_samples
 from asi_common.jit import jit
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +35,8 @@ VALVE_FAULTS: Final = CAUSES[:3]
 VISIBLE: Final = 1.5
 # Share of the loops whose set point another loop moves.
 SLAVES: Final = 0.35
+# Amplitude below which a simulated loop is at rest.
+NOISE_FLOOR: Final = 5e-5
 # Steps of the simulation for one of the controller, and the least lag that they see.
 SUBSTEPS: Final = 4
 LEAST_LAG: Final = 1e-3
@@ -199,11 +202,9 @@ def still(plant: Plant, valve: Valve, limit: float, count: int) -> tuple[Array, 
     return run_loop(plant, valve, limit, Weather(none, none + 0.37, none, none))
 
 
-def _lasts(values: Array) -> bool:
-    """Return whether a record swings to its end: its last quarter as much as the one before."""
-    quarter = len(values) // 4
-    last, before = np.ptp(values[-quarter:]), np.ptp(values[-2 * quarter:-quarter])
-    return bool(np.isfinite(last) and last > 1e-4 and last > 0.9 * before)
+def _oscillates(values: Array) -> bool:
+    """Return whether a record, in units of the valve's stroke, oscillates to its end."""
+    return bool(of_samples(values[len(values) // 2:], 1.0, NOISE_FLOOR).sustained)
 
 
 def ultimate_gain(plant: Plant, count: int) -> float:
@@ -212,7 +213,7 @@ def ultimate_gain(plant: Plant, count: int) -> float:
     for _ in range(24):
         middle = float(np.sqrt(low * high))
         _, y = still(plant._replace(gain=middle), Valve(), 1e12, count)
-        low, high = (low, middle) if not np.isfinite(y).all() or _lasts(y) else (middle, high)
+        low, high = (low, middle) if _oscillates(y) else (middle, high)
     return low
 
 
@@ -289,14 +290,14 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
     if cause != 'saturation' and not plant.integrating and random.random() < SLAVES:
         plant = _mastered(plant, random)
         horizon = min(int(horizon + 30.0 * plant.tank_integral), 15_000)
-        if _lasts(still(plant, Valve(), limit, horizon)[1]):
+        if _oscillates(still(plant, Valve(), limit, horizon)[1]):
             return None
     if cause == 'disturbance':
         period = (plant.delay + plant.lags[1]) * 10.0 ** random.uniform(0.6, 1.7)
     else:
         gain = limit_gain if cause == 'tight_tuning' else plant.gain
         _, y = still(plant._replace(gain=gain), valve, limit, horizon)
-        if cause != 'tight_tuning' and not _lasts(y):
+        if cause != 'tight_tuning' and not _oscillates(y):
             return None
         period = _period(y)
     if not 4.0 < period < 2000.0:

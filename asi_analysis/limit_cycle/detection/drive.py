@@ -7,7 +7,7 @@ import numpy as np
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.measures.record import Array, reduce
-from asi_analysis.measures.sinusoid import Oscillation, fit, known, on_grid
+from asi_analysis.measures.sinusoid import HarmonicFit, fit, known, on_grid
 
 # Delays, in cycles, of the reference from which the motion about a frequency is put together.
 DELAYS: Final = np.arange(-1, 9) / 4.0
@@ -29,7 +29,7 @@ def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Arr
     return t, r
 
 
-def follows_reference(run: Run, steady: Oscillation, start_s: float, end_s: float) -> str:
+def follows_reference(run: Run, steady: HarmonicFit, start_s: float, end_s: float) -> str:
     """Return why an oscillation follows a periodic reference, empty if it does not."""
     reference = moving_reference(run, start_s, end_s)
     found = fit(*reduce(*reference, steady.frequency_hz)) if reference else None

@@ -21,7 +21,7 @@ from asi_analysis.limit_cycle.detection.steadiness import analytic_signal, stead
 from asi_analysis.measures.noise import Autoregression, autoregression
 from asi_analysis.measures.record import Array, reduce
 from asi_analysis.measures.sinusoid import (
-    Oscillation,
+    HarmonicFit,
     dominant_frequency,
     fit,
     fits,
@@ -101,8 +101,8 @@ class _Piece(NamedTuple):
     values: Array
     frequency_hz: float            # about which it was looked at
     kind: str                      # 'noise' or 'line'
-    steady: Oscillation | None     # fitted at constant amplitude
-    moving: Oscillation | None     # fitted with a rate of its envelope
+    steady: HarmonicFit | None     # fitted at constant amplitude
+    moving: HarmonicFit | None     # fitted with a rate of its envelope
     description: float
     noise: Autoregression
 
@@ -391,7 +391,7 @@ def _harmonics(run: Run, name: str, piece: _Piece) -> str:
     return f'harmonics of {100 * command.thd:.2g} % in the command'
 
 
-def _its_own(oscillation: Oscillation, values: Array) -> bool:
+def _its_own(oscillation: HarmonicFit, values: Array) -> bool:
     """Return whether harmonics are larger than all that rounding makes of a pure sine."""
     step = drive.rounding(values[np.isfinite(values)])
     return oscillation.thd * oscillation.amplitude > ROUNDED * step

@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asi_analysis.limit_cycle.prediction.predict import COMMANDS_N
 from asi_analysis.loop import describing_functions as describing
-from asi_analysis.loop import one_harmonic
 from asi_analysis.loop.harmonic_balance import Loop
+from asi_analysis.loop.one_harmonic import COMMANDS_N, OneHarmonic, piston_response
 from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, WIDTH_IN, style
 
 MARKED_HZ = (50, 80, 100, 130, 200)
@@ -44,18 +43,16 @@ def nyquist(loop: Loop, frequency_hz: float) -> Figure:
 
 
 def _of_hysteresis(axes: Axes, loop: Loop, frequency_hz: float) -> None:
-    gain, p = float(loop.compensator['gain']), loop.plant
-    limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
+    gain, one = float(loop.compensator['gain']), OneHarmonic(loop, held=True)
 
     def inverse(amplitudes: np.ndarray) -> np.ndarray:
-        return np.array([-1.0 / describing.hysteresis(a, frequency_hz, 0.0, p, limit)
-                         for a in amplitudes])
+        return np.array([-1.0 / one.hysteresis(a, frequency_hz) for a in amplitudes])
 
-    line = gain * one_harmonic.per_gain(np.geomspace(30.0, 400.0, 400), loop)
+    line = gain * one.per_gain(np.geomspace(30.0, 400.0, 400))
     axes.plot(line.real, line.imag, color=BLUE, label='K L(jw)')
-    _mark(axes, gain * one_harmonic.per_gain(MARKED_HZ, loop),
+    _mark(axes, gain * one.per_gain(MARKED_HZ),
           [f'{each} Hz' for each in MARKED_HZ], BLUE, -1)
-    smallest = 1.1 * p['valve_hysteresis_radius']
+    smallest = 1.1 * loop.plant['valve_hysteresis_radius']
     locus = inverse(np.geomspace(max(3.0 * smallest, 60.0), COMMANDS_N[-1], 80))
     axes.plot(locus.real, locus.imag, color=ORANGE,
               label=f'-1/N(A) at {frequency_hz:.0f} Hz')
@@ -67,8 +64,9 @@ def _of_hysteresis(axes: Axes, loop: Loop, frequency_hz: float) -> None:
 def _of_damping(axes: Axes, loop: Loop) -> None:
     for friction, colour, name in ((False, BLUE, 'W(jw), damping'),
                                    (True, GREEN, 'W(jw), friction')):
-        seen = 1e3 * one_harmonic.seen_by_damping(np.geomspace(30.0, 400.0, 4000), loop, friction)
-        axes.plot(seen.real, seen.imag, color=colour, label=name)
+        response = 1e3 * piston_response(
+            OneHarmonic(loop, held=True), np.geomspace(30.0, 400.0, 4000), friction)
+        axes.plot(response.real, response.imag, color=colour, label=name)
     velocities = np.geomspace(0.01, 2.0, 60)
     inverse = -1e3 / np.array([describing.damping(v, 0.0, loop.plant).real for v in velocities])
     axes.plot(inverse, np.zeros_like(velocities), color=ORANGE, linewidth=3,

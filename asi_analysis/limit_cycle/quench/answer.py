@@ -36,7 +36,7 @@ def quench(actuator: Values, controller: Values, rates_hz: Sequence[float], coun
         'margin_at': {'amplitude_n': found.amplitude_n, 'bias_n': found.bias_n,
                       'frequency_hz': found.frequency_hz, 'load': found.load},
         'conditions_tried': count, 'sustained_found': len(lasting),
-        'worst_amplitude_n': _finite(lasting[0].swing_n) if lasting else 0.0,
+        'worst_amplitude_n': _finite(lasting[0].amplitude_n) if lasting else 0.0,
         'worst': [_trial(trial, tuple(rates_hz)) for trial in trials[:WORST]],
         'replayed': [], 'dither': [], 'design': None}
     if replayed:
@@ -57,8 +57,8 @@ def _finite(value: float) -> float | None:
 
 
 def _trial(trial: Trial, rates_hz: tuple[float, ...]) -> dict[str, Any]:
-    return {'amplitude_n': _finite(trial.swing_n), 'sustained': trial.sustained,
-            'frequency_hz': _finite(trial.frequency_hz),
+    return {'amplitude_n': _finite(trial.amplitude_n), 'sustained': trial.sustained,
+            'frequency_hz': _finite(trial.found.frequency_hz),
             'condition': trial.condition.settings(rates_hz)}
 
 

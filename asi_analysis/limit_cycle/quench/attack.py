@@ -11,12 +11,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from scipy import signal
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.loop.closed_loop import close_many, loops_of
 from asi_analysis.loop.simulation import Values
+from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
@@ -25,11 +24,6 @@ EXCITED_S: Final = 0.25
 LEFT_ALONE_S: Final = 0.45
 WATCHED_S: Final = 0.12
 CONFIRMED_S: Final = 2.5
-# A swing that keeps this share of its size over the watched time, and is larger than this (N).
-KEEPS: Final = 0.95
-LEAST_N: Final = 1.0
-# What turns less often in the watched time creeps to rest and does not ring.
-FEWEST_TURNS: Final = 3
 VARIED: Final = (
     'valve_hysteresis.radius', 'valve_hysteresis.lag_time', 'valve_flexure.coil_frequency',
     'valve_flexure.natural_frequency', 'valve_flexure.damping_ratio', 'valve_flexure.delay',
@@ -86,16 +80,25 @@ NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitud
 
 class Trial(NamedTuple):
     """
-    What a condition did: size of the swing left (N), whether it is sustained, frequency.
+    What a condition did: the oscillation that is left at the end.
 
-    rings: how little the swing falls as soon as the loop is left alone, late over early.
+    growth_1_s: growth rate of the amplitude as soon as the loop is left alone, -inf without swing.
     """
 
     condition: Condition
-    swing_n: float
-    sustained: bool
-    frequency_hz: float
-    rings: float
+    found: Oscillation
+    growth_1_s: float
+
+    @property
+    def sustained(self) -> bool:
+        return bool(self.found.sustained)
+
+    @property
+    def amplitude_n(self) -> float:
+        """Amplitude of the oscillation (N); infinite if it runs away, 0 if there is none."""
+        if self.sustained and not math.isfinite(self.found.amplitude_n):
+            return math.inf
+        return 0.0 if math.isnan(self.found.amplitude_n) else self.found.amplitude_n
 
 
 def _choice(options: tuple, number: float) -> Any:
@@ -115,54 +118,36 @@ def attempts(conditions: Sequence[Condition], actuator: Values, controller: Valu
 
 
 def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values, rate: float
-           ) -> list[tuple[float, bool, float, float]]:
-    """Return a trial of each setting: excited, left alone, and watched if it lasts."""
+           ) -> list[tuple[Oscillation, float]]:
+    """Return a trial of each setting: excited, left alone, and watched if it may last."""
     loops = loops_of(
         [{**actuator, **s['actuator']} for s in settings],
         [{**controller, **s['reference']} for s in settings], rate)
     watched = 2 * int(WATCHED_S * rate)
-    found = [(*_left(force[-watched:], rate), _rings(force[:watched]))
-             for force in close_many(loops, EXCITED_S + LEFT_ALONE_S, LEFT_ALONE_S)[:, 2]]
+    forces = close_many(loops, EXCITED_S + LEFT_ALONE_S, LEFT_ALONE_S)[:, 2]
+    found = [of_samples(force[-watched:], rate) for force in forces]
+    growth = [_growth(of_samples(force[:watched], rate)) for force in forces]
     # The next run counts its time from 0 again: the reference must not begin once more.
     loops.references['reference_amplitude'] = 0.0
-    # A slow ring could look like it for so short a time: watched for long.
-    doubtful = np.array([k for k, (swing, lasts, *_) in enumerate(found)
-                         if lasts and math.isfinite(swing)], np.intp)
+    # A slow decay could look like it for so short a time: watched for long.
+    doubtful = np.array([k for k, each in enumerate(found)
+                         if each.sustained and math.isfinite(each.amplitude_n)], np.intp)
     kept = int(0.6 * CONFIRMED_S * rate) / rate
     for k, force in zip(doubtful, close_many(loops.some(doubtful), CONFIRMED_S, kept)[:, 2],
                         strict=True):
-        found[k] = (*_left(force, rate), found[k][-1])
-    return found
+        found[k] = of_samples(force, rate)
+    return list(zip(found, growth, strict=True))
 
 
-def _left(force: npt.NDArray[np.float64], rate_hz: float) -> tuple[float, bool, float]:
-    """Return half the swing (N) of the second half of a force, whether it lasts, frequency."""
-    if not np.isfinite(force).all():
-        return math.inf, True, math.nan
-    half = len(force) // 2
-    # What creeps to rest is no oscillation: only what crosses its own trend counts.
-    early, late = (signal.detrend(force[:half]), signal.detrend(force[half:2 * half]))
-    crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
-    swing, before = 0.5 * float(np.ptp(late)), 0.5 * float(np.ptp(early))
-    if crossings < 2:
-        return 0.0, False, 0.0
-    return swing, swing > LEAST_N and swing > KEEPS * before, crossings * rate_hz / half
+def _growth(early: Oscillation) -> float:
+    if early.sustained and not math.isfinite(early.amplitude_n):
+        return math.inf
+    return early.growth_1_s if early.amplitude_n > FLOOR_N else -math.inf
 
 
-def _rings(force: npt.NDArray[np.float64]) -> float:
-    """Return the swing in the second half of a force over that in the first; 0: no swing."""
-    if not np.isfinite(force).all():
-        return 1.0
-    early, late = (signal.detrend(half) for half in np.array_split(force, 2))
-    crossings = int(np.sum((late[:-1] < 0.0) & (late[1:] >= 0.0)))
-    if crossings < FEWEST_TURNS or np.ptp(early) < 2.0 * LEAST_N:
-        return 0.0
-    return float(np.ptp(late) / np.ptp(early))
-
-
-def _threat(trial: Trial) -> float:
-    # What does not last is the worse the longer it rings, however small it is.
-    return 1e6 + trial.swing_n if trial.sustained else trial.rings
+def _threat(trial: Trial) -> tuple[float, float]:
+    # What does not last is the worse the slower it decays, however small it is.
+    return (trial.amplitude_n if trial.sustained else 0.0, trial.growth_1_s)
 
 
 def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], count: int,

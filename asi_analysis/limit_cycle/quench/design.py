@@ -16,6 +16,7 @@ from scipy import optimize
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.experiments.step_tests import LEAD4
 from asi_analysis.limit_cycle.quench.margin import (
     FREQUENCIES_HZ,
     Margin,
@@ -26,14 +27,11 @@ from asi_analysis.limit_cycle.quench.margin import (
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.simulation import Values, loop_of
 from asi_analysis.measures.step_response import headline, step_responses
-from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import defaults
 from asi_controller.compensator import OWN_GAIN, frequency_response
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
-# Table 1's conditions for the fourth-order lead: its load, its step, its settings.
-TABLE_1: Final = Conditions().lead4
 DURATION_S: Final = 0.35
 # The noise gain may be so many times the rival's.
 NOISE: Final = 1.5
@@ -87,9 +85,9 @@ class Judge:
         loop = loop_of(self.actuator, settings, self.rate_hz)
         response = frequency_response(loop.compensator, FREQUENCIES_HZ, self.rate_hz)
         found = margin_of(response, self.cases, self.table)
-        run = simulate_loop({**self.actuator, **TABLE_1.load},
+        run = simulate_loop({**self.actuator, **LEAD4.load},
                             {**settings, 'reference.shape': 'step', 'reference.start': 0.01,
-                             'reference.amplitude': TABLE_1.amplitude_n}, DURATION_S, self.rate_hz)
+                             'reference.amplitude': LEAD4.amplitude_n}, DURATION_S, self.rate_hz)
         if not np.isfinite(run.force_n).all():
             return None
         step = headline(step_responses(Run(run.time_s, run.reference_n, run.command_n,
@@ -180,7 +178,7 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
     Table 1 unless it says otherwise. Raises InputError if it does not answer a step.
     """
     if rival_controller.get('compensator') == 'lead4':
-        rival_controller = {**TABLE_1.controller, **rival_controller}
+        rival_controller = {**LEAD4.controller, **rival_controller}
     judge = Judge(actuator, rate_hz)
     rival = judge.candidate(rival_controller)
     if rival is None:
@@ -202,7 +200,7 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
 
     random = np.random.default_rng(seed)
     family = rival_controller.get('compensator')
-    centre = _point(rival_controller if family in ('lead2', 'lead4') else TABLE_1.controller)
+    centre = _point(rival_controller if family in ('lead2', 'lead4') else LEAD4.controller)
     start = np.clip(centre + SPREAD * random.standard_normal((POPULATION, len(RANGES))), 0.0, 1.0)
     # What is to be beaten is a place to look from.
     start[0] = centre

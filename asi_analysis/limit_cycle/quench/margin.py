@@ -12,10 +12,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import as_record
 from asi_analysis.loop import describing_functions as describing
-from asi_analysis.loop import linear_blocks as linear
+from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.simulation import Values, loop_of
 from asi_controller.compensator import frequency_response
 
@@ -55,15 +54,9 @@ def hysteresis_table(p: np.void, amplitudes_n: Array = AMPLITUDES_N) -> Complex:
 
 
 def plant(p: np.void, bias_n: float, period_s: float) -> Complex:
-    """Return command to measured force at FREQUENCIES_HZ, without hysteresis, seals stuck."""
-    f = FREQUENCIES_HZ
+    """Return command to measured force at FREQUENCIES_HZ, without hysteresis, seals sliding."""
     opening = float(np.clip(bias_n / p['valve_characteristic_maximum_force'], -1.0, 1.0))
-    slope = damping_force(0.0, damping_curve(opening, p), p)[1]
-    fluid = linear.fluid(f, p)
-    impedance = linear.impedance(f, p)
-    return (linear.hold(f, period_s) * linear.flexure(f, p) * p['valve_characteristic_gain']
-            * fluid * impedance / (impedance + fluid * slope) * linear.felt(f, p)
-            * linear.sensor(f, p))
+    return linear.plant(FREQUENCIES_HZ, p, period_s, linear.damping_slope(p, opening))
 
 
 def plants(actuator: Values, rate_hz: float) -> Iterator[tuple[str, float, Complex]]:

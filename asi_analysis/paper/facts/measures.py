@@ -10,13 +10,32 @@ import numpy as np
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
-from asi_analysis.loop.bench import Array, Bench, Runner, Values, in_process, step_experiment
+from asi_analysis.loop.bench import (
+    BEFORE_S,
+    RATE_HZ,
+    Array,
+    Bench,
+    Runner,
+    Values,
+    in_process,
+    step_experiment,
+)
+from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.loop.linear_model import fluid_phase_deg, linear_model
+from asi_analysis.loop.one_harmonic import (
+    Intersection,
+    OneHarmonic,
+    at_gain,
+    first_intersection,
+    linear_limit,
+    locus,
+)
+from asi_analysis.loop.onset import onset
+from asi_analysis.loop.simulation import loop_of, step_run, sustained
+from asi_analysis.measures.oscillation import Oscillation, of_samples
 from asi_analysis.measures.step_response import headline, step_responses
 from asi_analysis.paper.facts.bandwidth import bandwidth_hz, closed_loop_gain, open_loop_gain
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions, StepTest
-from asi_analysis.paper.facts.cycle import Cycle, cycle, onset, sustained
-from asi_analysis.paper.facts.describing import linear_critical_gain, predict
 from asi_analysis.paper.facts.static import (
     breakaway,
     coulomb,
@@ -41,9 +60,15 @@ HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
 NO_HYSTERESIS: Final = {'valve_hysteresis.model': 'off'}
 NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
 STEP_S: Final = 0.8
-# Gains between which an onset is looked for first.
-FIRST_LOOK: Final = (6.0, 13.0)
+# The gain at which an onset is looked for first, and the highest that is tried.
+FIRST_LOOK: Final = 6.0
+HIGHEST_GAIN: Final = 80.0
 CYCLE_S: Final = 1.2
+# At its onset a cycle takes long to settle.
+ONSET_CYCLE_S: Final = 8.0
+SETTLING_S: Final = 1.0
+# Amplitudes of the command (N) at which the paper's prediction is worked out.
+PREDICTED_N: Final = np.geomspace(60.0, 8e3, 30)
 # A command that varies more than so many times its range chatters; the kick of a lead makes 3.
 CHATTER: Final = 6.0
 # Samples at the end of a run over which a cycle is measured.
@@ -147,26 +172,29 @@ def onset_name(step_n: float, quantity: str) -> str:
     return f'onset_{quantity}_at_{step_n:.0f}_n'
 
 
+def _step(conditions: Conditions, step_n: float) -> Values:
+    """Return the reference of Fig. 7: a step from rest; to 0 N, a step back from `start_n`."""
+    if step_n == 0.0:
+        return {'reference.offset': conditions.start_n, 'reference.amplitude': -conditions.start_n,
+                'reference.start': BEFORE_S}
+    return {'reference.amplitude': step_n}
+
+
 def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] | None = None
            ) -> Measured:
     """Return the gains of Fig. 7; those that are known already, by name, are not measured."""
-    plant = _plant(actuator, LOCKED)
-
-    def loop(gain: float, step: float) -> Bench:
-        bench = _loop(plant, conditions, gain)
-        if step == 0.0:
-            bench.run(0.1, conditions.start_n)
-        return bench
-
+    locked = {**actuator, **LOCKED}
     measured: Measured = dict(known or {})
     near = next((gain for gain in measured.values() if math.isfinite(gain)), None)
     for step in conditions.onset_steps_n:
         name = onset_name(step, 'gain')
         if name not in measured:
             # The next onset is near the last one.
-            low, high = (0.95 * near, 1.06 * near) if near else FIRST_LOOK
-            measured[name] = onset(partial(loop, step=step), step, low, high,
-                                   conditions.onset_accuracy)
+            start = 0.95 * near if near else FIRST_LOOK
+            found = onset(locked, {**_gain(conditions, start), **_step(conditions, step)}, RATE_HZ,
+                          start, conditions.onset_accuracy, conditions.onset_watched_s,
+                          HIGHEST_GAIN / start)
+            measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
             near = measured[name]
     return measured
@@ -189,9 +217,9 @@ def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,
         gain, frequency = gains[onset_name(step, 'gain')], 0.0
         if math.isfinite(gain):
             run = runner(step_experiment(
-                {**actuator, **LOCKED}, _gain(conditions, gain), step, CYCLE_S,
+                {**actuator, **LOCKED}, _gain(conditions, gain), step, ONSET_CYCLE_S,
                 conditions.start_n if step == 0.0 else 0.0))
-            frequency = cycle(run.force_n[-LAST:]).frequency_hz
+            frequency = of_samples(run.force_n[-LAST:], RATE_HZ).frequency_hz
         measured[onset_name(step, 'frequency_hz')] = frequency
     return measured
 
@@ -205,19 +233,12 @@ def high_gain_cycle(actuator: Values, conditions: Conditions, onset_gain: float,
     run = runner(step_experiment(
         {**actuator, **LOCKED}, _gain(conditions, conditions.cycle_gain * onset_gain),
         conditions.cycle_step_n, CYCLE_S))
-    found = cycle(run.force_n[-LAST:])
+    found = of_samples(run.force_n[-LAST:], RATE_HZ)
     full = float(as_record(actuator)['valve_characteristic_full_opening'])
     return {'cycle_frequency_hz': found.frequency_hz, 'cycle_amplitude_n': found.amplitude_n,
             'cycle_thd_percent': 100.0 * found.thd,
             'cycle_peak_valve_percent':
                 100.0 * float(np.abs(run.valve_position_m[-LAST:]).max()) / full}
-
-
-def _settled(bench: Bench, step_n: float) -> Cycle:
-    """Return the cycle after more time than `sustained` needs; zeros if it has died."""
-    sustained(bench, step_n)
-    force = bench.run(0.3, step_n).force_n
-    return cycle(force)
 
 
 def same_cycle(actuator: Values, conditions: Conditions, onset_gain: float) -> Measured:
@@ -228,12 +249,13 @@ def same_cycle(actuator: Values, conditions: Conditions, onset_gain: float) -> M
     plant = _plant(actuator, LOCKED)
     gain, step = conditions.cycle_gain * onset_gain, conditions.cycle_step_n
 
-    def start(before_n: float = 0.0, push_n: float = 0.0) -> Cycle:
+    def start(before_n: float = 0.0, push_n: float = 0.0) -> Oscillation:
         bench = _loop(plant, conditions, gain)
         bench.run(0.3, before_n)
         bench.run(0.3, step)
         bench.run(0.03, step, push_n=push_n)
-        return _settled(bench, step)
+        bench.run(SETTLING_S, step)
+        return of_samples(bench.run(0.3, step).force_n, RATE_HZ)
 
     base = start()
     others = [start(push_n=push) for push in (400.0, -400.0, 800.0)]
@@ -251,11 +273,18 @@ def free_onset(actuator: Values, conditions: Conditions, changes: Mapping[str, V
     """Return the onset gain of a changed actuator as a multiple; `most` if it is not less."""
     if not math.isfinite(onset_gain):
         return 0.0
-    plant = _plant(actuator, LOCKED, changes)
-    found = onset(lambda gain: _loop(plant, conditions, gain), conditions.cycle_step_n,
-                  low=onset_gain, high=most * onset_gain, accuracy=accuracy,
-                  limit=0.99 * most * onset_gain)
-    return min(found / onset_gain, most)
+    found = onset({**actuator, **LOCKED, **changes},
+                  {**_gain(conditions, onset_gain), **_step(conditions, conditions.cycle_step_n)},
+                  RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, most)
+    return min(found.gain / onset_gain, most) if found else most
+
+
+def paper_prediction(actuator: Values, samples: int = SAMPLES) -> tuple[
+        OneHarmonic, list[Intersection]]:
+    """Return the paper's prediction: continuous time, no limit of the command, fluid a gain."""
+    of = OneHarmonic(loop_of({**actuator, **LOCKED, 'fluid_dynamics.model': 'off'},
+                             {'gain': 1.0}, RATE_HZ), held=False, limited=False, samples=samples)
+    return of, locus(of, PREDICTED_N)
 
 
 def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float) -> Measured:
@@ -265,43 +294,57 @@ def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float
     Frequency: the worst ratio, above 1. Amplitude: predicted over simulated at Kp = 15, and
     simulated without over with damping and friction.
     """
-    plant, bare = _plant(actuator, LOCKED), _plant(actuator, LOCKED, NO_DAMPING)
-    predicted = predict(plant)
-    low = max(conditions.cycle_gain * min(onset_gain, PAPER_GAIN), float(predicted.gain[0]))
+    of, rows = paper_prediction(actuator)
+    first = first_intersection(of, rows)
+
+    def predicted(gain: float) -> Intersection:
+        return at_gain(of, rows, gain) or (first if gain <= first.gain else rows[-1])
+
+    def simulated(gain: float, changes: Mapping[str, Value]) -> Oscillation | None:
+        return sustained(step_run(
+            {**actuator, **LOCKED, **changes},
+            {**_gain(conditions, gain), **_step(conditions, conditions.cycle_step_n)}, RATE_HZ,
+            conditions.onset_watched_s))
+
+    low = max(conditions.cycle_gain * min(onset_gain, PAPER_GAIN), first.gain)
     ratios = []
     for gain in np.linspace(low, PAPER_GAIN, 3):
-        found = sustained(_loop(plant, conditions, gain), conditions.cycle_step_n)
+        found = simulated(gain, {})
         if found is not None:
-            expected = float(np.interp(gain, predicted.gain, predicted.frequency_hz))
-            ratios.append(max(expected / found.frequency_hz, found.frequency_hz / expected))
-    full, undamped = (sustained(_loop(each, conditions, PAPER_GAIN), conditions.cycle_step_n)
-                      for each in (plant, bare))
-    expected = float(np.interp(PAPER_GAIN, predicted.gain, predicted.amplitude_n))
+            ratio = predicted(gain).frequency_hz / found.frequency_hz
+            ratios.append(max(ratio, 1.0 / ratio))
+    full, undamped = (simulated(PAPER_GAIN, changes) for changes in ({}, NO_DAMPING))
     return {
         'prediction_frequency_ratio': max(ratios, default=math.inf),
-        'prediction_amplitude_ratio': expected / full.amplitude_n if full else 0.0,
+        'prediction_amplitude_ratio':
+            predicted(PAPER_GAIN).amplitude_n / full.amplitude_n if full else 0.0,
         'undamped_amplitude_ratio':
             undamped.amplitude_n / full.amplitude_n if full and undamped else 0.0}
 
 
-def describing(actuator: Values) -> Measured:
-    """Return what the describing function of the hysteresis alone predicts (Fig. 9)."""
-    plant = _plant(actuator, LOCKED)
-    found = predict(plant)
-    reach = PAPER_GAIN if found.gain[-1] >= PAPER_GAIN else found.gain[-1]
-    frequency = float(np.interp(reach, found.gain, found.frequency_hz))
-    amplitude = float(np.interp(reach, found.gain, found.amplitude_n))
-    used = found.gain <= PAPER_GAIN
-    rises = bool(np.all(np.diff(found.amplitude_n[used]) > 0.0)
-                 and np.all(np.diff(found.frequency_hz[used]) < 0.0))
+def describing(actuator: Values, samples: int = SAMPLES) -> Measured:
+    """
+    Return what the describing function of the hysteresis alone predicts (Fig. 9).
+
+    samples: a period, of the describing function.
+    """
+    of, rows = paper_prediction(actuator, samples)
+    first = first_intersection(of, rows)
+    reach = at_gain(of, rows, PAPER_GAIN) or rows[-1]
+    used = [first, *(row for row in rows if row.command_n > first.command_n
+                     and row.gain < reach.gain), reach]
+    rises = (all(np.diff([row.amplitude_n for row in used]) > 0.0)
+             and all(np.diff([row.frequency_hz for row in used]) < 0.0))
+    limit = linear_limit(of)
     return {
-        'predicted_onset_gain': float(found.gain[0]),
-        'predicted_onset_frequency_hz': float(found.frequency_hz[0]),
-        'predicted_highest_gain': float(reach),
-        'predicted_frequency_fall_percent': 100.0 * (1.0 - frequency / found.frequency_hz[0]),
-        'predicted_amplitude_rise': amplitude / found.amplitude_n[0],
+        'predicted_onset_gain': first.gain,
+        'predicted_onset_frequency_hz': first.frequency_hz,
+        'predicted_highest_gain': reach.gain,
+        'predicted_frequency_fall_percent': 100.0 * (1.0 - reach.frequency_hz
+                                                     / first.frequency_hz),
+        'predicted_amplitude_rise': reach.amplitude_n / first.amplitude_n,
         'predicted_monotone': float(rises),
-        'linear_critical_gain': linear_critical_gain(plant)[0],
+        'linear_critical_gain': limit[0] if limit else math.inf,
     }
 
 

@@ -9,10 +9,15 @@ from matplotlib.figure import Figure
 
 from asi_actuator.parameters import as_record
 from asi_analysis.loop.bench import Values, in_process, step_experiment
+from asi_analysis.loop.one_harmonic import at_gain, first_intersection
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions
-from asi_analysis.paper.facts.cycle import proportional
-from asi_analysis.paper.facts.describing import describing_function, log_response, predict
-from asi_analysis.paper.facts.measures import FASTEST_M_S, OPENINGS, Measured, onset_name
+from asi_analysis.paper.facts.measures import (
+    FASTEST_M_S,
+    OPENINGS,
+    Measured,
+    onset_name,
+    paper_prediction,
+)
 from asi_analysis.paper.facts.static import damping_sweep, hysteresis_loop, static_characteristic
 from asi_analysis.reporting.figures import BLUE, COLOURS, GREY, ORANGE, WIDTH_IN, style
 
@@ -67,7 +72,7 @@ def high_gain_step(actuator: Values, conditions: Conditions, onset_gain: float) 
     gain = conditions.cycle_gain * onset_gain
     figure, axes = _figure(f'Fig. 6: step response with high gain, Kp = {gain:.3g}')
     run = in_process(step_experiment(
-        {**actuator, **LOCKED}, {**proportional(gain), 'feedforward': conditions.feedforward},
+        {**actuator, **LOCKED}, {'gain': gain, 'feedforward': conditions.feedforward},
         conditions.cycle_step_n, 0.4))
     axes.plot(run.time_s, run.force_n, color=BLUE, linewidth=1.0)
     axes.set(xlabel='time (s)', ylabel='force (N)', xlim=(0.0, 0.4))
@@ -99,11 +104,9 @@ def nyquist_of_damping(actuator: Values) -> Figure:
     H with the proportional gain of the first intersection; D is real: its -1/D is the axis.
     """
     figure, axes = _figure('Fig. 8: Nyquist plot for friction and damping')
-    plant = as_record({**actuator, **LOCKED})
-    frequency = np.geomspace(1.0, 400.0, 600)
-    response = np.array([np.exp(log_response(f, plant)) for f in frequency])
-    gain = float(predict(plant).gain[0])
-    right = 1.0 / (1.0 + gain * response)
+    of, rows = paper_prediction(actuator)
+    response = of.per_gain(np.geomspace(1.0, 400.0, 600))
+    right = 1.0 / (1.0 + first_intersection(of, rows).gain * response)
     axes.plot(right.real, right.imag, color=BLUE, label='S / (1 + S H)')
     axes.axhline(0.0, color=ORANGE, label='-1/D')
     axes.set(xlabel='real', ylabel='imaginary')
@@ -114,17 +117,15 @@ def nyquist_of_damping(actuator: Values) -> Figure:
 def nyquist_of_hysteresis(actuator: Values) -> Figure:
     """Draw Fig. 9: Kp H S and -1/N(A) at Kp = 15, with frequencies and amplitudes marked."""
     figure, axes = _figure('Fig. 9: Nyquist plot of the hysteresis, Kp = 15', 3.8)
-    plant = as_record({**actuator, **LOCKED})
-    frequency = np.geomspace(60.0, 400.0, 300)
-    response = FIG_9_GAIN * np.array([np.exp(log_response(f, plant)) for f in frequency])
+    of, rows = paper_prediction(actuator)
+    response = FIG_9_GAIN * of.per_gain(np.geomspace(60.0, 400.0, 300))
     axes.plot(response.real, response.imag, color=BLUE, label='Kp H S')
-    found = predict(plant)
-    cycle_hz = float(np.interp(FIG_9_GAIN, found.gain, found.frequency_hz))
+    cycle_hz = (at_gain(of, rows, FIG_9_GAIN) or rows[-1]).frequency_hz
     amplitudes = np.geomspace(100.0, 6000.0, 60)
-    locus = np.array([-1.0 / describing_function(a, cycle_hz, plant) for a in amplitudes])
+    locus = np.array([-1.0 / of.hysteresis(a, cycle_hz) for a in amplitudes])
     axes.plot(locus.real, locus.imag, color=ORANGE, label=f'-1/N at {cycle_hz:.0f} Hz')
     for marked in (80.0, 100.0, 120.0, 160.0, 200.0):
-        at = FIG_9_GAIN * np.exp(log_response(marked, plant))
+        at = FIG_9_GAIN * of.per_gain(marked)
         axes.annotate(f'{marked:.0f} Hz', (at.real, at.imag), fontsize=7.5)
         axes.plot(at.real, at.imag, '.', color=BLUE)
     axes.set(xlabel='real', ylabel='imaginary', xlim=(-2.5, 0.5), ylim=(-4.0, 0.5))

@@ -18,7 +18,7 @@ from asi_analysis.limit_cycle.attribution.loops import (
     Plant,
     Valve,
     Weather,
-    _lasts,
+    _oscillates,
     _plant,
     loop,
     run_loop,
@@ -106,8 +106,8 @@ def test_fault_is_the_cause_of_the_simulated_swing(world):
     random = np.random.default_rng(3)
     plant = _plant(world, random)
     plant = plant._replace(gain=0.3 * ultimate_gain(plant, 4000))
-    assert not _lasts(still(plant, Valve(), 1e9, 4000)[1])
-    assert _lasts(still(plant._replace(gain=8.0 * plant.gain), Valve(), 1.0, 4000)[1])
+    assert not _oscillates(still(plant, Valve(), 1e9, 4000)[1])
+    assert _oscillates(still(plant._replace(gain=8.0 * plant.gain), Valve(), 1.0, 4000)[1])
 
 
 def test_document_and_picture_of_a_foreign_loop(tmp_path):

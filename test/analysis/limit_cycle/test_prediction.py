@@ -6,11 +6,11 @@ import pytest
 from study import STUDY, STUDY_CONTROLLER
 
 from asi_actuator.parameters import as_record
-from asi_analysis.limit_cycle.prediction.predict import branch, simulated_onset
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.floquet import multipliers
-from asi_analysis.loop.one_harmonic import hysteresis_alone, per_gain
+from asi_analysis.loop.one_harmonic import OneHarmonic, first_intersection, locus, stable
+from asi_analysis.loop.onset import branch, onset
 from asi_analysis.loop.simulation import as_balance, loop_of, remembering, step_run, sustained
 
 RATE_HZ = 5000.0
@@ -62,16 +62,16 @@ def test_linear_loop_is_what_the_simulator_passes():
     turn = np.exp(-2j * np.pi * 100.0 * run.time_s[last])
     passed = (run.force_n[last] @ turn) / (run.command_n[last] @ turn)
     loop = loop_of(actuator, {'gain': 1.0}, RATE_HZ)
-    assert per_gain([100.0], loop)[0] == pytest.approx(passed, rel=2e-3)
+    assert OneHarmonic(loop, held=True).per_gain([100.0])[0] == pytest.approx(passed, rel=2e-3)
 
 
 def test_describing_function_first_meets_the_loop_where_the_paper_says():
-    locus = hysteresis_alone(
-        loop_of(STUDY, {'gain': 1.0}, RATE_HZ), np.geomspace(500.0, 1.6e4, 12))
-    first = int(np.argmin(locus.gain))
-    assert locus.gain[first] == pytest.approx(8.0, rel=0.15)            # paper: 8
-    assert locus.frequency_hz[first] == pytest.approx(130.0, rel=0.15)  # paper: 130 Hz
-    assert locus.stable[-1] and not locus.stable[0]
+    of = OneHarmonic(loop_of(STUDY, {'gain': 1.0}, RATE_HZ), held=True)
+    rows = locus(of, np.geomspace(500.0, 1.6e4, 12))
+    first = first_intersection(of, rows)
+    assert first.gain == pytest.approx(8.0, rel=0.15)            # paper: 8
+    assert first.frequency_hz == pytest.approx(130.0, rel=0.15)  # paper: 130 Hz
+    assert stable(of, rows[-1]) and not stable(of, rows[0])
 
 
 # The last is a small cycle near its fold: slow to settle, and its seals remember the step.
@@ -86,18 +86,18 @@ def test_balance_is_the_simulated_cycle(step, gain):
     guess = guess._replace(frequency_hz=1.03 * guess.frequency_hz, command=0.93 * guess.command)
     found = hb.balance(loop, guess)
     assert found.frequency_hz == pytest.approx(swing.frequency_hz, rel=0.002)
-    assert found.amplitude_n == pytest.approx(swing.amplitude, rel=0.01)
+    assert found.amplitude_n == pytest.approx(swing.amplitude_n, rel=0.01)
     assert found.thd == pytest.approx(swing.thd, rel=0.1)
 
 
 def test_branch_folds_where_the_simulated_cycle_is_born():
     settings = STUDY_CONTROLLER | {'reference.amplitude': 300.0}
-    gain, frequency, _ = simulated_onset(STUDY, settings, RATE_HZ, 8.0)
+    gain, frequency, *_ = onset(STUDY, settings, RATE_HZ, 8.0)
     points = branch(STUDY, settings, RATE_HZ, 1.02 * gain, onset_only=True)
-    onset, at_hz, _ = hb.fold(points)
-    assert points[-1].gain > 1.02 * onset, 'the branch goes round the fold'
+    least, at_hz, _ = hb.fold(points)
+    assert points[-1].gain > 1.02 * least, 'the branch goes round the fold'
     # The step may be too weak a kick just above the fold, never strong enough below it.
-    assert 0.995 * gain < onset * 1.03 and onset < 1.005 * gain
+    assert 0.995 * gain < least * 1.03 and least < 1.005 * gain
     assert at_hz == pytest.approx(frequency, rel=0.01)
 
 

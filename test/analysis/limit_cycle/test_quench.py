@@ -9,7 +9,6 @@ import pytest
 from documented import problems
 from study import STUDY, STUDY_CONTROLLER
 
-from asi_analysis.limit_cycle.prediction.predict import simulated_onset
 from asi_analysis.limit_cycle.quench.attack import (
     EXCITED_S,
     LEFT_ALONE_S,
@@ -23,6 +22,7 @@ from asi_analysis.limit_cycle.quench.design import design
 from asi_analysis.limit_cycle.quench.dither import dither
 from asi_analysis.limit_cycle.quench.margin import encircles, margin
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.onset import onset
 
 RATE_HZ = 5000.0
 
@@ -47,7 +47,7 @@ def test_encirclement_is_the_stability_limit_of_a_known_loop(gain, unstable):
 
 def test_attack_finds_the_cycle_of_a_high_gain_and_none_of_a_low_one():
     wild = search({}, {'gain': 10.0}, (RATE_HZ,), 20, seed=1)
-    assert wild[0].sustained and wild[0].swing_n > 100.0
+    assert wild[0].sustained and wild[0].amplitude_n > 100.0
     tame = search({}, {'gain': 2.0}, (RATE_HZ,), 20, seed=1)
     assert not any(trial.sustained for trial in tame)
 
@@ -69,7 +69,7 @@ def test_condition_is_nothing_but_parameters_so_that_it_can_be_replayed_over_ros
     assert np.ptp(run.reference_n[ended]) == 0.0 and np.ptp(run.reference_n[~ended]) > 0.0
     left = run.force_n[-2 * int(WATCHED_S * RATE_HZ):]
     if trial.sustained:
-        assert 0.5 * np.ptp(left) == pytest.approx(trial.swing_n, rel=0.1)
+        assert 0.5 * np.ptp(left) == pytest.approx(trial.amplitude_n, rel=0.1)
 
 
 def test_push_lets_go_when_it_should():
@@ -82,7 +82,7 @@ def test_push_lets_go_when_it_should():
 
 def test_dither_quenches_a_cycle_that_is_barely_there_and_costs_valve_travel():
     settings = STUDY_CONTROLLER | {'reference.amplitude': 100.0}
-    gain = simulated_onset(STUDY, settings, RATE_HZ, 8.0)[0]
+    gain = onset(STUDY, settings, RATE_HZ, 8.0).gain
     rows = dither(STUDY, {**settings, 'gain': 1.01 * gain}, RATE_HZ, (500.0,))
     assert rows[0]['amplitude_n'] is not None
     assert rows[0]['valve_travel_m_s'] > 0.0 and rows[0]['force_ripple_n'] > 0.1

@@ -5,8 +5,9 @@ import pytest
 
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.simulation import step_run
 from asi_analysis.measures.analysis import analyze, as_text
-from asi_analysis.measures.oscillation import oscillation
+from asi_analysis.measures.oscillation import is_sustained, of_samples, oscillation
 
 T = np.arange(5000) / 5000.0
 STEP = np.where(T >= 0.05, 100.0, 0.0)
@@ -15,6 +16,10 @@ STEP = np.where(T >= 0.05, 100.0, 0.0)
 def swing(force, reference=STEP):
     noise = np.random.default_rng(3).normal(0.0, 0.5, T.size)
     return oscillation(Run(T, reference_n=reference, force_n=force + noise))
+
+
+def nothing(found):
+    return found.to_dict() == {'sustained': False, 'frequency_hz': None, 'amplitude_n': None}
 
 
 def test_sine_is_found_exactly():
@@ -47,11 +52,11 @@ def test_decaying_sine_is_not_sustained():
 @pytest.mark.parametrize('force_n', [0.0, 42.1])
 def test_force_that_does_not_move_is_no_oscillation(force_n):
     still = Run(T, reference_n=np.zeros(T.size), force_n=np.full(T.size, force_n))
-    assert oscillation(still) == (False, None, None, None)
+    assert nothing(oscillation(still))
 
 
 def test_noise_alone_is_no_oscillation():
-    assert swing(STEP) == (False, None, None, None)
+    assert nothing(swing(STEP))
 
 
 @pytest.mark.parametrize('frequency', [2.3, 17.0, 90.0])
@@ -86,3 +91,44 @@ def test_reference_of_two_sines_forces_what_cannot_be_told():
     reference = 50.0 * np.sin(2 * np.pi * 10.0 * T) + 25.0 * np.sin(2 * np.pi * 27.0 * T)
     found = swing(0.9 * reference, reference)
     assert found.sustained is None and 'many frequencies' in found.reason
+
+
+@pytest.mark.parametrize('decay, sustained', [(0.0, True), (0.001, True), (0.004, False)])
+def test_the_fast_measure_of_samples_is_that_of_recordings(decay, sustained):
+    """Decay a period; both estimate the growth rate, and both decide by one bound."""
+    frequency = 91.37
+    force = 70.0 + np.exp(-decay * frequency * T) * (
+        40.0 * np.sin(2 * np.pi * frequency * T + 1.0)
+        + 2.0 * np.sin(6 * np.pi * frequency * T))
+    fast = of_samples(force, 5000.0)
+    slow = oscillation(Run(T, reference_n=np.zeros(T.size), force_n=force))
+    assert fast.sustained is slow.sustained is sustained
+    assert fast.growth_1_s == pytest.approx(-decay * frequency, abs=2e-3)
+    assert slow.growth_1_s == pytest.approx(-decay * frequency, abs=2e-3)
+    assert fast.frequency_hz == pytest.approx(frequency, rel=1e-5)
+    assert slow.frequency_hz == pytest.approx(frequency, rel=1e-5)
+    assert fast.thd == pytest.approx(0.05, rel=0.02)
+    assert slow.thd == pytest.approx(0.05, rel=0.02)
+
+
+def test_both_measures_agree_on_a_simulated_cycle():
+    run = step_run({}, {'gain': 9.0, 'reference.amplitude': 100.0}, 5000.0)
+    fast = of_samples(run.force_n, 5000.0)
+    slow = oscillation(Run(*run))
+    assert fast.sustained and slow.sustained
+    assert fast.frequency_hz == pytest.approx(slow.frequency_hz, rel=1e-5)
+    assert fast.amplitude_n == pytest.approx(slow.amplitude_n, rel=1e-3)
+    assert fast.thd == pytest.approx(slow.thd, rel=0.01)
+
+
+@pytest.mark.parametrize('growth, deviation, amplitude, expected', [
+    (0.0, 0.0, 2.0, True), (-0.19, 0.0, 2.0, True), (-0.21, 0.0, 2.0, False),
+    (-0.5, 0.2, 2.0, True), (0.0, 0.0, 0.9, False)])
+def test_definition_of_sustained(growth, deviation, amplitude, expected):
+    """At 100 Hz the bound is -0.2 1/s; an interval that reaches it is no decay."""
+    assert is_sustained(growth, deviation, 50, 100.0, amplitude, 1.0) is expected
+
+
+def test_what_creeps_is_no_oscillation_and_what_runs_away_is_sustained():
+    assert nothing(of_samples(100.0 * (1.0 - np.exp(-T / 0.3)), 5000.0))
+    assert of_samples(np.append(np.exp(700.0 * T), np.inf), 5000.0).sustained
