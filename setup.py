@@ -35,6 +35,8 @@ setup(
         'pyserial',
         'cantools',
         'zstandard',
+        'lz4',
+        'pint',              # units of imported recordings
         'rosbags',
         'pyarrow',
         'matplotlib>=3.7',   # legends outside the axes

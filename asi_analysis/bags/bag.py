@@ -1,5 +1,6 @@
 """Bag → `Run`, `Run` → bag."""
 
+import shutil
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -28,6 +29,7 @@ DIAGNOSTICS: Final = 'diagnostics'
 DIAGNOSTIC_ARRAY: Final = 'diagnostic_msgs/msg/DiagnosticArray'
 # The end of the name of the status that tells a change of state (asi_common/node/diagnostics.py).
 STATE: Final = ': state'
+BLOCK_SAMPLES: Final = 20_000
 
 Nanoseconds = npt.NDArray[np.int64]
 
@@ -92,21 +94,38 @@ def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None 
     information: what the bag says of its run; that of the run itself if None.
     Raises InputError if the bag exists already.
     """
-    writer = BagWriter(Path(path))
-    writer.add_information(run.information if information is None else information)
+    path = Path(path)
+    writer = BagWriter(path)
+    try:
+        _write(run, writer, run.information if information is None else information)
+    except BaseException:
+        # Nothing half written that would stand in the way of the next try.
+        writer.abandon()
+        shutil.rmtree(path, ignore_errors=True)
+        raise
+
+
+def _write(run: Run, writer: BagWriter, information: Mapping[str, Any]) -> None:
+    """Write the messages of a run, a block of samples at a time."""
+    writer.add_information(information)
     stamps = np.round((run.time_s - run.time_s[0]) * 1e9).astype(np.int64)
     stamps += round((run.period_s if len(run) > 1 else 1e-3) * 1e9)
-    rows: list[tuple[int, int, int, bytes]] = []
-    for name, values in _outgoing(run).items():
-        channel = writer.add_topic(f'/{name}', TYPES[name])
-        known = np.flatnonzero(~np.all([np.isnan(column) for column in values.values()], axis=0)
-                               | (name == 'joint_states'))
-        messages = _encode(TYPES[name], stamps[known],
-                           {key: column[known] for key, column in values.items()})
-        rows += [(stamp, channel, number, data) for number, (stamp, data)
-                 in enumerate(zip(stamps[known].tolist(), messages, strict=True), 1)]
-    for stamp, channel, number, data in sorted(rows, key=lambda row: row[:2]):
-        writer.write(channel, stamp, stamp, number, data)
+    channels = {name: writer.add_topic(f'/{name}', TYPES[name]) for name in _outgoing(run[:0])}
+    numbers = dict.fromkeys(channels, 0)
+    for start in range(0, len(run), BLOCK_SAMPLES):
+        block = slice(start, start + BLOCK_SAMPLES)
+        rows: list[tuple[int, int, int, bytes]] = []
+        for name, values in _outgoing(run[block]).items():
+            known = np.flatnonzero(
+                ~np.all([np.isnan(column) for column in values.values()], axis=0)
+                | (name == 'joint_states'))
+            messages = _encode(TYPES[name], stamps[block][known],
+                               {key: column[known] for key, column in values.items()})
+            rows += [(stamp, channels[name], number, data) for number, (stamp, data) in enumerate(
+                zip(stamps[block][known].tolist(), messages, strict=True), numbers[name] + 1)]
+            numbers[name] += len(known)
+        for stamp, channel, number, data in sorted(rows, key=lambda row: row[:2]):
+            writer.write(channel, stamp, stamp, number, data)
     writer.close()
 
 

@@ -4,10 +4,12 @@ import json
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import lz4.frame
 import numpy as np
 import numpy.typing as npt
 import yaml
@@ -28,7 +30,8 @@ from asi_analysis.errors import InputError
 # What broken bytes make the libraries raise.
 BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError,
                  RuntimeError, KeyError, IndexError, TypeError, AssertionError, MemoryError,
-                 OverflowError, EOFError, sqlite3.Error)
+                 OverflowError, EOFError, AttributeError, RecursionError, yaml.YAMLError,
+                 sqlite3.Error)
 _RECORD: Final = struct.Struct('<BQ')
 _MESSAGE: Final = struct.Struct('<HIQQ')
 _INDEX: Final = struct.Struct('<HI')
@@ -38,6 +41,10 @@ _HEAD: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2')
 _MESSAGE_OPCODE: Final = bytes([Opcode.MESSAGE])
 # As much fits a processor's cache.
 ENOUGH_BYTES: Final = 2**20
+# Limits: what the chunks of a file may unpack to, and metadata.yaml.
+MOST_UNPACKED: Final = 256_000_000
+MOST_RATIO: Final = 30
+MOST_METADATA: Final = 2**24
 
 
 class _Index(NamedTuple):
@@ -165,7 +172,11 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
             raise InputError(f'{path} is empty: expected a .mcap or .db3 file')
         return [path]
     try:
-        described = yaml.safe_load((path / 'metadata.yaml').read_text())
+        metadata = path / 'metadata.yaml'
+        if metadata.exists() and not (metadata.is_file()
+                                      and metadata.stat().st_size <= MOST_METADATA):
+            raise ValueError
+        described = yaml.safe_load(metadata.read_text(encoding='utf-8'))
         described = described['rosbag2_bagfile_information']
         if described['storage_identifier'] != 'mcap' or described.get('compression_mode'):
             return [path]
@@ -173,7 +184,7 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
     except FileNotFoundError:
         problems.append(f'{path} has no metadata.yaml: its recording was not ended properly')
         files = sorted([*path.glob('*.mcap'), *path.glob('*.db3')], key=_number)
-    except (OSError, yaml.YAMLError, *BROKEN):
+    except (OSError, *BROKEN):
         problems.append(f'{path / "metadata.yaml"} cannot be read')
         files = sorted([*path.glob('*.mcap'), *path.glob('*.db3')], key=_number)
     present = [file for file in files if file.is_file() and file.stat().st_size]
@@ -191,12 +202,12 @@ def _number(file: Path) -> tuple[int, str]:
 
 
 def _read_mcap(file: Path, wanted: Callable[[str], bool], contents: Contents) -> None:
-    found = _Found(wanted, contents)
+    size = file.stat().st_size
+    found = _Found(wanted, contents, max(MOST_UNPACKED, MOST_RATIO * size))
     announced = None
     with file.open('rb') as stream:
         try:
-            for record in _Records(stream, emit_chunks=True,
-                                   record_size_limit=file.stat().st_size).records:
+            for record in _Records(stream, emit_chunks=True, record_size_limit=size).records:
                 if isinstance(record, _Index):
                     found.indices.append(record)
                     continue
@@ -232,8 +243,10 @@ class _Found:
     every byte; where they do not, a chunk is walked, record by record.
     """
 
-    def __init__(self, wanted: Callable[[str], bool], contents: Contents) -> None:
+    def __init__(self, wanted: Callable[[str], bool], contents: Contents,
+                 most_bytes: int) -> None:
         self.wanted = wanted
+        self.most_bytes = most_bytes        # that the chunks to come may unpack to
         self.contents = contents
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, Topic | None] = {}     # None: not wanted
@@ -257,13 +270,14 @@ class _Found:
         if self.wanted(channel.topic):
             topic = self.contents.topics.setdefault(
                 channel.topic, Topic(channel.topic, self.schemas[channel.schema_id]))
-            topic.offered = yaml.safe_load(
-                channel.metadata.get('offered_qos_profiles', '')) or []
+            topic.offered = _offered(channel, self.contents.problems)
             self.channels[channel.id] = topic
 
     def begin_chunk(self, chunk: Chunk) -> None:
         """Take the bytes of a chunk; its indices come next. Raises if its checksum is wrong."""
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        plain = replace(chunk, compression='', data=_unpacked(chunk, self.most_bytes))
+        stream, size = get_chunk_data_stream(plain, validate_crc=True)
+        self.most_bytes -= size
         self._chunk = stream.read(size)
         self.indices = []
 
@@ -319,6 +333,38 @@ class _Found:
             elif opcode == Opcode.CHANNEL:
                 self.add_channel(Channel.read(ReadDataStream(BytesIO(data[start:end]))))
             start = end
+
+
+def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
+    """Return the bytes of a chunk. Raises ValueError if they are more than it says, or allowed."""
+    size = chunk.uncompressed_size
+    if not chunk.compression:
+        return chunk.data
+    if size > most_bytes:
+        raise ValueError('its chunks unpack to more than is allowed for a file of this size; '
+                         'write them uncompressed if that is meant')
+    if chunk.compression == 'zstd':
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
+            data = stream.read(size + 1)
+    elif chunk.compression == 'lz4':
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    else:
+        raise ValueError(f'a chunk is compressed by {chunk.compression!r}')
+    if len(data) != size:
+        raise ValueError('a chunk does not unpack to the size that it says')
+    return data
+
+
+def _offered(channel: Channel, problems: list[str]) -> list[dict[str, Any]]:
+    """Return the QoS that a channel says its publishers offer, [] if that cannot be read."""
+    try:
+        offered = yaml.safe_load(channel.metadata.get('offered_qos_profiles', '')) or []
+    except BROKEN:
+        offered = None
+    if not isinstance(offered, list) or not all(isinstance(one, dict) for one in offered):
+        problems.append(f'{channel.topic}: its quality of service cannot be read')
+        return []
+    return offered
 
 
 def _places(index: bytes) -> tuple[int, npt.NDArray[np.int64]]:

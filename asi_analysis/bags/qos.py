@@ -1,5 +1,6 @@
 """Quality of service as a bag describes it: the dictionary of rosbag2's metadata, version 9."""
 
+import warnings
 from typing import Any
 
 from rclpy.duration import Duration, Infinite
@@ -11,9 +12,11 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from asi_analysis.errors import InputWarning
 from asi_common.node.topics import STREAM_QOS
 
 _SECOND = 10**9
+MOST_DEPTH = 10_000
 
 
 def as_dictionary(profile: QoSProfile) -> dict[str, Any]:
@@ -32,10 +35,23 @@ def as_dictionary(profile: QoSProfile) -> dict[str, Any]:
 
 
 def as_profile(offered: dict[str, Any]) -> QoSProfile:
-    """Return the profile that a bag describes; the history is not told over DDS, so it is ours."""
+    """
+    Return the profile that a bag describes; the history is not told over DDS, so it is ours.
+
+    With an InputWarning that of the streams, if the description is damaged.
+    """
+    try:
+        return _profile(offered)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        warnings.warn(f'a quality of service cannot be read ({error!r}): that of the streams is '
+                      'used', InputWarning, stacklevel=2)
+        return STREAM_QOS
+
+
+def _profile(offered: dict[str, Any]) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=max(offered['depth'], STREAM_QOS.depth),
+        depth=min(max(int(offered['depth']), STREAM_QOS.depth), MOST_DEPTH),
         reliability=ReliabilityPolicy[offered['reliability'].upper()],
         durability=DurabilityPolicy[offered['durability'].upper()],
         deadline=_duration(offered['deadline']),

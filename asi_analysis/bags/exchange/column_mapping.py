@@ -1,24 +1,26 @@
 """What the columns of a table are, by texts such as `force=CHANNEL1*9806.65[N]`."""
 
 import re
+import warnings
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.bags.exchange.table_file import Table, is_number
-from asi_analysis.bags.exchange.units import UNITS
+from asi_analysis.bags.exchange.dates import since_first
+from asi_analysis.bags.exchange.table_file import Table
+from asi_analysis.bags.exchange.text_file import MISSING, SI_NUMBER, SI_PREFIX
+from asi_analysis.bags.exchange.units import UNITS, conversion
 from asi_analysis.bags.run import SIGNALS, Array
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 
 # A joint may turn; a servo's reference is in the unit of what it controls; a drive may be
 # commanded by a voltage, a current or a share of what it has (PWM).
 TAKES: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
-                'command': ('N', 'Nm', 'V', 'A', '1'),
+                'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s')}
-MISSING: Final = frozenset(('', 'na', 'n/a', '#n/a', 'null', 'none', '-'))
 _NUMBER: Final = r'[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _TERM: Final = re.compile(
     rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_NUMBER})?$')
@@ -44,13 +46,16 @@ def parse_mapping(text: str) -> Assignment:
         raise InputError(f'{text!r}: there is no signal {signal}; there are {", ".join(TAKES)}')
     if found := re.fullmatch(r'(.*?)\s*\[([^\[\]]*)\]', term):
         term, unit = found[1], found[2].strip()
-        allowed = [name for name, (si, _) in UNITS.items() if si in TAKES[signal]]
-        if unit not in allowed:
-            hint = ('a commanded motion is a reference' if signal == 'command' and UNITS.get(
-                unit, ('',))[0] in ('m', 'rad', 'm/s', 'rad/s') else
-                'scale other quantities, as in force=volts*250[N] or position=counts*0.088[deg]')
-            raise InputError(f'{text!r}: {signal} takes {", ".join(allowed)}, not {unit!r}; '
-                             + hint)
+        converted = conversion(unit)
+        if converted is None or converted[0] not in TAKES[signal]:
+            si = converted[0] if converted else ''
+            hint = ('a commanded motion is a reference'
+                    if signal == 'command' and si in ('m', 'rad', 'm/s', 'rad/s') else
+                    'a pressure times an area is a force, as in force=p*12.5[bar*cm^2]'
+                    if signal == 'force' and si == 'Pa' else
+                    'scale other quantities, as in force=volts*250[N] or position=counts*0.088[deg]')
+            raise InputError(f'{text!r}: {signal} takes {", ".join(TAKES[signal])} and their '
+                             f'multiples, not {unit!r}; {hint}')
     return Assignment(text, signal, term, unit or TAKES[signal][0])
 
 
@@ -74,8 +79,12 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
         term = found['column'].strip()
         scale = _scale(found['scale'], table, mapping, path)
         offset = float(found['offset'] or 0.0)
-    unit, factor = UNITS[mapping.unit]
-    if mapping.signal == 'time' and (seconds := _since_first(table[term])) is not None:
+    unit, factor = conversion(mapping.unit) or ('', 1.0)
+    if mapping.signal == 'time' and (
+            seconds := since_first(term, table[term], path)) is not None:
+        if mapping.unit != 's' or scale != 1.0:
+            raise InputError(f'{path}: {mapping.text!r}: {term} holds dates or durations, which '
+                             'have their unit: leave scale and unit out')
         return seconds, 's'
     values = _numbers(term, table[term], path)
     if scale != 1.0 or offset != 0.0:
@@ -98,34 +107,29 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
                          'one of ' + ', '.join(table)) from None
 
 
-def _since_first(column: npt.NDArray) -> Array | None:
-    """Return the seconds since the first of a column of dates with time; None if it is none."""
-    try:
-        if not np.issubdtype(column.dtype, np.datetime64):
-            if is_number(str(column[0])):
-                return None
-            # Of a time of day any date will do.
-            day = '' if '-' in str(column[0]) else '1970-01-01T'
-            column = np.array([day + str(cell).removesuffix('Z') for cell in column],
-                              'datetime64[ns]')
-        return (column - column[0]) / np.timedelta64(1, 's')
-    except (ValueError, IndexError):
-        return None
-
-
 def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
     """Return a column as numbers, NaN where a cell is empty."""
     if np.issubdtype(column.dtype, np.number):
         values = np.ravel(column).astype(float)
     else:
         values = np.full(len(column), np.nan)
-        for row, cell in enumerate(column):
-            if str(cell).strip().lower() not in MISSING:
-                try:
-                    values[row] = float(cell)
-                except ValueError:
+        prefixed = 0
+        for row, cell in enumerate(map(str, column)):
+            try:
+                values[row] = float(cell)
+            except ValueError:
+                if cell.strip().lower() in MISSING:
+                    continue
+                found = SI_NUMBER.fullmatch(cell.strip())
+                if found is None:
+                    hint = '; is that a decimal comma?' if ',' in cell else ''
                     raise InputError(f'{path}: column {name}, row {row + 1}: {cell!r} is not a '
-                                     'number') from None
+                                     f'number{hint}') from None
+                values[row] = float(found[1]) * SI_PREFIX[found[2]]
+                prefixed += 1
+        if prefixed:
+            warnings.warn(f'{path}: column {name}: {prefixed} cells such as -19m are read with '
+                          'their SI prefix', InputWarning, stacklevel=2)
     if np.isinf(values).any():
         raise InputError(f'{path}: column {name}, row {int(np.argmax(np.isinf(values))) + 1}: '
                          'infinite')

@@ -1,22 +1,27 @@
 """A file of someone else's (CSV, TSV, MAT, NPZ, Parquet) as columns by name."""
 
-import codecs
 import csv
-import gzip
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import os
+import subprocess
+import sys
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.bags.exchange.units import UNITS
+from asi_analysis.bags.exchange.text_file import read_text, unpacked_limit
 from asi_analysis.errors import InputError
 
 MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
-COMMENT: Final = ('#', '%')
-_DECIMAL_COMMA: Final = re.compile(r'(?<=\d),(?=\d)')
+# What broken bytes make the libraries raise.
+BROKEN: Final = (OSError, ValueError, EOFError, NotImplementedError, TypeError, KeyError,
+                 IndexError, MemoryError, OverflowError, RecursionError, csv.Error, zlib.error,
+                 zipfile.BadZipFile)
 
 # column name → its values; a scalar of a MAT file is a column of one value
 Table = dict[str, npt.NDArray]
@@ -26,35 +31,75 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
                columns: Sequence[str] | None = None) -> Table:
     """Return the columns of a file by name. Raises InputError."""
     kind = Path(path.stem).suffix if path.suffix == '.gz' else path.suffix
+    if path.exists() and not path.is_file():
+        raise InputError(f'{path} is not a file')
     try:
         if kind == '.mat':
             return _read_mat(path)
         if kind == '.npz':
-            with np.load(path) as arrays:
-                return _columns(arrays)
+            return _read_npz(path)
         if kind == '.parquet':
             return _read_parquet(path)
         if kind in ('.csv', '.tsv', '.txt', '.dat'):
-            return _read_text(path, skip_lines, delimiter, columns)
-    except OSError as error:
-        raise InputError(f'{path} cannot be read: {error.strerror or error}') from None
-    except (ValueError, EOFError, NotImplementedError, TypeError) as error:
+            return read_text(path, skip_lines, delimiter, columns)
+    except BROKEN as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
+        why = error.strerror if isinstance(error, OSError) else None
+        raise InputError(f'{path} cannot be read: '
+                         + (why or " ".join(str(error).split()) or type(error).__name__)
+                         ) from None
     raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat (also .gz), .mat, .npz or '
                      '.parquet file')
 
 
+def _refuse_large(path: Path, size: int) -> None:
+    if size > (limit := unpacked_limit(path)):
+        raise InputError(f'{path} unpacks to {size / 1e6:.0f} MB, more than {limit / 1e6:.0f} MB: '
+                         'save it unpacked if that is meant')
+
+
 def _read_mat(path: Path) -> Table:
+    """
+    Return the arrays of numbers of a MAT file.
+
+    scipy reads it in a process of its own: damaged files have ended it inside compiled code.
+    """
+    script = ('import sys; from asi_analysis.bags.exchange import table_file; '
+              'table_file.convert_mat(sys.argv[1], int(sys.argv[2]))')
+    done = subprocess.run([sys.executable, '-c', script, str(path), str(unpacked_limit(path))],
+                          capture_output=True, check=False,
+                          env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)})
+    if done.returncode:
+        said = done.stderr.decode(errors='replace').strip().splitlines()
+        raise ValueError(said[-1].removeprefix('ValueError: ') if said and done.returncode == 1
+                         else 'it is damaged')
+    with np.load(BytesIO(done.stdout)) as arrays:
+        return {str(name): arrays[f'arr_{number}'] for number, name in enumerate(arrays['names'])}
+
+
+def convert_mat(path: str, most_bytes: int) -> None:
+    """Write the columns of a MAT file to stdout as .npz; exit with a text for a damaged one."""
+    import resource
+
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
+    used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 4 * most_bytes,) * 2)
     try:
-        variables = loadmat(path)
-    except MatReadError as error:
-        raise ValueError(error) from None
-    return _columns({variable: values for variable, values in variables.items()
-                     if not variable.startswith('__')})
+        columns = _columns({name: values for name, values in loadmat(path).items()
+                            if not name.startswith('__')})
+        written = BytesIO()
+        np.savez(written, *columns.values(), names=np.array(list(columns), str))
+    except Exception as error:  # noqa: B902 - whatever scipy makes of bytes that are damaged
+        sys.exit(' '.join(str(error).split()) or type(error).__name__)
+    sys.stdout.buffer.write(written.getbuffer())
+
+
+def _read_npz(path: Path) -> Table:
+    with zipfile.ZipFile(path) as archive:
+        _refuse_large(path, sum(member.file_size for member in archive.infolist()))
+    with np.load(path) as arrays:
+        return _columns(arrays)
 
 
 def _columns(variables: Mapping[str, npt.NDArray]) -> Table:
@@ -87,8 +132,11 @@ def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArr
 
 
 def _read_parquet(path: Path) -> Table:
-    from pyarrow.parquet import read_table as read_parquet
-    table = read_parquet(path)
+    from pyarrow.parquet import ParquetFile
+    file = ParquetFile(path)
+    sizes = [file.metadata.row_group(k).total_byte_size for k in range(file.num_row_groups)]
+    _refuse_large(path, max(sum(sizes), 8 * file.metadata.num_rows * file.metadata.num_columns))
+    table = file.read()
     found: Table = {}
     for name in table.column_names:
         column = table[name].to_numpy()
@@ -97,89 +145,3 @@ def _read_parquet(path: Path) -> Table:
         else:
             found[name] = column
     return found
-
-
-def _read_text(path: Path, skip_lines: int, delimiter: str | None,
-               columns: Sequence[str] | None) -> Table:
-    raw = gzip.decompress(path.read_bytes()) if path.suffix == '.gz' else path.read_bytes()
-    lines = [line for line in _decoded(raw).splitlines(keepends=True)[skip_lines:]
-             if line.strip()]
-    if not lines:
-        raise InputError(f'{path} is empty' + (f' after {skip_lines} lines' if skip_lines else ''))
-    if delimiter is not None and len(delimiter) != 1:
-        raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
-    delimiter = delimiter or _delimiter(lines[len(lines) // 2])
-    rows = list(_cells(lines, delimiter))
-    start = _first_of_data(rows)
-    if columns is None:
-        columns = _header(lines[:start], delimiter, len(rows[len(rows) // 2]))
-    rows = [row for row in rows[start:] if not row[0].startswith(COMMENT)]
-    if not rows:
-        raise InputError(f'{path} has no rows')
-    short = next((i for i, row in enumerate(rows) if len(row) < len(columns) - 1), None)
-    if short is not None:
-        raise InputError(f'{path}: row {short + 1} has {len(rows[short])} cells, expected '
-                         f'{len(columns)}')
-    # A last column of remarks may be left out, or hold the delimiter.
-    padded: Iterable[tuple[str, ...]] = zip(*[[*row, ''][:len(columns)] for row in rows],
-                                            strict=True)
-    names = [name if name not in columns[:number] else f'{name}#{columns[:number].count(name) + 1}'
-             for number, name in enumerate(columns)]
-    return {name: np.array(cells, object) for name, cells in zip(names, padded, strict=True)}
-
-
-def _decoded(raw: bytes) -> str:
-    """Return a text in UTF-8, UTF-16 or, as older programs write it, Windows-1252."""
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return raw.decode('utf-16')
-    try:
-        return raw.decode('utf-8-sig')
-    except UnicodeDecodeError:
-        return raw.decode('cp1252')
-
-
-def _delimiter(line: str) -> str:
-    """Return what separates the cells of a row of data: that which makes most numbers of it."""
-    return max('\t;, ', key=lambda mark: sum(map(is_number, next(_cells([line], mark)))))
-
-
-def _first_of_data(rows: list[list[str]]) -> int:
-    """Return the first row that is like one in the middle; before it stand remarks and header."""
-    usual = rows[len(rows) // 2]
-    enough = 0.5 * sum(map(is_number, usual))
-    return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1
-                 and sum(map(is_number, row)) > enough), len(rows))
-
-
-def _header(before: list[str], delimiter: str, width: int) -> list[str]:
-    """
-    Return the names of `width` columns: the last line before the data that may hold them.
-
-    It is not one of units; and where blanks part the cells, none of the names may hold one.
-    """
-    for line in reversed(before):
-        names = next(_cells([line.lstrip('#% ')], delimiter))
-        units = all(name in UNITS or name[:1] in ('', '[', '(') for name in names)
-        if not units and abs(len(names) - width) <= (delimiter != ' '):
-            return names
-    return [f'#{number}' for number in range(1, width + 1)]
-
-
-def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    if delimiter in ' ,':   # a row of Matlab's
-        lines = (line.rstrip(' ;\r\n') for line in lines)
-    if delimiter != ',':
-        lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line else line for line in lines)
-    if delimiter == ' ':
-        return (line.split() for line in lines)
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    return ([cell.strip() for cell in row] for row in reader)
-
-
-def is_number(cell: str) -> bool:
-    """Tell whether a cell holds a number, or nothing."""
-    try:
-        float(cell or 'nan')
-    except ValueError:
-        return False
-    return True

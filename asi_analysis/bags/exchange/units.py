@@ -1,5 +1,6 @@
 """The units that a recording may be in."""
 
+import functools
 import math
 from typing import Final
 
@@ -16,4 +17,26 @@ UNITS: Final = {
     'rad/s': ('rad/s', 1.0), 'deg/s': ('rad/s', math.pi / 180.0),
     'rev/s': ('rad/s', 2.0 * math.pi), 'rpm': ('rad/s', math.pi / 30.0),
     'V': ('V', 1.0), 'mV': ('V', 1e-3), 'A': ('A', 1.0), 'mA': ('A', 1e-3),
+    'Pa': ('Pa', 1.0), 'bar': ('Pa', 1e5),
     '1': ('1', 1.0), '%': ('1', 1e-2)}
+# SI unit → how pint writes it; angles have no dimension, so their units are all in the table
+_PINT: Final = {'s': 's', 'N': 'N', 'm': 'm', 'm/s': 'm/s', 'Nm': 'N*m', 'V': 'V', 'A': 'A',
+                'Pa': 'Pa'}
+
+
+@functools.cache
+def conversion(unit: str) -> tuple[str, float] | None:
+    """
+    Return the SI unit that a unit is converted to, and its factor; None if it is no unit.
+
+    Beyond the table above it takes what pint knows, such as kip, ft, psi or bar*cm^2.
+    """
+    if unit in UNITS:
+        return UNITS[unit]
+    import pint
+    try:
+        quantity = pint.get_application_registry().Quantity(1.0, unit)
+        return next(((si, float(quantity.to(name).magnitude)) for si, name in _PINT.items()
+                     if quantity.is_compatible_with(name)), None)
+    except Exception:  # noqa: B902 - whatever pint makes of a text that is no unit
+        return None

@@ -1,0 +1,192 @@
+"""A text of someone else's (CSV, TSV, ...) as columns by name, read a block of rows at a time."""
+
+import codecs
+import csv
+import gzip
+import io
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, islice
+from pathlib import Path
+from typing import IO, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.bags.exchange.units import UNITS
+from asi_analysis.errors import InputError
+
+COMMENT: Final = ('#', '%')
+MISSING: Final = frozenset(('', 'na', 'n/a', '#n/a', 'null', 'none', '-', 'nan'))
+# Lines at the start of a file by which delimiter, header and first row of data are found.
+HEAD_LINES: Final = 1000
+BLOCK_ROWS: Final = 20_000
+# Limits: characters of a line, columns, and what a compressed file may unpack to.
+MOST_LINE: Final = 2**20
+MOST_COLUMNS: Final = 4096
+MOST_UNPACKED: Final = 100_000_000
+MOST_RATIO: Final = 20
+# LabVIEW writes -19m for -0.019.
+SI_NUMBER: Final = re.compile(r'([+-]?(?:\d+\.?\d*|\.\d+))([pnuµmkMG])')
+SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k': 1e3, 'M': 1e6,
+                    'G': 1e9}
+_DECIMAL_COMMA: Final = re.compile(r'(?<=\d),(?=\d)')
+
+codecs.register_error('windows-1252', lambda error: (   # as older programs write it
+    error.object[error.start:error.end].decode('cp1252', 'replace'), error.end)
+    if isinstance(error, UnicodeDecodeError) else ('?', 0))
+
+
+def unpacked_limit(path: Path) -> int:
+    """Return how many bytes the compressed data of a file may unpack to."""
+    return max(MOST_UNPACKED, MOST_RATIO * path.stat().st_size)
+
+
+def read_text(path: Path, skip_lines: int, delimiter: str | None,
+              columns: Sequence[str] | None) -> dict[str, npt.NDArray]:
+    """
+    Return the columns of a text by name: of floats, or of texts where a cell is no number.
+
+    A missing cell of a column of floats is NaN. Raises InputError, csv.Error, OSError, EOFError.
+    """
+    if delimiter is not None and len(delimiter) != 1:
+        raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
+    with gzip.open(path) if path.suffix == '.gz' else path.open('rb') as raw:
+        lines = (line for line in islice(_lines(raw, path), skip_lines, None) if line.strip())
+        head = list(islice(lines, HEAD_LINES))
+        if not head:
+            raise InputError(f'{path} is empty'
+                             + (f' after {skip_lines} lines' if skip_lines else ''))
+        delimiter = delimiter or _delimiter(head[len(head) // 2])
+        rows = list(_cells(head, delimiter))
+        start = _first_of_data(rows)
+        width = len(rows[len(rows) // 2])
+        if columns is None:
+            columns = _header(head[:start], delimiter, width)
+        if len(columns) > MOST_COLUMNS:
+            raise InputError(f'{path} has {len(columns)} columns: at most {MOST_COLUMNS} are '
+                             'allowed')
+        if start == len(rows):
+            raise InputError(f'{path} has no rows of numbers: they end with '
+                             f'{head[-1].strip()[:60]!r}')
+        data = _cells(chain(head[start:], lines), delimiter)
+        found = _columns(data, list(columns), path)
+    names = [name if name not in columns[:number] else f'{name}#{columns[:number].count(name) + 1}'
+             for number, name in enumerate(columns)]
+    return dict(zip(names, found, strict=True))
+
+
+def is_number(cell: str) -> bool:
+    """Tell whether a cell holds a number, or nothing."""
+    try:
+        float(cell or 'nan')
+    except ValueError:
+        return SI_NUMBER.fullmatch(cell) is not None
+    return True
+
+
+def _lines(raw: IO[bytes], path: Path) -> Iterator[str]:
+    """Yield the lines of a text in UTF-8, UTF-16 or, as older programs write it, Windows-1252."""
+    marks = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    wide = raw.read(2) in marks
+    raw.seek(0)
+    text = io.TextIOWrapper(raw, 'utf-16' if wide else 'utf-8-sig',  # type: ignore[arg-type]
+                            'strict' if wide else 'windows-1252')
+    limit = unpacked_limit(path) if path.suffix == '.gz' else None
+    while line := text.readline(MOST_LINE):
+        if len(line) == MOST_LINE:
+            raise InputError(f'{path} has a line of more than {MOST_LINE} characters: it is no '
+                             'table')
+        if limit is not None and raw.tell() > limit:
+            raise InputError(f'{path} unpacks to more than {limit / 1e6:.0f} MB: unpack it first '
+                             'if that is meant')
+        yield line
+
+
+def _columns(rows: Iterable[list[str]], names: list[str], path: Path) -> list[npt.NDArray]:
+    parts: list[list[npt.NDArray]] = [[] for _ in names]
+    rows = (row for row in rows if row and not row[0].startswith(COMMENT))
+    count = 0
+    while block := list(islice(rows, BLOCK_ROWS)):
+        for number, row in enumerate(block, count + 1):
+            if len(row) != len(names):
+                _fit(row, number, len(names), path)
+        count += len(block)
+        for part, cells in zip(parts, zip(*block, strict=True), strict=True):
+            part.append(_as_array(cells))
+    if not count:
+        raise InputError(f'{path} has no rows')
+    return [_joined(part) for part in parts]
+
+
+def _fit(row: list[str], number: int, width: int, path: Path) -> None:
+    """
+    Give a row as many cells as there are columns, or raise InputError.
+
+    A last column of remarks may be left out, or hold the delimiter; numbers may not.
+    """
+    if len(row) < width - 1:
+        raise InputError(f'{path}: row {number} has {len(row)} cells, expected {width}')
+    if any(row[width:]) and all(map(is_number, row[width - 1:])):
+        raise InputError(f'{path}: row {number} has {len(row)} cells, the header names {width}: '
+                         'if these are decimal commas, save it with semicolons or tabs between '
+                         'the cells')
+    row[:] = [*row, ''][:width]
+
+
+def _as_array(cells: Sequence[str]) -> npt.NDArray:
+    """Return cells as floats, NaN where one is missing; as texts if one is no number."""
+    try:
+        return np.array(cells, float)
+    except ValueError:
+        try:
+            return np.array(['nan' if cell.lower() in MISSING else cell for cell in cells], float)
+        except ValueError:
+            return np.array(cells, np.dtypes.StringDType())
+
+
+def _joined(parts: list[npt.NDArray]) -> npt.NDArray:
+    """Return the blocks of a column as one, and let go of them."""
+    if any(part.dtype != float for part in parts):
+        parts[:] = [part.astype(np.dtypes.StringDType()) for part in parts]
+    column = np.concatenate(parts)
+    parts.clear()
+    return column
+
+
+def _delimiter(line: str) -> str:
+    """Return what separates the cells of a row of data: that which makes most numbers of it."""
+    return max('\t;, ', key=lambda mark: sum(map(is_number, next(_cells([line], mark), []))))
+
+
+def _first_of_data(rows: list[list[str]]) -> int:
+    """Return the first row that is like one in the middle; before it stand remarks and header."""
+    usual = rows[len(rows) // 2]
+    enough = 0.5 * sum(map(is_number, usual))
+    return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1
+                 and sum(map(is_number, row)) > enough), len(rows))
+
+
+def _header(before: list[str], delimiter: str, width: int) -> list[str]:
+    """
+    Return the names of `width` columns: the last line before the data that may hold them.
+
+    It is not one of units; and where blanks part the cells, none of the names may hold one.
+    """
+    for line in reversed(before):
+        names = next(_cells([line.lstrip('#% ')], delimiter), [])
+        units = all(name in UNITS or name[:1] in ('', '[', '(') for name in names)
+        if not units and abs(len(names) - width) <= (delimiter != ' '):
+            return names
+    return [f'#{number}' for number in range(1, width + 1)]
+
+
+def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    if delimiter in ' ,':   # a row of Matlab's
+        lines = (line.rstrip(' ;\r\n') for line in lines)
+    if delimiter != ',':
+        lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line else line for line in lines)
+    if delimiter == ' ':
+        return (line.split() for line in lines)
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    return ([cell.strip() for cell in row] for row in reader)
