@@ -1,7 +1,6 @@
 """Offset and scale of the force sensor: taken at rest, kept in a file."""
 
 import math
-import os
 from collections import deque
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -11,6 +10,7 @@ import numpy.typing as npt
 import yaml
 
 from asi_actuator.model.actuator import Measurement
+from asi_common.files import write_text
 from asi_common.parameter import ParameterError
 
 # How long the actuator must have been at rest, s, and what is still rest: changes of the valve
@@ -60,12 +60,8 @@ def save(path: str, calibration: Calibration) -> None:
     """Write a file that `load` reads; a file that is there is replaced at once or not at all."""
     place = Path(path).expanduser()
     place.parent.mkdir(parents=True, exist_ok=True)
-    new = place.with_name(place.name + '.new')
-    with new.open('w') as file:
-        yaml.safe_dump({name: float(value) for name, value in calibration._asdict().items()}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(place)
+    write_text(place, yaml.safe_dump(
+        {name: float(value) for name, value in calibration._asdict().items()}))
 
 
 class Rest:

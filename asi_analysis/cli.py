@@ -7,6 +7,8 @@ A new command is one function with @command; what it raises becomes the exit sta
 """
 
 import json
+import math
+import os
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -28,7 +30,20 @@ app = typer.Typer(
 
 Json = Annotated[bool, typer.Option(
     '--json', help='Print one JSON document (doc/reference/json.md).')]
+
+
+def _directory(path: Path | None) -> Path | None:
+    """Return a directory to write to; raises InputError, before anything is computed."""
+    if path is not None:
+        there = next((each for each in (path, *path.absolute().parents) if each.exists()), path)
+        if not there.is_dir() or not os.access(there, os.W_OK):
+            raise InputError(f'{path} cannot be written: {there} is '
+                             + ('not writable' if there.is_dir() else 'not a directory'))
+    return path
+
+
 Report = Annotated[Path | None, typer.Option(
+    callback=_directory,
     help='Directory for an HTML report and its pictures as PNG')]
 Bag = Annotated[Path, typer.Argument(help='A bag: its directory or its .mcap file')]
 ParameterFile = Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')]
@@ -89,7 +104,7 @@ def run(
     ] = 'lockstep',
     rate: Annotated[float, typer.Option(
         help='Control rate, Hz; 0: 5000 in lock-step, 1000 in real time')] = 0.0,
-    seed: Annotated[int | None, typer.Option(help='Seed of sensor noise and PRBS')] = None,
+    seed: Annotated[int | None, typer.Option(help='Seed of sensor noise and PRBS', min=0)] = None,
     actuator: ParameterFile = None,
     controller: ParameterFile = None,
     set_: Settings = None,
@@ -133,7 +148,8 @@ def run(
             bag = running.run_experiment(wanted, out, report)
             document = running.run_as_dict(wanted, bag)
     except KeyboardInterrupt:
-        _fail(f'what was recorded is in {out / "bag"}', 130)
+        if (out / 'bag').exists():
+            _fail(f'what was recorded is in {out / "bag"}', 130)
         raise
     answer(document, as_json, running.run_as_text)
 
@@ -202,6 +218,7 @@ def export(
 @command('demo', 'asi demo --out runs/demo')
 def demo(
     out: Annotated[Path, typer.Option(
+        callback=_directory,
         help='Directory of the report; an earlier demo there is replaced')] = Path('runs/demo'),
     as_json: Json = False,
 ) -> None:
@@ -218,6 +235,7 @@ def reproduce(
     candidate: Annotated[Path | None, typer.Option(
         help='best.json of a calibration: parameters and conditions')] = None,
     report: Annotated[Path | None, typer.Option(
+        callback=_directory,
         help='Directory for an HTML report with our version of Figs. 3 to 12')] = None,
     over_ros: Annotated[Path | None, typer.Option(
         help='Make the closed-loop rows with the real nodes as well; their bags go into this '
@@ -382,10 +400,11 @@ def quench(
         help='Control rates of the attack, Hz; the first is that of margin and design')] = '5000',
     designs: Annotated[int, typer.Option(
         help='Candidates of the design helper; 0: none', min=0)] = 0,
-    seed: Annotated[int, typer.Option(help='Seed of attack and design')] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of attack and design', min=0)] = 1,
     replay: Annotated[int, typer.Option(
         help='How many of the worst finds to run over ROS', min=0)] = 0,
     out: Annotated[Path, typer.Option(
+        callback=_directory,
         help='Directory for the bags of --replay')] = Path('runs/quench'),
     set_: Settings = None,
     report: Report = None,
@@ -434,7 +453,10 @@ def _configured(settings: list[str] | None, compensator: str | None, gain: float
 
 def _numbers(option: str, text: str) -> list[float]:
     try:
-        return [float(part) for part in text.split(',') if part.strip()]
+        numbers = [float(part) for part in text.split(',') if part.strip()]
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError
+        return numbers
     except ValueError:
         raise InputError(f'{option} {text}: it takes numbers with commas between') from None
 
@@ -460,6 +482,7 @@ def gap(
     drive: Annotated[Literal['force', 'position'] | None, typer.Option(
         help='Of a joint; default: told from the signals')] = None,
     report: Annotated[Path | None, typer.Option(
+        callback=_directory,
         help='Directory for an HTML report and the improved model file')] = None,
     as_json: Json = False,
 ) -> None:
@@ -479,7 +502,7 @@ def gap_check(
              'default: new ones are written')] = None,
     cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
     seed: Annotated[int, typer.Option(
-        help='First seed of the new cases; those below 10000 were developed on')] = 20000,
+        min=0, help='First seed of the new cases; those below 10000 were developed on')] = 20000,
     world: Annotated[Literal['textbook', 'full', 'foreign'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
              'courses and noise, small effects everywhere')] = 'textbook',
@@ -491,6 +514,7 @@ def gap_check(
     jobs: Jobs = 2,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
+        callback=_directory,
         help='Directory for new cases; one that the same call left undone is gone on with')
     ] = Path('runs/gap_check'),
     as_json: Json = False,
@@ -515,7 +539,7 @@ def calibrate(
         help='Most rounds of successive linear programs from the best', min=0)] = 20,
     structure: Annotated[Literal['side', 'cylinder', 'one-load'], typer.Option(
         help='What is searched')] = 'side',
-    seed: Annotated[int, typer.Option(help='Seed of the search')] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of the search', min=0)] = 1,
     spread: Annotated[float, typer.Option(
         help='First spread of the search, share of the range of each parameter')] = 0.1,
     start: Annotated[Path | None, typer.Option(
@@ -525,6 +549,7 @@ def calibrate(
     jobs: Jobs = 1,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
+        callback=_directory,
         help='Directory of state and result; a search that is there is gone on with')
     ] = Path('runs/calibration'),
     front: Annotated[str | None, typer.Option(
@@ -551,9 +576,11 @@ def calibrate(
 def ensemble(
     count: Annotated[int, typer.Option(help='Members wanted', min=1)] = 20,
     most: Annotated[int, typer.Option(help='Candidates to try at most', min=1)] = 1500,
-    seed: Annotated[int, typer.Option(help='Seed of the draws')] = 1,
-    out: Annotated[Path, typer.Option(help='Directory of the members')] = Path('config/ensemble'),
+    seed: Annotated[int, typer.Option(help='Seed of the draws', min=0)] = 1,
+    out: Annotated[Path, typer.Option(
+        callback=_directory, help='Directory of the members')] = Path('config/ensemble'),
     pictures: Annotated[Path, typer.Option(
+        callback=_directory,
         help='Directory of the pictures and the sensitivity table')] = Path(
         'doc/explanation/reproduction'),
     jobs: Jobs = 1,
@@ -583,6 +610,13 @@ def main() -> int:
         return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
     except InputError as error:
         return _fail(str(error), 2)
+    except ValueError as error:
+        from asi_common.parameter import ParameterError
+        if not isinstance(error, ParameterError):
+            raise
+        return _fail(str(error), 2)
+    except MemoryError:
+        return _fail('there is not enough memory for this', 2)
     except OSError as error:
         return _fail(f'{error.filename}: {error.strerror}' if error.filename else str(error), 2)
     except RuntimeError as error:

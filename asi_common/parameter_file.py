@@ -14,6 +14,7 @@ from typing import Final
 
 import yaml
 
+from asi_common.files import write_text
 from asi_common.parameter import ParameterError, Value
 
 TRUE: Final = frozenset('Y y yes Yes YES true True TRUE on On ON'.split())
@@ -125,4 +126,4 @@ def parameter_file(node: str, lines: Sequence[str], header: Sequence[str] = ()) 
 def write_parameters(path: Path, node: str, values: Mapping[str, Value],
                      header: Sequence[str] = ()) -> None:
     """Write parameters by dotted name as the file of a node; OSError if that is not possible."""
-    path.write_text(parameter_file(node, parameter_lines(values), header), encoding='utf-8')
+    write_text(path, parameter_file(node, parameter_lines(values), header))

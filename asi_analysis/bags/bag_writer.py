@@ -22,6 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from asi_analysis.errors import InputError
+from asi_common.files import write_text
 
 # A kill loses the chunk that is open: about a hundred ticks of the loop, or at low rates this
 # time. Both go by the messages, not by the clock, so that the same messages make the same file.
@@ -144,7 +145,7 @@ class BagWriter:
         self._file.close()
         text = yaml.safe_dump({'rosbag2_bagfile_information': self._description()},
                               sort_keys=False)
-        (self._directory / 'metadata.yaml').write_text(text)
+        write_text(self._directory / 'metadata.yaml', text)
 
     def abandon(self) -> None:
         """Leave the bag as it is, after an error: readable up to the last whole chunk."""

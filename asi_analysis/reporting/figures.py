@@ -17,6 +17,8 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from asi_common.files import replacing
+
 Array = npt.NDArray[np.float64]
 
 WIDTH_IN: Final = 5.2
@@ -45,8 +47,8 @@ def _figure(height_in: float) -> Figure:
 
 def save(figure: Figure, path: Path, dpi: float = STYLE['savefig.dpi']) -> None:
     """Write a figure to a file."""
-    with style():
-        figure.savefig(path, dpi=dpi)
+    with style(), replacing(path) as temporary:
+        figure.savefig(temporary, dpi=dpi)
 
 
 def svg(figure: Figure, description: str) -> str:

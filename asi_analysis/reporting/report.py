@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from asi_analysis.reporting import figures
 from asi_analysis.versions import versions
+from asi_common.files import write_text
 
 
 def write_report(out: Path, template: str, pictures: Mapping[str, tuple[Figure, str]],
@@ -24,7 +25,7 @@ def write_report(out: Path, template: str, pictures: Mapping[str, tuple[Figure, 
     for name, (figure, _) in pictures.items():
         figures.save(figure, out / f'{name}.png')
     page = out / 'report.html'
-    page.write_text(_environment().get_template(template).render(
+    write_text(page, _environment().get_template(template).render(
         figures={name: figures.svg(figure, caption)
                  for name, (figure, caption) in pictures.items()},
         captions={name: caption for name, (_, caption) in pictures.items()},

@@ -1,5 +1,6 @@
 """What the columns of a table are, by texts such as `force=CHANNEL1*9806.65[N]`."""
 
+import math
 import re
 import warnings
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.bags.exchange.text_file import MISSING, SI_NUMBER, SI_PREFIX
-from asi_analysis.bags.exchange.units import UNITS, conversion
+from asi_analysis.bags.exchange.units import conversion
 from asi_analysis.bags.run import SIGNALS, Array
 from asi_analysis.errors import InputError, InputWarning
 
@@ -21,9 +22,10 @@ TAKES: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIG
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
                 'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s')}
-_NUMBER: Final = r'[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
+_UNSIGNED: Final = r'(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
+_NUMBER: Final = rf'[+-]?{_UNSIGNED}'
 _TERM: Final = re.compile(
-    rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_NUMBER})?$')
+    rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_UNSIGNED})?$')
 
 
 class Assignment(NamedTuple):
@@ -53,7 +55,8 @@ def parse_mapping(text: str) -> Assignment:
                     if signal == 'command' and si in ('m', 'rad', 'm/s', 'rad/s') else
                     'a pressure times an area is a force, as in force=p*12.5[bar*cm^2]'
                     if signal == 'force' and si == 'Pa' else
-                    'scale other quantities, as in force=volts*250[N] or position=counts*0.088[deg]')
+                    'scale other quantities, as in force=volts*250[N] or '
+                    'position=counts*0.088[deg]')
             raise InputError(f'{text!r}: {signal} takes {", ".join(TAKES[signal])} and their '
                              f'multiples, not {unit!r}; {hint}')
     return Assignment(text, signal, term, unit or TAKES[signal][0])
@@ -101,7 +104,10 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
                              'values, a scale is one')
         return float(_numbers(text, table[text], path)[0])
     try:
-        return float(text)
+        scale = float(text)
+        if math.isfinite(scale):
+            return scale
+        raise ValueError
     except ValueError:
         raise InputError(f'{path}: {mapping.text!r}: the scale {text!r} is neither a number nor '
                          'one of ' + ', '.join(table)) from None

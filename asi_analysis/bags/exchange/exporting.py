@@ -3,11 +3,15 @@
 import csv
 import json
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from asi_analysis.bags.run import Array, Run
 from asi_analysis.errors import InputError
+from asi_common.files import replacing
+
+BLOCK_ROWS: Final = 20_000
 
 
 def export(run: Run, path: str | Path) -> None:
@@ -18,15 +22,14 @@ def export(run: Run, path: str | Path) -> None:
     another kind of file, or one that exists or cannot be written.
     """
     path = Path(path)
+    writers = {'.csv': _write_csv, '.parquet': _write_parquet}
+    if path.suffix not in writers:
+        raise InputError(f'{path}: expected a .csv or .parquet file')
     if path.exists():
         raise InputError(f'{path} exists already: give another file')
     try:
-        if path.suffix == '.csv':
-            _write_csv(run, path)
-        elif path.suffix == '.parquet':
-            _write_parquet(run, path)
-        else:
-            raise InputError(f'{path}: expected a .csv or .parquet file')
+        with replacing(path) as temporary:
+            writers[path.suffix](run, temporary)
     except OSError as error:
         raise InputError(f'{path} cannot be written: {error.strerror or error}') from None
 
@@ -43,9 +46,11 @@ def _write_csv(run: Run, path: Path) -> None:
     with path.open('w', newline='') as stream:
         writer = csv.writer(stream)
         writer.writerow(table)
-        cells = [['' if np.isnan(value) else repr(value) for value in values.tolist()]
-                 for values in table.values()]
-        writer.writerows(zip(*cells, strict=True))
+        for start in range(0, len(run), BLOCK_ROWS):
+            cells = [['' if np.isnan(value) else repr(value)
+                      for value in values[start:start + BLOCK_ROWS].tolist()]
+                     for values in table.values()]
+            writer.writerows(zip(*cells, strict=True))
 
 
 def _write_parquet(run: Run, path: Path) -> None:

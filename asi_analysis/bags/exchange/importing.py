@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,6 +18,10 @@ from asi_analysis.bags.exchange.column_mapping import (
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.run import SIGNALS, Array, Run
 from asi_analysis.errors import InputError, InputWarning
+
+LEAST_RATE_HZ: Final = 1e-6
+MOST_RATE_HZ: Final = 1e8
+LONGEST_S: Final = 1e9
 
 
 def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
@@ -54,6 +58,11 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
         warnings.warn(f'{path}: {np.sum(~new)} of {length} samples have no time, or that of the '
                       'one before, and are left out', InputWarning, stacklevel=2)
     time_s = time_s[new]
+    # Stamps are whole nanoseconds in 64 bits.
+    if len(time_s) < 2 or time_s[-1] > LONGEST_S or np.diff(time_s).min() < 1e-9:
+        raise InputError(f'{path}: its {len(time_s)} samples last {time_s[-1]:g} s: expected '
+                         f'samples at least 1 ns apart, {LONGEST_S:g} s at most; is the unit of '
+                         'time, or the rate, right?')
     units = {name: unit for name, (_, unit) in signals.items()}
     values = {name: column[new] - _start(column[new], time_s, zero_s, name, path)
               for name, (column, _) in signals.items()}
@@ -91,8 +100,9 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
     if (mapped is None) == (rate_hz is None):
         raise InputError(f'{path}: expected either a mapping time=COLUMN or a rate in Hz')
     if mapped is None:
-        if rate_hz is None or not 0.0 < rate_hz < np.inf:
-            raise InputError(f'rate = {rate_hz} Hz is not allowed: it must be above 0')
+        if rate_hz is None or not LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ:
+            raise InputError(f'rate = {rate_hz} Hz is not allowed: it must be above 0, from '
+                             f'{LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g}')
         return np.arange(count) / rate_hz
     known = np.flatnonzero(np.isfinite(mapped[0]))
     steps = np.diff(mapped[0][known])

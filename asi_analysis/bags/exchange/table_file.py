@@ -47,7 +47,7 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
             raise
         why = error.strerror if isinstance(error, OSError) else None
         raise InputError(f'{path} cannot be read: '
-                         + (why or " ".join(str(error).split()) or type(error).__name__)
+                         + (why or ' '.join(str(error).split()) or type(error).__name__)
                          ) from None
     raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat (also .gz), .mat, .npz or '
                      '.parquet file')

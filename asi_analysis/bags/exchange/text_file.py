@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -85,12 +85,12 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def _lines(raw: IO[bytes], path: Path) -> Iterator[str]:
+def _lines(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str]:
     """Yield the lines of a text in UTF-8, UTF-16 or, as older programs write it, Windows-1252."""
     marks = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     wide = raw.read(2) in marks
     raw.seek(0)
-    text = io.TextIOWrapper(raw, 'utf-16' if wide else 'utf-8-sig',  # type: ignore[arg-type]
+    text = io.TextIOWrapper(raw, 'utf-16' if wide else 'utf-8-sig',
                             'strict' if wide else 'windows-1252')
     limit = unpacked_limit(path) if path.suffix == '.gz' else None
     while line := text.readline(MOST_LINE):

@@ -16,6 +16,7 @@ from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_common.parameter import ParameterError, Value, completed
 
 PLANTS = ('actuator', 'joint')
+LEAST_TOLERANCE = 1e-3
 DRIVES = (None, 'force', 'position')
 
 
@@ -57,8 +58,9 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
         raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
     if drive not in DRIVES:
         raise InputError(f'--drive {drive!r} is not allowed: force or position')
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f'--tolerance {tolerance:g} is not allowed: above 0, below 1')
+    if not LEAST_TOLERANCE <= tolerance < 1.0:
+        raise InputError(f'--tolerance {tolerance:g} is not allowed: from {LEAST_TOLERANCE:g}, '
+                         'below 1')
     told('reading', None)
     runs = [read_bag(path) for path in (*bags, *held_out)]
     values = nominal_model(model, plant)

@@ -28,6 +28,7 @@ from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
 from asi_analysis.reporting import figures
+from asi_common.files import write_text
 
 CONFIDENT = 0.9
 BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.97, 1.0001)
@@ -209,7 +210,7 @@ def check(folder: Path, told: Told) -> dict[str, Any]:
     if absent:
         raise InputError(f'{folder / "answers.sealed"} has no answer for {absent[0]}')
     result = score(rows, answers)
-    (folder / 'answers.json').write_text(json.dumps(answers, indent=1))
+    write_text(folder / 'answers.json', json.dumps(answers, indent=1))
     draw(rows, answers, result, folder)
     return {**result, 'directory': str(folder)}
 

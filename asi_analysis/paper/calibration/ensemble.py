@@ -23,6 +23,7 @@ from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.measures import Measured
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
+from asi_common.files import write_text
 from asi_common.parameter_file import write_parameters
 
 Array = npt.NDArray[np.float64]
@@ -197,7 +198,7 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Pro
         raise InputError(f'none of {tried} candidates is a member: try more')
     write_members(kept, out)
     pictures.mkdir(parents=True, exist_ok=True)
-    (pictures / 'sensitivity.md').write_text(sensitivity_table(sensitivity(problem, found)))
+    write_text(pictures / 'sensitivity.md', sensitivity_table(sensitivity(problem, found)))
     for name, draw in (('ensemble_spread', ensemble_figures.spread),
                        ('ensemble_pairs', ensemble_figures.pairs)):
         figures.save(draw(kept, best_as_member(best)), pictures / f'{name}.png', 110.0)

@@ -20,6 +20,7 @@ from asi_analysis.paper.facts.measures import Measured
 from asi_analysis.paper.facts.table import Fact
 from asi_analysis.reporting.figures import BLUE, WIDTH_IN, save, style
 from asi_analysis.terminal import Progress, silent
+from asi_common.files import write_text
 
 
 class Held(NamedTuple):
@@ -94,7 +95,7 @@ def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress)
     held = front(name, values, read_best(start) if start else Candidate({}, Conditions()), rounds,
                  report)
     out.mkdir(parents=True, exist_ok=True)
-    (out / 'front.md').write_text(table(name, held))
+    write_text(out / 'front.md', table(name, held))
     save(picture(name, held), out / 'front.png', 110.0)
     return {'quantity': name, 'out': str(out),
             'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,

@@ -13,6 +13,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.errors import InputError
 from asi_analysis.loop.bench import Values
 from asi_analysis.paper.facts.conditions import Conditions, StepTest
+from asi_common.files import write_text
 from asi_common.parameter import Value, completed, defaults
 from asi_controller.compensator import OWN_GAIN
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
@@ -157,7 +158,7 @@ def quantities(one: Candidate) -> dict[str, float]:
 def write_best(one: Candidate, path: Path) -> None:
     """Write a candidate as JSON: parameters of the actuator, and the tests of Table 1."""
     tests = {name: getattr(one.conditions, name)._asdict() for name in TESTS}
-    path.write_text(json.dumps({'actuator': one.actuator, 'table_1': tests}, indent=2) + '\n')
+    write_text(path, json.dumps({'actuator': one.actuator, 'table_1': tests}, indent=2) + '\n')
 
 
 def read_best(path: Path) -> Candidate:

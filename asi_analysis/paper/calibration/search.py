@@ -33,6 +33,7 @@ from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.measures import Measured
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
+from asi_common.files import replacing
 
 Array = npt.NDArray[np.float64]
 
@@ -217,9 +218,8 @@ class Search:
 
     def save(self, path: Path) -> None:
         """Write the state; a crash while writing leaves the last one."""
-        part = path.with_suffix('.part')
-        part.write_bytes(pickle.dumps(self))
-        part.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_bytes(pickle.dumps(self))
 
 
 def _outside(point: Array) -> float:

@@ -11,6 +11,7 @@ from asi_analysis.paper.facts.stated import stated
 from asi_analysis.paper.reproduction.answer import Reproduction, as_document
 from asi_analysis.paper.reproduction.figures import paper_figures
 from asi_analysis.reporting.report import write_report
+from asi_common.files import write_text
 
 
 def write_reproduction_report(result: Reproduction, out: Path) -> Path:
@@ -23,7 +24,7 @@ def write_reproduction_report(result: Reproduction, out: Path) -> Path:
         document=document, stated=stated(result.actuator, result.conditions),
         held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
         linear=linear_model(result.actuator), roots=_roots)
-    (out / 'table.md').write_text(_table(document))
+    write_text(out / 'table.md', _table(document))
     return page
 
 

@@ -1,0 +1,158 @@
+"""Bad input ends in one line and status 2, whatever it is; nothing half written stays behind."""
+
+import gzip
+import os
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.records import Chunk
+from mcap.writer import Writer
+from scipy.io import savemat
+
+from asi_analysis import cli
+from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.bag_file import read_contents
+from asi_analysis.bags.exchange import text_file
+from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.qos import as_profile
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError, InputWarning
+from asi_common.files import write_text
+from asi_common.node.topics import STREAM_QOS
+
+
+def asi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
+        ) -> tuple[int, str]:
+    """Return exit status and stderr of a command."""
+    monkeypatch.setattr(sys, 'argv', ['asi', *map(str, words)])
+    status = cli.main()
+    return status, capsys.readouterr().err
+
+
+def a_run(count: int = 300) -> Run:
+    time_s = np.arange(count) / 1000.0
+    return Run(time_s, np.where(time_s < 0.1, 0.0, 100.0), None, np.sin(time_s * 60.0))
+
+
+@pytest.mark.parametrize('words', [
+    ['predict', '--steps', 'nan'], ['quench', '--seed', '-1'],
+    ['gap', '{bag}', '--tolerance', '1e-320'], ['reproduce', '--actuator', '{wrong}'],
+    ['ensemble', '--out', '/dev/null'], ['predict', '--report', '/dev/null'],
+    ['import', '{csv}', '--map', 'force=force--1', '--rate', '100', '--out', '{new}'],
+    ['import', '{csv}', '--map', 'force=force*nan', '--rate', '100', '--out', '{new}'],
+    ['import', '{csv}', '--map', 'force=force', '--rate', '1e12', '--out', '{new}'],
+    ['import', '{csv}', '--map', 'force=force', '--rate', '1e-308', '--out', '{new}'],
+    ['run', '--rate', '1e12'], ['run', '--duration', '1e-308'], ['attribute', '{bag}']])
+def test_a_call_that_is_wrong_is_refused_in_one_line(
+        words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    (tmp_path / 'a.csv').write_text('force\n1\n2\n3\n')
+    (tmp_path / 'wrong.yaml').write_text('asi_actuator:\n  ros__parameters:\n    load:\n'
+                                         '      mass: -1.0\n')
+    places = {'bag': tmp_path / 'bag', 'csv': tmp_path / 'a.csv', 'wrong': tmp_path / 'wrong.yaml',
+              'new': tmp_path / 'new'}
+    status, said = asi(monkeypatch, capsys, *[word.format(**places) for word in words])
+    assert status == 2
+    assert said.startswith('asi: ')
+    assert said.count('\n') == 1
+    assert not (tmp_path / 'new').exists()
+
+
+@pytest.mark.parametrize('kind', ['npz', 'mat'])
+def test_every_cut_of_an_archive_is_read_or_refused(kind: str, tmp_path: Path) -> None:
+    whole, cut = tmp_path / f'whole.{kind}', tmp_path / f'cut.{kind}'
+    if kind == 'npz':
+        np.savez_compressed(whole, force=np.arange(1000.0))
+    else:
+        savemat(whole, {'force': np.arange(1000.0)}, do_compression=True)
+    data = whole.read_bytes()
+    for share in (0.1, 0.5, 0.9, 0.99) if kind == 'npz' else (0.5, 0.95):
+        cut.write_bytes(data[:int(share * len(data))])
+        with pytest.raises(InputError, match='cannot be read') as refusal:
+            import_recording(cut, ['force=force'], 10.0)
+        assert '\n' not in str(refusal.value)
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('force\n"' + 'x' * 200_000 + '"\n', 'field larger than'),
+    ('1,' * 2**20, 'a line of more than'),
+    ('t,f\n' + ','.join(map(str, range(5000))), 'columns: at most'),
+    ('t,f,x\n' + '0,5,1,2\n1,5,2,3\n', 'if these are decimal commas'),
+    ('t;f\nhigh;low\nhigh;low\n', "has no rows of numbers: they end with 'high;low'")])
+def test_texts_that_are_no_tables_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text(text)
+    with pytest.raises(InputError, match=message):
+        import_recording(tmp_path / 'a.csv', ['force=f'], 10.0)
+
+
+def test_a_compressed_text_is_not_unpacked_beyond_the_limit(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text_file, 'MOST_UNPACKED', 1_000_000)
+    (tmp_path / 'a.csv.gz').write_bytes(gzip.compress(b'force\n' + b'1.00000\n' * 200_000))
+    with pytest.raises(InputError, match='unpacks to more than 1 MB'):
+        import_recording(tmp_path / 'a.csv.gz', ['force=force'], 10.0)
+
+
+@pytest.mark.parametrize('declared', [1000, 5_000_000_000])
+def test_a_chunk_that_unpacks_to_gigabytes_is_left_out(declared: int, tmp_path: Path) -> None:
+    bomb = zstandard.ZstdCompressor().compress(bytes(300_000_000))
+    with (tmp_path / 'a.mcap').open('wb') as file:
+        writer = Writer(file)
+        writer.start()
+        chunk = Chunk('zstd', bomb, 0, 0, 0, declared)
+        chunk.write(writer._Writer__record_builder)  # type: ignore[attr-defined]
+        file.write(writer._Writer__record_builder.end())  # type: ignore[attr-defined]
+        writer.finish()
+    contents = read_contents(tmp_path / 'a.mcap', lambda _: True)
+    assert 'unpack' in contents.problems[0]
+    with pytest.raises(InputError, match='unpack'):
+        read_bag(tmp_path / 'a.mcap')
+
+
+def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    (tmp_path / 'bag/metadata.yaml').unlink()
+    os.mkfifo(tmp_path / 'bag/metadata.yaml')
+    with pytest.warns(InputWarning, match='metadata.yaml cannot be read'):
+        assert len(read_bag(tmp_path / 'bag')) == 300
+
+
+def test_a_damaged_quality_of_service_is_said_and_replaced() -> None:
+    for damaged in ({}, {'depth': 'x'}, {'depth': 1, 'reliability': 'perhaps'}):
+        with pytest.warns(InputWarning, match='cannot be read'):
+            assert as_profile(damaged) is STREAM_QOS
+
+
+def test_a_disk_that_is_full_leaves_nothing_behind(tmp_path: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'old').write_text('old')
+
+    def full(_: int) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    for name in ('old', 'new'):
+        with pytest.raises(OSError, match=name):
+            write_text(tmp_path / name, 'x')
+    assert [path.name for path in tmp_path.iterdir()] == ['old']
+    assert (tmp_path / 'old').read_text() == 'old'
+
+
+def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        def full(_: int) -> None:
+            raise OSError(28, 'No space left on device')
+
+        patch.setattr(os, 'fsync', full)
+        with pytest.raises(OSError, match='No space left'):
+            write_bag(a_run(), tmp_path / 'bag')
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        write_bag(a_run(), tmp_path / 'bag')
+        assert len(read_bag(tmp_path / 'bag')) == 300
