@@ -1,19 +1,23 @@
-"""What a command shows in the terminal: a bar while it works, and tables."""
+"""What a command shows in the terminal: a progress bar while it works, and tables."""
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Final
 
-# progress(what is going on, share done or None)
+# progress(what is being done, share done or None if unknown)
 Progress = Callable[[str, float | None], None]
+# Columns for what is not printed to a terminal: a file, a pipe, a notebook.
+WIDTH: Final = 160
 
 
 def silent(text: str, share: float | None) -> None:
-    """Tell nobody how far the work is."""
+    """Report no progress."""
 
 
 @contextmanager
 def bar() -> Iterator[Progress]:
-    """Give a progress that shows a bar on stderr, if that is a terminal; gone at the end."""
+    """Give a progress function that shows a bar on stderr if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
@@ -30,21 +34,19 @@ def bar() -> Iterator[Progress]:
         yield progress
 
 
-def table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None,
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str = '',
           right: Sequence[str] = ()) -> str:
-    """
-    Return a table as text no wider than the terminal.
-
-    right: the columns that are flush right; cells may hold rich's markup, as '[red]no[/]'.
-    """
+    """Return a table as text no wider than the terminal; right: the right-aligned columns."""
     from rich.console import Console
     from rich.table import Table
-    made = Table(title=title, title_justify='left', box=None, pad_edge=False)
+    made = Table(title=title or None, title_justify='left', box=None, pad_edge=False,
+                 show_header=any(columns))
     for column in columns:
         made.add_column(column, justify='right' if column in right else 'left')
     for row in rows:
         made.add_row(*row)
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else WIDTH, color_system=None,
+                      markup=False, emoji=False, highlight=False)
     with console.capture() as captured:
         console.print(made)
-    return captured.get().rstrip('\n')
+    return '\n'.join(line.rstrip() for line in captured.get().rstrip('\n').splitlines())

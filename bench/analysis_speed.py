@@ -19,7 +19,7 @@ from asi_actuator.parameters import as_record
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
-from asi_analysis.limit_cycle.detection.answer import limit_cycle
+from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.loop.bench import RATE_HZ, Bench
 from asi_analysis.loop.one_harmonic import COMMANDS_N, OneHarmonic, locus
 from asi_analysis.loop.simulation import loop_of
@@ -57,12 +57,12 @@ def growth(quick: bool) -> list[Result]:
     results, lengths = [], (10, 20) if quick else LENGTHS_S
     for kind in GAINS:
         # The first of all also loads what is loaded late.
-        limit_cycle([recording(kind, 5)])
+        detect_limit_cycles([recording(kind, 5)])
         cost = {}
         for length_s in lengths:
             run = recording(kind, length_s)
             cost[length_s] = (seconds(partial(analyze, run))
-                              + seconds(partial(limit_cycle, [run])))
+                              + seconds(partial(detect_limit_cycles, [run])))
             results.append(Result(f'analysis.{kind}.{length_s}', f'analyze + limit-cycle, {kind}',
                                   1e3 * cost[length_s] / length_s, 'ms for a second of recording',
                                   at=float(length_s)))

@@ -1,18 +1,24 @@
 """A recording as named arrays: what every analysis works on."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.errors import InputError
+from asi_analysis.reporting.result import Table, as_html, as_text, frame, shown
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
 
 Array = npt.NDArray[np.float64]
 
 
 class StateChange(NamedTuple):
-    """The state that the actuator's node is in from a time on, and why, '' if it need not say."""
+    """State of the actuator's node from a time on; reason: of a fault, else ''."""
 
     time_s: float
     state: str      # disabled, enabled or fault
@@ -37,20 +43,29 @@ SIGNALS = (
 )
 
 
-# What a reference in a unit asks for; of a joint that turns, in N m, rad and rad/s.
+# Signal that is controlled, by the unit of the reference; N m, rad and rad/s of a rotary joint.
 CONTROLLED = {'N': 'force', 'Nm': 'force', 'm': 'position', 'rad': 'position', 'm/s': 'velocity',
               'rad/s': 'velocity'}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """
     A recording: arrays of n samples on one time base.
 
-    An absent signal is None, a missing sample is NaN. Command k is the answer to
-    state k, and acts from it to the next. Time counts from the first state. What was imported may
-    be in other units (the reference of a position servo in metres, a joint that turns in rad and
-    N m, a command in volts): ask `unit`.
+    A signal that was not recorded is None, a missing sample is NaN. Command k is computed from
+    state k and acts until the next one. Time starts at 0 with the first state. An imported
+    recording may have other units than the names say (a position servo has its reference in
+    metres, a rotary joint in rad and N m, a command may be in volts): `unit` returns them.
+
+    A slice of whole numbers is one of samples, a slice with a decimal number one of time (s):
+
+    >>> import asi_analysis as asi
+    >>> run = asi.simulate({}, {'reference.amplitude': 100.0}, 0.4)
+    >>> len(run), len(run[:10]), len(run[0.1:0.3])
+    (2000, 10, 1000)
+    >>> run[0.1:].time_s[0]
+    0.1
     """
 
     time_s: Array
@@ -73,65 +88,91 @@ class Run:
         return len(self.time_s)
 
     def __getitem__(self, part: slice) -> 'Run':
-        """Return the samples of a slice, as a run."""
+        """Return a slice: of time (s) if a bound is a float, of samples otherwise."""
+        if isinstance(part.start, float) or isinstance(part.stop, float):
+            return self.between(-np.inf if part.start is None else part.start,
+                                np.inf if part.stop is None else part.stop)
         cut: dict[str, Any] = {f.name: value[part] for f in fields(self)
                                if isinstance(value := getattr(self, f.name), np.ndarray)}
         return replace(self, **cut)
 
     def between(self, start_s: float, end_s: float) -> 'Run':
-        """Return the samples with start_s <= time < end_s; their times stay as they are."""
+        """Return the samples with start_s <= time < end_s; time is not shifted."""
         return self[slice(*np.searchsorted(self.time_s, [start_s, end_s]))]
 
     def signals(self) -> dict[str, Array]:
-        """Return the signals that are there, by name ('force', not 'force_n')."""
+        """Return the recorded signals by name ('force', not 'force_n')."""
         return {signal.name: values for signal in SIGNALS
                 if (values := getattr(self, signal.field)) is not None}
 
     def signal(self, name: str) -> Array:
-        """Return a signal by name; raises InputError if the run does not hold it."""
+        """Return a signal by name; raises InputError if it was not recorded."""
         try:
             return self.signals()[name]
         except KeyError:
-            raise InputError(f'{self.source}: no {name} in this run; it holds '
+            raise InputError(f'{self.source}: no {name} in this run; it has '
                              f'{", ".join(self.signals()) or "nothing"}') from None
 
     def unit(self, name: str) -> str:
-        """Return the unit of a signal: that of `information['signals']`, or the usual one."""
+        """Return the unit of a signal: from `information['signals']`, else that of SIGNALS."""
         usual = {signal.name: signal.unit for signal in SIGNALS}
         return self.information.get('signals', {}).get(name, usual[name])
 
     def controlled(self) -> str:
-        """Return the name of the signal that the reference asks for, by the reference's unit."""
+        """Return the name of the controlled signal, which has the unit of the reference."""
         return CONTROLLED[self.unit('reference')]
 
     @property
     def period_s(self) -> float:
-        """The time between two samples: the median, to the nanosecond of the stamps."""
+        """Sampling period: the median time between two samples, rounded to 1 ns."""
         return round(float(np.median(np.diff(self.time_s))), 9) if len(self) > 1 else np.nan
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Sampling rate."""
         return 1.0 / self.period_s
 
     @property
     def duration_s(self) -> float:
-        """The time that the samples stand for: the last one lasts a period too."""
+        """Length of the recording: that of its samples times the period."""
         return float(self.time_s[-1] - self.time_s[0]) + self.period_s if len(self) > 1 else 0.0
 
-    def __str__(self) -> str:
-        lines = [f'{self.source or "run"}: {len(self)} samples, {self.rate_hz:g} Hz, '
-                 f'{self.duration_s:.6g} s',
-                 f'{"signal":<16}{"unit":<6}{"smallest":>12}{"mean":>12}{"largest":>12}'
-                 f'{"missing":>9}']
-        present = self.signals()
+    def columns(self) -> dict[str, Array]:
+        """Return time and signals by name and unit, such as force_n."""
+        return {'time_s': self.time_s} | {
+            f'{name}_{self.unit(name).replace("/", "_").lower()}': values
+            for name, values in self.signals().items()}
+
+    def to_frame(self) -> 'pandas.DataFrame':
+        """Return `columns` as a pandas DataFrame; raises InputError without pandas."""
+        return frame(self.columns())
+
+    def plot(self) -> 'list[Axes]':
+        """Draw the signals over time in a pyplot figure; return its axes, one for each unit."""
+        from asi_analysis.reporting.figures import recording
+        return shown(recording(self.time_s, {
+            name: (values, self.unit(name)) for name, values in self.signals().items()}))
+
+    def parts(self) -> Iterator[str | Table]:
+        """Yield the recording for people: its length and a table of its signals."""
+        yield (f'{self.source or "run"}: {len(self)} samples, {self.rate_hz:g} Hz, '
+               f'{self.duration_s:.6g} s')
+        columns = ('signal', 'unit', 'smallest', 'mean', 'largest', 'missing')
+        present, rows = self.signals(), []
         for name, values in present.items():
             known = values[~np.isnan(values)]
             figures = (known.min(), known.mean(), known.max()) if len(known) else (np.nan,) * 3
-            lines.append(f'{name:<16}{self.unit(name):<6}'
-                         + ''.join(f'{figure:>12.5g}' for figure in figures)
-                         + f'{len(values) - len(known):>9}')
+            rows.append((name, self.unit(name), *(f'{figure:.5g}' for figure in figures),
+                         str(len(values) - len(known))))
+        yield Table(columns, rows, right=columns[2:])
         absent = [signal.name for signal in SIGNALS if signal.name not in present]
         if absent:
-            lines.append('absent: ' + ', '.join(absent))
-        return '\n'.join(lines)
+            yield 'absent: ' + ', '.join(absent)
+
+    def __str__(self) -> str:
+        return as_text(self.parts())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return as_html(self.parts())

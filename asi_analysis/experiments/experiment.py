@@ -71,6 +71,13 @@ def checked(experiment: Experiment) -> Experiment:
     return complete
 
 
+def planned(actuator: Mapping[str, Value], controller: Mapping[str, Value], duration_s: float,
+            mode: str, rate_hz: float) -> Experiment:
+    """Return an experiment with every parameter; the reference is a step if none is given."""
+    values = gather({}, [], {'actuator': actuator, 'controller': controller}, duration_s)
+    return checked(Experiment(values['actuator'], values['controller'], duration_s, mode, rate_hz))
+
+
 def read_parameters(path: Path, which: str) -> dict[str, Value]:
     """
     Return the parameters of a ROS parameter file for 'actuator' or 'controller', by dotted name.
@@ -118,8 +125,8 @@ def gather(files: Mapping[str, Path | None], settings: list[str],
     The later wins; a named option that is None is not given. With no reference at all it is a
     step; a chirp or ramp without a duration of its own lasts to the end of the run.
     """
-    values = {which: read_parameters(path, which) if path else {}
-              for which, path in files.items()}
+    values = {which: read_parameters(path, which) if (path := files.get(which)) else {}
+              for which in TABLES}
     for text in settings:
         which, name, value = parse_setting(text)
         values[which][name] = value

@@ -16,11 +16,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.experiments.experiment import Experiment, checked, information
+from asi_analysis.experiments.experiment import Experiment, checked, information, planned
+from asi_analysis.measures.analysis import Analysis, analyze
+from asi_analysis.reporting.result import Table
 from asi_analysis.terminal import Progress, silent
+from asi_common.parameter import Value
 from asi_common.parameter_file import write_parameters
 
 # Started in this order, asked to end in the reverse: while the recorder waits for the last
@@ -238,18 +243,46 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int,
         context.try_shutdown()
 
 
-def run_as_dict(experiment: Experiment, bag: Path) -> dict[str, Any]:
-    """Return what `asi run --json` prints of a finished run."""
-    from asi_analysis.measures.analysis import analyze_bag
-    return {'bag': str(bag), 'mode': experiment.mode, 'ticks': experiment.ticks,
-            'compensator': experiment.controller['compensator'], **analyze_bag(bag)}
+def run(actuator: Mapping[str, Value], controller: Mapping[str, Value], duration_s: float = 1.0,
+        *, mode: str = 'lockstep', rate_hz: float = 0.0, out: str | Path | None = None,
+        progress: Progress = silent) -> Run:
+    """
+    Run one experiment over ROS: actuator, controller and recorder as processes; return its bag.
+
+    actuator, controller: parameters by name (doc/reference/parameters.md), the rest at their
+    defaults; without `reference.shape` the reference is a step. mode: 'lockstep' (repeatable) or
+    'realtime'. rate_hz: control rate, Hz; 0: 5000 in lock-step, 1000 in real time. out: a
+    directory that does not exist or is empty; default: runs/TIME-COMPENSATOR. Raises InputError
+    for a parameter that is not allowed, RunFailedError if a node fails.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.run({}, {'compensator': 'lead4', 'reference.amplitude': 150.0}, 0.5,
+    ...               out='runs/lead4')                                   # doctest: +SKIP
+    """
+    experiment = planned(actuator, controller, duration_s, mode, rate_hz)
+    return read_bag(run_experiment(experiment, directory_of(experiment, out), progress))
 
 
-def run_as_text(document: Mapping[str, Any]) -> str:
-    """Return what `asi run` says of a finished run for people."""
-    from asi_analysis.measures.analysis import as_text
-    return (f'{document["compensator"]}, {document["mode"]}, {document["ticks"]} ticks\n'
-            + as_text(document))
+class RunSummary(Analysis):
+    """What `asi run` prints: the keys of `analyze`, and bag, mode, ticks and compensator."""
+
+    def parts(self) -> Iterator[str | Table]:
+        yield f'{self.compensator}, {self.mode}, {self.ticks} ticks'
+        yield from super().parts()
+
+
+def summary(experiment: Experiment, bag: Path) -> RunSummary:
+    """Return the analysis of a finished run."""
+    analysis = analyze(read_bag(bag))
+    return RunSummary({'bag': str(bag), 'mode': experiment.mode, 'ticks': experiment.ticks,
+                       'compensator': experiment.controller['compensator'], **analysis},
+                      **vars(analysis))
+
+
+def directory_of(experiment: Experiment, out: str | Path | None) -> Path:
+    """Return the directory of an experiment: the given one, or a new one in runs/."""
+    return Path(out) if out else free_directory(
+        Path('runs'), str(experiment.controller['compensator']))
 
 
 def free_directory(parent: Path, name: str) -> Path:

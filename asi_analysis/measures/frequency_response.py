@@ -1,40 +1,45 @@
 """
-How an input becomes an output at each frequency; bandwidth and delay.
+Frequency response from an input to an output; bandwidth and delay.
 
 From a run that excites many frequencies (chirp, multisine, PRBS): the H1 estimate with its
 coherence. From a step: the spectrum of the differentiated step response, which is the impulse
 response of a linear loop.
 """
 
-from typing import Final, NamedTuple
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, signal
 
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
 from asi_analysis.measures.step_response import Step, headline, step_responses
+from asi_analysis.reporting.result import Pictures, Result, Table, frame, number
 
 AVERAGED_LINES: Final = 9
-# Lines where the input holds less than this share of its strongest line's power tell nothing;
+# A line is used if the power of the input there is at least this share of the strongest line's,
 EXCITED: Final = 1e-4
-# nor do those between the tones of a multisine, weak against the strongest nearby ...
+# and this share of the strongest within a NEARBY share of the spectrum (between the tones of a
+# multisine it is less),
 EXCITED_NEARBY: Final = 0.03
 NEARBY: Final = 0.01
-# ... nor those where less than this share of the output comes from the input.
+# and if the coherence is at least this.
 COHERENT: Final = 0.8
 HALF_POWER: Final = np.sqrt(0.5)
+TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
 
 Array = npt.NDArray[np.float64]
 
 
-class FrequencyResponse(NamedTuple):
+class Estimate(NamedTuple):
     """
-    The response at m frequencies where the input moves and the output follows it.
+    A frequency response at m frequencies where the input is excited and the output coherent.
 
-    Bandwidth: where the gain has fallen by 3 dB from that at the lowest frequencies, between the
-    lines; None if it does not fall so far below the highest frequency.
-    Delay: the lag of the output, from the slope of the phase up to the bandwidth.
+    bandwidth_hz: where the gain is 3 dB below that at the lowest frequencies, interpolated; None
+    if that is above the highest frequency. delay_s: from the slope of the phase up to the
+    bandwidth.
     """
 
     frequency_hz: Array
@@ -46,9 +51,9 @@ class FrequencyResponse(NamedTuple):
 
 def bandwidth(frequency_hz: Array, gain: Array) -> float | None:
     """
-    Return where `gain` first falls by 3 dB from that of the lowest tenth of an octave.
+    Return where `gain` is first 3 dB below its median over the lowest tenth of an octave.
 
-    Of so many lines at least as the estimate averages: one line alone may be off by 5 %.
+    The median is of at least as many lines as the estimate averages: one alone may be off by 5 %.
     """
     lowest = np.count_nonzero(frequency_hz <= 1.07 * frequency_hz[0])
     low = np.median(gain[:max(lowest, AVERAGED_LINES)])
@@ -64,7 +69,7 @@ def bandwidth(frequency_hz: Array, gain: Array) -> float | None:
 
 def phase_delay(frequency_hz: Array, response: npt.NDArray[np.complex128],
                 weights: Array) -> float:
-    """Return the delay (s) whose phase fits the response best, a line through zero at 0 Hz."""
+    """Return the delay (s) whose phase, zero at 0 Hz, fits the response best (least squares)."""
     phase = np.unwrap(np.angle(response))
     phase -= 2.0 * np.pi * np.round(phase[0] / (2.0 * np.pi))
     omega = 2.0 * np.pi * frequency_hz
@@ -72,7 +77,7 @@ def phase_delay(frequency_hz: Array, response: npt.NDArray[np.complex128],
 
 
 def correlation_delay(input_: Array, output: Array, period_s: float) -> float:
-    """Return the lag (s) at which the output resembles the input most, between the samples."""
+    """Return the lag (s) of the largest cross-correlation, interpolated between samples."""
     a, b = input_ - input_.mean(), output - output.mean()
     correlation = signal.correlate(b, a, method='fft')
     k = int(np.argmax(np.abs(correlation)))
@@ -83,12 +88,12 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float:
     return float(lag * period_s)
 
 
-def frequency_response(input_: Array, output: Array, period_s: float) -> FrequencyResponse | None:
+def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
     """
-    Return the response of an output to an input, n samples each; None if the input is too poor.
+    Return the H1 estimate from n samples each; None with fewer than 3 usable frequencies.
 
-    The spectra of the whole run, averaged over neighbouring lines: unlike Welch's segments this
-    has no bias for a chirp, which is at each frequency only once.
+    Spectra of the whole run averaged over neighbouring lines: unlike Welch's segments this has no
+    bias for a chirp, which passes each frequency only once.
     """
     valid = np.isfinite(input_) & np.isfinite(output)
     x, y = (np.where(valid, v, np.interp(np.arange(v.size), np.flatnonzero(valid), v[valid]))
@@ -100,7 +105,7 @@ def frequency_response(input_: Array, output: Array, period_s: float) -> Frequen
         for each in (np.abs(u)**2, np.abs(v)**2, np.conj(u) * v))
     coherence = np.abs(cross)**2 / np.maximum(power * output_power, 1e-300)
     nearby = ndimage.maximum_filter1d(power, max(4 * AVERAGED_LINES, int(NEARBY * power.size)))
-    # The lines nearest to zero are averaged with the mean, which is not there.
+    # The lines nearest to zero are averaged with the mean, which is taken off.
     trusted = ((power > EXCITED * power.max()) & (power > EXCITED_NEARBY * nearby)
                & (coherence > COHERENT))
     trusted[:AVERAGED_LINES // 2 + 1] = False
@@ -111,20 +116,19 @@ def frequency_response(input_: Array, output: Array, period_s: float) -> Frequen
     limit = bandwidth(frequency, np.abs(response))
     band = frequency <= (limit or frequency[-1])
     delay = phase_delay(frequency[band], response[band], coherence[band])
-    return FrequencyResponse(frequency, response, coherence, limit, delay)
+    return Estimate(frequency, response, coherence, limit, delay)
 
 
 def step_bandwidth(run: Run, step: Step) -> float | None:
     """
-    Return the bandwidth (Hz) that a step response stands for; None if it has not come to rest.
+    Return the bandwidth (Hz) from a step response; None if that does not settle.
 
-    The Fourier sum of the differences of the force from the step to the end of its plateau,
-    as far as they are more than noise: until the force stays within 2 % of its end.
+    From the spectrum of the differences of the force, from the step to twice the settling time.
     """
     if step.settling_time_2_s is None or run.force_n is None or step.rise_time_s is None:
         return None
     start = int(np.searchsorted(run.time_s, step.time_s))
-    # Past the settling time there is nothing but its own length again, for slow tails.
+    # Twice the settling time covers slow tails; what follows is noise.
     end = start + int(2.0 * step.settling_time_2_s * run.rate_hz) + 2
     force = run.force_n[max(start - 1, 0):end]
     differences = np.diff(force[np.isfinite(force)])
@@ -135,15 +139,15 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
 
 
 def actuator_bandwidth(run: Run) -> float | None:
-    """Return the bandwidth (Hz) from the valve command to the force; None if it cannot be told."""
+    """Return the bandwidth (Hz) from valve command to force; None if it cannot be measured."""
     if run.command_n is None or run.force_n is None:
         return None
-    response = frequency_response(run.command_n, run.force_n, run.period_s)
+    response = estimate(run.command_n, run.force_n, run.period_s)
     return response.bandwidth_hz if response else None
 
 
 class Bandwidth(NamedTuple):
-    """What a run tells of the loop's bandwidth, and how: 'excitation', 'step' or None."""
+    """Bandwidth and delay of a loop; method: 'excitation', 'step', or None with the reason."""
 
     bandwidth_hz: float | None
     method: str | None
@@ -153,26 +157,85 @@ class Bandwidth(NamedTuple):
 
 
 def loop_bandwidth(run: Run) -> Bandwidth:
-    """Return bandwidth and delay from the reference of a run to the signal it asks for."""
+    """Return bandwidth and delay from the reference of a run to the controlled signal."""
     output = None if run.reference_n is None else run.signals().get(run.controlled())
     if run.reference_n is None or output is None:
         missing = 'reference' if run.reference_n is None else run.controlled()
-        return Bandwidth(None, None, None, None, f'the run holds no {missing}')
+        return Bandwidth(None, None, None, None, f'the run has no {missing}')
     steps = step_responses(run)
     step = headline(steps)
     if step is not None and len(steps) < 4:
         found = step_bandwidth(run, step)
         return Bandwidth(found, 'step', None, None, None if found else
-                         'the step response does not come to rest')
-    response = frequency_response(run.reference_n, output, run.period_s)
+                         'the step response does not settle')
+    response = estimate(run.reference_n, output, run.period_s)
     if response is None:
-        return Bandwidth(None, None, None, None,
-                         'the reference moves at too few frequencies, or the output does not '
-                         'follow it')
+        return Bandwidth(None, None, None, None, TOO_POOR)
     valid = np.isfinite(run.reference_n) & np.isfinite(output)
     lag = correlation_delay(np.where(valid, run.reference_n, 0.0), np.where(valid, output, 0.0),
                             run.period_s)
     reason = None if response.bandwidth_hz else (
         f'the gain does not fall by 3 dB up to {response.frequency_hz[-1]:.4g} Hz, the highest '
-        'that the run tells of')
+        'frequency that is excited')
     return Bandwidth(response.bandwidth_hz, 'excitation', response.delay_s, lag, reason)
+
+
+class FrequencyResponse(Result):
+    """
+    Frequency response of a run: `frequency_response`.
+
+    `run` is the recording; the keys frequency_hz, gain, phase_deg and coherence are lists of m
+    values each.
+    """
+
+    title = 'Frequency response'
+    run: Run
+
+    def parts(self) -> Iterator[str | Table]:
+        yield (f'{self.run.source or "run"}: {self.input} to {self.output}, '
+               f'{len(self.frequency_hz)} frequencies from {self.frequency_hz[0]:.4g} to '
+               f'{self.frequency_hz[-1]:.4g} Hz')
+        yield Table(('', ''), [('bandwidth', number(self.bandwidth_hz, 'Hz', 3)),
+                               ('delay, from the phase', number(1e3 * self.delay_s, 'ms', 3))])
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.reporting.figures import bode
+        return {'bode': (bode(*(np.array(self[key]) for key in (
+            'frequency_hz', 'gain', 'phase_deg', 'coherence'))),
+            f'Frequency response from {self.input} to {self.output}')}
+
+    def to_frame(self) -> Any:
+        """Return frequency_hz, gain, phase_deg and coherence as a pandas DataFrame."""
+        return frame({key: self[key] for key in ('frequency_hz', 'gain', 'phase_deg',
+                                                 'coherence')})
+
+
+def frequency_response(run: Run, input: str = 'reference', output: str | None = None  # noqa: A002
+                       ) -> FrequencyResponse:
+    """
+    Return the frequency response from one signal of a run to another, with its coherence.
+
+    run: a recording whose input excites many frequencies (chirp, multisine, PRBS); input, output:
+    names of signals, the output by default the one that is controlled. Gain in units of output
+    over input, phase in degrees, bandwidth in Hz (-3 dB), delay in s. Frequencies without
+    excitation, or where the coherence is below 0.8, are left out. Raises InputError for a signal
+    that was not recorded, or if fewer than 3 frequencies are left.
+
+    H1 estimator: Bendat and Piersol, Random Data, 4th ed., section 6.1.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.simulate({}, {'reference.shape': 'chirp', 'reference.frequency': 2.0,
+    ...                         'reference.end_frequency': 200.0}, 2.0)
+    >>> response = asi.frequency_response(run, 'command', 'force')
+    >>> print(f'{response.bandwidth_hz:.0f} Hz')
+    """
+    output = output or run.controlled()
+    found = estimate(run.signal(input), run.signal(output), run.period_s)
+    if found is None:
+        raise InputError(f'{run.source or "run"}: {TOO_POOR}')
+    return FrequencyResponse({
+        'input': input, 'output': output, 'bandwidth_hz': found.bandwidth_hz,
+        'delay_s': found.delay_s, 'frequency_hz': found.frequency_hz.tolist(),
+        'gain': np.abs(found.response).tolist(),
+        'phase_deg': np.degrees(np.unwrap(np.angle(found.response))).tolist(),
+        'coherence': found.coherence.tolist()}, run=run)

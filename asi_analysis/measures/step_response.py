@@ -1,11 +1,12 @@
 """
-What a step in the reference did: rise, overshoot, settling, steady-state error.
+Response of the force to a step of the reference: rise, overshoot, settling, steady-state error.
 
-Levels are measured from the force before the step to the force at the end, as MATLAB's stepinfo
-does; how far that end is from what was asked is the steady-state error.
+Levels are shares of the way from the force before the step to the force at the end, as in MATLAB's
+stepinfo; the steady-state error is the reference less the force at the end.
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,17 +14,19 @@ import numpy.typing as npt
 from scipy import signal
 
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.reporting.result import Pictures, Result, Table, number
 
-# Shares of the plateau after a step: its end is the steady value.
+# Share of the plateau after a step, at its end, whose mean is the steady-state force.
 STEADY_SHARE: Final = 0.2
-# Before and after a step the reference holds for at least this many samples.
+# Before and after a step the reference is constant for at least this many samples.
 FEWEST_SAMPLES: Final = 5
 # A reference takes at most this many samples for a jump; what takes longer is a ramp.
 LONGEST_JUMP: Final = 3
-# Share of the step that the force may fall back during a rise that still counts as one.
+# Share of the step by which the force may fall during a rise that still counts as monotone.
 DIP: Final = 0.05
-# 90 % comes this many times later after 50 % than 50 % after 10 %, or the reverse: not a rise but
-# a jump and a creep. A first-order lag has 2.7.
+# Ratio of the times from 10 to 50 % and from 50 to 90 % above which the response is a jump and a
+# creep, no rise. A first-order lag has 2.7.
 CREEP: Final = 5.0
 # Standard deviations of noise that must fit into the settling band.
 NOISE_MARGIN: Final = 4.0
@@ -47,7 +50,7 @@ class Step(NamedTuple):
 
     @property
     def monotone_rise(self) -> bool | None:
-        """Whether the rise time tells of a rise; a spike, dip or creep hides behind one too."""
+        """Whether the force rises in one go; with a dip, spike or creep the rise time misleads."""
         return None if self.rise_shape is None else self.rise_shape == 'monotone'
 
 
@@ -212,10 +215,10 @@ def held(values: Array) -> Array:
 
 def step_responses(run: Run) -> list[Step]:
     """
-    Return each step that the reference of a run makes, in order of time.
+    Return the response to each step of the reference of a run, in order of time.
 
-    Empty if there is none (or no force, or a reference that does not ask for one). With noise on
-    the force the response is smoothed by a cubic Savitzky-Golay filter a third of the rise long.
+    Empty without a step, a reference or a force, and if the reference is not that of a force. A
+    noisy force is smoothed by a cubic Savitzky-Golay filter over a third of the rise.
     """
     if run.reference_n is None or run.force_n is None or run.controlled() != 'force':
         return []
@@ -223,8 +226,91 @@ def step_responses(run: Run) -> list[Step]:
     return [_measure(run.time_s, reference, run.force_n, jump) for jump in _jumps(reference)]
 
 
-def headline(steps: list[Step]) -> Step | None:
-    """Return the step that stands for a run: the largest, the first of equals; None of none."""
-    if not steps:
-        return None
-    return max(steps, key=lambda step: round(abs(step.final_n - step.initial_n), 6))
+def headline(steps: Sequence[Step]) -> Step | None:
+    """Return the largest step, the first of equals; None if there is no step."""
+    return max(steps, key=lambda step: round(abs(step.final_n - step.initial_n), 6), default=None)
+
+
+# Of the largest step, in the document of `step_response` and `analyze`.
+HEADLINE: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'settling_time_5_s',
+                   'steady_state_error_n', 'rise_shape', 'monotone_rise')
+
+
+class StepResponse(Result):
+    """
+    Step responses of a run: `step_response`.
+
+    The keys are those of `asi analyze` that concern steps; `run` is the recording, `measured` the
+    `Step` of each step.
+    """
+
+    title = 'Step response'
+    rows = 'steps'
+    run: Run
+    measured: list[Step]
+
+    def measures(self) -> list[tuple[str, str]]:
+        """Return name and value of each measure of the largest step that could be measured."""
+        return [(name, number(self[key] * scale, unit, 3)) for name, key, unit, scale in (
+            ('rise time 10-90 %', 'rise_time_s', 'ms', 1e3),
+            ('overshoot', 'overshoot_percent', '%', 1.0),
+            ('settling time 2 %', 'settling_time_2_s', 'ms', 1e3),
+            ('settling time 5 %', 'settling_time_5_s', 'ms', 1e3),
+            ('steady-state error', 'steady_state_error_n', self.unit, 1.0))
+            if self[key] is not None]
+
+    def parts(self) -> Iterator[str | Table]:
+        yield Table(('', ''), self.measures())
+        yield from (f'note: {note}' for note in self.notes)
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.reporting import figures
+        step = headline(self.measured)
+        if step is None or step.final_n == step.initial_n:
+            raise InputError(self.notes[0])
+        later = [each.time_s for each in self.measured if each.time_s > step.time_s]
+        end = min(later[0] if later else self.run.time_s[-1],
+                  step.time_s + 3.0 * (step.settling_time_2_s or np.inf)) - step.time_s
+        percent = 100.0 / (step.final_n - step.initial_n)
+        force = percent * (self.run.signal('force') - step.initial_n)
+        command = (np.full_like(force, np.nan) if self.run.command_n is None
+                   else percent * (self.run.command_n - step.initial_n))
+        return {'step': (figures.step_responses(
+            {self.run.source or 'run': (self.run.time_s - step.time_s, force, command)}, end),
+            f'Force and command after the step of {step.final_n - step.initial_n:g} {self.unit}')}
+
+
+def _why_no_step(run: Run) -> str:
+    if run.reference_n is None:
+        return 'step: the run has no reference'
+    if run.controlled() != 'force':
+        return f'step: measured for a force only; this reference is a {run.controlled()}'
+    return 'step: the reference has none'
+
+
+def step_response(run: Run) -> StepResponse:
+    """
+    Return rise, overshoot, settling and steady-state error after each step of the reference.
+
+    run: a recording with reference and force, in N (or N m, see `Run.unit`). The headline keys
+    are those of the largest step. What cannot be measured is None, and `notes` says why.
+
+    Rise time and settling time as in MATLAB's stepinfo: from the force before the step to the mean
+    force over the last fifth of the time after it.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
+    >>> step = asi.step_response(run)
+    >>> print(f'{1e3 * step.rise_time_s:.1f} ms, {step.overshoot_percent:.0f} %')
+    >>> step.steps[0]['final_n']
+    100.0
+    """
+    steps = step_responses(run)
+    largest = headline(steps)
+    return StepResponse({
+        'unit': run.unit('force'),
+        **{key: getattr(largest, key) if largest else None for key in HEADLINE},
+        'steps': [step._asdict() | {'monotone_rise': step.monotone_rise,
+                                    'notes': list(step.notes)} for step in steps],
+        'notes': list(largest.notes) if largest else [_why_no_step(run)]},
+        run=run, measured=steps)

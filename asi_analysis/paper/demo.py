@@ -5,7 +5,7 @@ What is run is here; the report (`demo_report.py`) only shows it.
 """
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,10 +17,11 @@ from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.experiments.running import run_experiment
 from asi_analysis.loop.bench import step_experiment
-from asi_analysis.measures.analysis import analyze, oscillation_as_text
+from asi_analysis.measures.analysis import analyze, in_words
 from asi_analysis.measures.oscillation import fit_sine
 from asi_analysis.paper.facts.conditions import Conditions, StepTest
-from asi_analysis.terminal import Progress, silent, table
+from asi_analysis.reporting.result import Result, Table, table_of
+from asi_analysis.terminal import Progress, silent
 
 
 class Published(NamedTuple):
@@ -144,7 +145,22 @@ def hysteresis_loop(recorded: Recorded) -> Loop:
                 float(crossings[0] - crossings[1]), float(lag_n))
 
 
-def run_demo(out: Path, progress: Progress = silent) -> dict[str, Any]:
+class Demo(Result):
+    """The paper's experiments over ROS, by the keys of `asi demo --json`."""
+
+    rows = 'table_1'
+
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of(self.table_1, {
+            'compensator': '{compensator}', 'quantity': '{quantity}', 'unit': '{unit}',
+            'published': '{published}', 'simulated': '{simulated:.3g}'}, 'Table 1')
+        for each in self.runs:
+            if each['analysis']['oscillation']['sustained']:
+                yield f'{each["name"]}: {in_words(each["analysis"]["oscillation"])}'
+        yield f'report: {self.report}'
+
+
+def run_demo(out: Path, progress: Progress = silent) -> Demo:
     """
     Run all experiments into `out`, write report.html and its pictures; return what --json prints.
 
@@ -162,7 +178,7 @@ def run_demo(out: Path, progress: Progress = silent) -> dict[str, Any]:
         recorded.append(Recorded(plan, checked(plan.experiment), bag, run, analyze(run)))
     progress('writing the report', len(RUNS) / (len(RUNS) + 1))
     from asi_analysis.paper.demo_report import write_demo_report
-    return {
+    return Demo({
         'report': str(write_demo_report(recorded, out)),
         'runs': [{'name': each.plan.name, 'bag': str(each.bag), 'analysis': each.analysis}
                  for each in recorded],
@@ -170,22 +186,7 @@ def run_demo(out: Path, progress: Progress = silent) -> dict[str, Any]:
                      'unit': entry.unit, 'published': entry.words,
                      'simulated': scaled(each.analysis, entry)}
                     for each in recorded for entry in each.plan.published],
-    }
-
-
-def as_text(document: Mapping[str, Any]) -> str:
-    """Return Table 1, the oscillations that last and the place of the report for people."""
-    def simulated(row: Mapping[str, Any]) -> str:
-        return '-' if row['simulated'] is None else f'{row["simulated"]:.3g} {row["unit"]}'
-
-    swings = {each['name']: each['analysis']['oscillation'] for each in document['runs']}
-    return '\n'.join([
-        table(('Table 1', 'published', 'simulated'),
-              [(f'{row["compensator"]}: {row["quantity"]}', f'{row["published"]} {row["unit"]}',
-                simulated(row)) for row in document['table_1']]),
-        *(f'{name}: {oscillation_as_text(swing)}' for name, swing in swings.items()
-          if swing['sustained']),
-        f'report: {document["report"]}'])
+    })
 
 
 def scaled(analysis: dict[str, Any], entry: Published) -> float | None:

@@ -83,6 +83,35 @@ def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], end_s: float)
         return figure
 
 
+def recording(time: Array, signals: Mapping[str, tuple[Array, str]]) -> Figure:
+    """Draw signals (name -> values and unit) over time (s), those of one unit in one panel."""
+    units = list(dict.fromkeys(unit for _, unit in signals.values()))
+    with style():
+        figure = _figure(1.0 + 1.6 * max(len(units), 1))
+        axes = figure.subplots(max(len(units), 1), 1, sharex=True, squeeze=False)[:, 0]
+        for name, (values, unit) in signals.items():
+            axes[units.index(unit)].plot(time, values, linewidth=0.9,
+                                         label=name.replace('_', ' '))
+        for panel, unit in zip(axes, units, strict=False):
+            panel.set(ylabel=unit)
+            panel.legend(loc='upper right')
+        axes[-1].set(xlabel='time (s)')
+        return figure
+
+
+def bode(frequency: Array, gain: Array, phase: Array, coherence: Array) -> Figure:
+    """Draw gain (dB), phase (degrees) and coherence over frequency (Hz)."""
+    with style():
+        figure = _figure(5.2)
+        axes = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 2))
+        for panel, values, label in zip(axes, (20.0 * np.log10(gain), phase, coherence),
+                                        ('gain (dB)', 'phase (°)', 'coherence'), strict=True):
+            panel.semilogx(frequency, values, color=BLUE, linewidth=1.0)
+            panel.set(ylabel=label)
+        axes[-1].set(xlabel='frequency (Hz)', ylim=(0.0, 1.05))
+        return figure
+
+
 def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: float) -> Figure:
     """Draw a force (N) over time (s): all of it, and the last zoom_s."""
     with style():

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_common.files import replacing
 
@@ -34,15 +34,8 @@ def export(run: Run, path: str | Path) -> None:
         raise InputError(f'{path} cannot be written: {error.strerror or error}') from None
 
 
-def columns(run: Run) -> dict[str, Array]:
-    """Return time and signals by the name of their column, such as force_n."""
-    return {'time_s': run.time_s} | {
-        f'{name}_{run.unit(name).replace("/", "_").lower()}': values
-        for name, values in run.signals().items()}
-
-
 def _write_csv(run: Run, path: Path) -> None:
-    table = columns(run)
+    table = run.columns()
     with path.open('w', newline='') as stream:
         writer = csv.writer(stream)
         writer.writerow(table)
@@ -57,5 +50,5 @@ def _write_parquet(run: Run, path: Path) -> None:
     import pyarrow
     from pyarrow.parquet import write_table
     table = pyarrow.table({name: pyarrow.array(values, from_pandas=True)
-                           for name, values in columns(run).items()})
+                           for name, values in run.columns().items()})
     write_table(table.replace_schema_metadata({'asi.run': json.dumps(run.information)}), path)

@@ -1,18 +1,21 @@
-"""What `asi gap` does: bags and a model file in, the document out."""
+"""`asi gap`: recordings and a nominal model in, the diagnosis out."""
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
-from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, read_parameters
-from asi_analysis.gap.diagnose import diagnose, document, plain
+from asi_analysis.gap.answer.show import Gap
+from asi_analysis.gap.diagnose import diagnose as diagnosis_of
+from asi_analysis.gap.diagnose import document, plain
+from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
+from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import ParameterError, Value, completed
 
 PLANTS = ('actuator', 'joint')
@@ -50,10 +53,24 @@ def nominal_model(path: Path | None, plant: str = 'actuator') -> dict[str, Value
     return values
 
 
-def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence[Path],
-        tolerance: float, drive: str | None, report: Path | None,
-        told: Callable[[str, float | None], None]) -> dict[str, Any]:
-    """Return the document of `asi gap`. Raises InputError."""
+def diagnose(runs: Sequence[Run], model: Path | Mapping[str, Value] | None = None,
+                 plant: str = 'actuator', held_out: Sequence[Run] = (),
+                 tolerance: float = TOLERANCE, drive: str | None = None,
+                 told: Progress = silent) -> Gap:
+    """
+    Return where recordings of the real machine differ from their model, why, and how far.
+
+    model: nominal parameters by name or a ROS parameter file; None: the defaults. plant:
+    'actuator', or 'joint' for any rigid joint or drive. held_out: recordings on which the result
+    is only judged. tolerance: how far the nominal parameters may be off, as a share. drive: of a
+    joint, 'force' or 'position'; None: by its signals. Raises InputError for recordings that
+    cannot be judged; `notes` says what is doubtful.
+
+    >>> import asi_analysis as asi
+    >>> runs = [asi.read_bag('real_1'), asi.read_bag('real_2')]           # doctest: +SKIP
+    >>> gap = asi.diagnose(runs, {'load.mass': 0.3})                      # doctest: +SKIP
+    >>> print(gap)                                                        # doctest: +SKIP
+    """
     if plant not in PLANTS:
         raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
     if drive not in DRIVES:
@@ -61,11 +78,10 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
     if not LEAST_TOLERANCE <= tolerance < 1.0:
         raise InputError(f'--tolerance {tolerance:g} is not allowed: from {LEAST_TOLERANCE:g}, '
                          'below 1')
-    told('reading', None)
-    runs = [read_bag(path) for path in (*bags, *held_out)]
-    values = nominal_model(model, plant)
-    diagnosis = diagnose(runs, values, plant, tolerance,
-                         [False] * len(bags) + [True] * len(held_out), drive, told)
+    values = dict(model) if isinstance(model, Mapping) else nominal_model(model, plant)
+    everything = [*runs, *held_out]
+    diagnosis = diagnosis_of(everything, values, plant, tolerance,
+                             [False] * len(runs) + [True] * len(held_out), drive, told)
     answer = plain(document(diagnosis))
     if plant == 'actuator':
         from asi_analysis.gap.answer.consequences import consequences
@@ -73,13 +89,8 @@ def run(bags: Sequence[Path], model: Path | None, plant: str, held_out: Sequence
         answer['consequences'] = plain([each._asdict() for each
                                         in consequences(diagnosis, values, runs[0])])
         following = answer['next_experiment']
-        if model is not None and following and following['command']:
+        if isinstance(model, Path) and following and following['command']:
             for key in ('command', 'advice'):
                 following[key] += f' --actuator {model}'
-    answer['report'] = None
-    if report is not None:
-        from asi_analysis.gap.answer.report import write_gap_report
-        told('report', None)
-        answer['report'] = str(write_gap_report(diagnosis, answer, runs[0], report,
-                                                values if plant == 'actuator' else None))
-    return answer
+    return Gap(answer | {'report': None}, runs=everything, diagnosis=diagnosis,
+               model=values if plant == 'actuator' else None)

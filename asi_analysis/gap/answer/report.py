@@ -16,6 +16,7 @@ from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
 from asi_analysis.reporting.report import write_report
+from asi_analysis.reporting.result import Pictures
 from asi_common.parameter import Value
 from asi_common.parameter_file import write_parameters
 
@@ -36,24 +37,28 @@ def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, 
     answer: the document of the diagnosis; run: one of its recordings; model: nominal parameters of
     the actuator, None of a joint. Returns the path of report.html.
     """
-    channel = answer['gap']['channel']
-    weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
-    name = _followed(channel, run, joint=model is None)
-    label, unit = name.replace('_', ' '), run.unit(name)
-    drawn = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
-             'ranking': _ranking(weighed, channel, diagnosis.best(weighed).names, answer),
-             'plane': _plane(diagnosis, weighed, channel, run, unit),
-             'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
-             'regimes': pictures.regimes(answer['regimes'])}
     missing = None
     if model is not None and diagnosis.verdict:
         values, missing = improved_model(model, [diagnosis.best(w).fitted.record
                                                  for w in diagnosis.groups])
         out.mkdir(parents=True, exist_ok=True)
         write_parameters(out / 'improved.yaml', '/**/asi_actuator', dict(sorted(values.items())))
-    return write_report(
-        out, 'gap.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
-        answer=answer, sentences=sentences(answer), missing=missing)
+    return write_report(out, 'gap.html', drawn(diagnosis, answer, run, joint=model is None),
+                        answer=answer, sentences=sentences(answer), missing=missing)
+
+
+def drawn(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, joint: bool) -> Pictures:
+    """Return the pictures of a diagnosis, each with its caption."""
+    channel = answer['gap']['channel']
+    weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
+    name = _followed(channel, run, joint)
+    label, unit = name.replace('_', ' '), run.unit(name)
+    made = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
+            'ranking': _ranking(weighed, channel, diagnosis.best(weighed).names, answer),
+            'plane': _plane(diagnosis, weighed, channel, run, unit),
+            'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
+            'regimes': pictures.regimes(answer['regimes'])}
+    return {name: (figure, CAPTIONS[name]) for name, figure in made.items()}
 
 
 def _followed(channel: str, run: Run, joint: bool) -> str:

@@ -1,50 +1,66 @@
-"""The diagnosis as tables in the terminal."""
+"""The diagnosis as a result: sentences and tables, pictures, the report."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 
-from asi_analysis.gap.diagnose import sentences
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import Diagnosis, sentences
 from asi_analysis.gap.model.effects import NO_GAP
-from asi_analysis.terminal import table
+from asi_analysis.reporting.result import Pictures, Result, Table, table_of
+from asi_common.parameter import Value
 
 
-def figure(value: float | None) -> str:
-    """Return a number with four digits; a dash for none."""
-    return '-' if value is None else f'{value:.4g}'
+class Gap(Result):
+    """
+    Where, why and how far a model differs from recordings: `diagnose`.
 
+    The keys are those of `asi gap --json`; `runs` are the recordings, `diagnosis` what was fitted,
+    `model` the nominal parameters of the actuator, None of a joint.
+    """
 
-def sizes(row: Mapping[str, Any]) -> list[str]:
-    """Return the parameters of an effect with their 95 % intervals, one text each."""
-    return [f'{name} {value:.4g} [{row["parameters_low"][name]:.4g}, '
-            f'{row["parameters_high"][name]:.4g}]' for name, value in row['parameters'].items()]
+    title = 'The sim-to-real gap'
+    rows = 'which'
+    runs: list[Run]
+    diagnosis: Diagnosis
+    model: Mapping[str, Value] | None
 
+    def parts(self) -> Iterator[str | Table]:
+        yield from sentences(self)
+        where = [row for row in self.where if row['share'] > 0.005]
+        if where:
+            yield table_of(where, {'block': '{block}', 'share': '{share:.0%}'}, 'where')
+        if self.which:
+            yield table_of([{**row, 'sizes': ', '.join(
+                f'{name} {value:.4g} [{row["parameters_low"][name]:.4g}, '
+                f'{row["parameters_high"][name]:.4g}]'
+                for name, value in row['parameters'].items())} for row in self.which[:6]], {
+                    'effect': '{effect}', 'block': '{block}', 'probability': '{probability:.1%}',
+                    'parameters [95 % interval]': '{sizes}'}, 'which effect')
+        shrink = {} if self.verdict == NO_GAP else {
+            'shrink': '{shrink:.3f}', 'from': '{shrink_low:.3f}', 'to': '{shrink_high:.3f}'}
+        yield table_of(self.channels, {
+            'channel': '{channel}', 'nominal': '{before_nrmse:.2%}',
+            'refitted': '{refitted_nrmse:.2%}', 'with the effect': '{after_nrmse:.2%}',
+            'noise floor': '{noise_floor_nrmse:.2%}', **shrink},
+            'error on the validation set (share of the signal)')
+        loop = [row for row in self.consequences
+                if (row['nominal'], row['improved'], row['measured']) != (None, None, None)]
+        if loop:
+            yield table_of(loop, {
+                'quantity': '{quantity}', 'nominal': '{nominal:.4g}', 'improved': '{improved:.4g}',
+                'from': '{improved_low:.4g}', 'to': '{improved_high:.4g}',
+                'measured': '{measured:.4g}'}, 'in the loop (from, to: 95 % interval)')
+        yield from (f'note: {note}' for note in self.notes)
+        if self.report:
+            yield f'report: {self.report}'
 
-def as_text(document: Mapping[str, Any]) -> str:
-    """Return the verdict in three sentences, then the tables."""
-    lines = [*sentences(document)]
-    for title, columns, rows in (
-            ('where', ('block', 'share'),
-             [(row['block'], f'{100 * row["share"]:.0f} %') for row in document['where']
-              if row['share'] > 0.005]),
-            ('which', ('effect', 'block', 'probability', 'parameters'),
-             [(row['effect'], row['block'], f'{100 * row["probability"]:.1f} %',
-               ', '.join(sizes(row))) for row in document['which'][:6]]),
-            ('how far, on held-out data (share of the signal)',
-             ('channel', 'nominal', 'refitted', 'with the effect', 'noise', 'shrink'),
-             [(row['channel'], *(f'{100 * row[key]:.2f} %' for key in (
-                 'before_nrmse', 'refitted_nrmse', 'after_nrmse', 'noise_floor_nrmse')),
-               '-' if document['verdict'] == NO_GAP else
-               f'{row["shrink"]:.3f} [{row["shrink_low"]:.3f}, {row["shrink_high"]:.3f}]')
-              for row in document['channels']]),
-            ('in the loop', ('quantity', 'nominal', 'improved (95 % interval)', 'measured'),
-             [(row['quantity'], figure(row['nominal']), figure(row['improved']) + (
-                 '' if row['improved_low'] is None else
-                 f' ({figure(row["improved_low"])} to {figure(row["improved_high"])})'),
-               figure(row['measured'])) for row in document['consequences']
-              if (row['nominal'], row['improved'], row['measured']) != (None, None, None)])):
-        if rows:
-            lines.append(table(columns, rows, title))
-    lines += [f'note: {note}' for note in document['notes']]
-    if document['report']:
-        lines.append(f'report: {document["report"]}')
-    return '\n'.join(lines)
+    def pictures(self) -> Pictures:
+        from asi_analysis.gap.answer.report import drawn
+        return drawn(self.diagnosis, self, self.runs[0], joint=self.model is None)
+
+    def write_report(self, out: Path) -> Path:
+        """Write report.html, its pictures and, of the actuator, improved.yaml into `out`."""
+        from asi_analysis.gap.answer.report import write_gap_report
+        page = write_gap_report(self.diagnosis, self, self.runs[0], out, self.model)
+        self['report'] = str(page)
+        return page

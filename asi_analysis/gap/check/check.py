@@ -10,9 +10,9 @@ import json
 import math
 import time
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
 from asi_analysis.reporting import figures
+from asi_analysis.reporting.result import Result, Table, table_of
 from asi_common.files import write_text
 
 CONFIDENT = 0.9
@@ -202,7 +203,34 @@ def _reason(error: Exception) -> str:
     return getattr(error, 'strerror', None) or str(error)
 
 
-def check(folder: Path, told: Told) -> dict[str, Any]:
+# Figure of a check -> the value to reach.
+REACH: Final = {
+    'block_accuracy': '0.97', 'effect_accuracy': '0.95', 'ambiguity_coverage': '0.97',
+    'mean_ambiguity_size': 'at most 1.5', 'false_alarm_rate': 'at most 0.03',
+    'unknown_rate': '0.90', 'pair_rate': '0.85', 'pair_one_rate': '0.99',
+    'confidently_wrong_rate': 'at most 0.02', 'calibration_error': 'at most 0.05',
+    'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99', 'size_coverage': '',
+    'small_wrong_rate': '', 'median_seconds': '', 'refused': ''}
+
+
+class GapCheck(Result):
+    """How often the diagnosis of blind cases was right, by the keys of `asi gap check --json`."""
+
+    rows = 'wrong'
+
+    def parts(self) -> Iterator[str | Table]:
+        yield f'{self.cases} cases: ' + ', '.join(
+            f'{count} {kind}' for kind, count in self.by_kind.items())
+        yield table_of([{'figure': name, 'value': self[name], 'reach': reach}
+                        for name, reach in REACH.items()],
+                       {'figure': '{figure}', 'value': '{value:.3f}', 'to reach': '{reach}'})
+        if self.wrong:
+            yield table_of(self.wrong, {
+                'bag': '{bag}', 'truth': '{truth}', 'verdict': '{verdict}',
+                'probability': '{probability:.0%}'}, 'wrong verdicts')
+
+
+def check(folder: Path, told: Told) -> GapCheck:
     """Diagnose every case of a directory, then open the answers; return the document."""
     rows = run_cases(folder, told)
     answers = unseal(folder / 'answers.sealed')
@@ -212,7 +240,7 @@ def check(folder: Path, told: Told) -> dict[str, Any]:
     result = score(rows, answers)
     write_text(folder / 'answers.json', json.dumps(answers, indent=1))
     draw(rows, answers, result, folder)
-    return {**result, 'directory': str(folder)}
+    return GapCheck({**result, 'directory': str(folder)})
 
 
 def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: Mapping[str, Any],
@@ -233,22 +261,3 @@ def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: 
                            counts[kept]).savefig(out / 'confusion.png')
         pictures.reliability([b['said'] for b in bars], [b['right'] for b in bars],
                              [b['cases'] for b in bars]).savefig(out / 'reliability.png')
-
-
-def as_text(result: Mapping[str, Any]) -> str:
-    """Return the figures of a check beside those to reach, for people."""
-    reach = {'block_accuracy': '0.97', 'effect_accuracy': '0.95', 'ambiguity_coverage': '0.97',
-             'mean_ambiguity_size': 'at most 1.5', 'false_alarm_rate': 'at most 0.03',
-             'unknown_rate': '0.90', 'pair_rate': '0.85', 'pair_one_rate': '0.99',
-             'confidently_wrong_rate': 'at most 0.02', 'calibration_error': 'at most 0.05',
-             'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99',
-             'size_coverage': ''}
-    lines = [f'{result["cases"]} cases: ' + ', '.join(
-        f'{count} {kind}' for kind, count in result['by_kind'].items())]
-    for key in (*reach, 'small_wrong_rate', 'median_seconds', 'refused'):
-        value = result[key]
-        lines.append(f'{key:<26}{"-" if value is None else f"{value:.3f}":>8}   '
-                     + reach.get(key, ''))
-    lines += [f'wrong: {row["bag"]}: {row["truth"]} was called {row["verdict"]} '
-              f'({100 * row["probability"]:.0f} %)' for row in result['wrong']]
-    return '\n'.join(lines)

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import as_record
+from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.onset import Onset, balanced_cycle, onset, with_gain
 from asi_analysis.loop.simulation import (
@@ -84,12 +85,18 @@ def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: f
                   onset(changed, controller, rate_hz, 0.35 * gain, 0.01))
 
 
-def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float | None = None,
-              report: Progress = silent) -> dict[str, Any]:
+def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.0,
+                    gain: float | None = None, report: Progress = silent) -> Attribution:
     """
-    Return all that `asi attribute --json` prints of a configuration.
+    Return what each nonlinearity of a model contributes to its limit cycle.
 
-    gain: of the compensator, where the cycles are compared; by default a little above the onset.
+    Each is simulated alone and left out; shares of the amplitude are Shapley values. actuator,
+    controller: parameters by name, the rest at their defaults; rate_hz: control rate, Hz; gain:
+    of the compensator, where the cycles are compared, by default a little above the onset.
+
+    >>> import asi_analysis as asi
+    >>> found = asi.attribute_model({}, {'reference.shape': 'step',
+    ...                                  'reference.amplitude': 100.0})   # doctest: +SKIP
     """
     report('onset', 0.0)
     first = onset(actuator, controller, rate_hz, 0.7 * gain if gain else 4.0)
@@ -101,7 +108,8 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
         'frequency_hz': whole.frequency_hz if whole else None,
         'amplitude_n': whole.amplitude_n if whole else None}
     if whole is None:
-        return document | {'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'}
+        return Attribution(document | {
+            'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'})
     report('shares', 0.1)
     subsets = _all_subsets()
     runs = step_runs([only(subset, actuator) for subset in subsets],
@@ -124,7 +132,8 @@ def attribute(actuator: Values, controller: Values, rate_hz: float, gain: float 
             'probability': max(shares[name], 0.0) / total,
             **_figures('alone', alone), **_figures('all_but', without)})
     linear = amplitudes[()] > 0.0
-    return document | {'causes': causes, 'verdict': _verdict(causes, linear, document)}
+    return Attribution(document | {'causes': causes,
+                                   'verdict': _verdict(causes, linear, document)})
 
 
 def _figures(prefix: str, cycles: Cycles) -> dict[str, float | None]:
@@ -170,26 +179,3 @@ def _name(cause: dict[str, Any]) -> str:
 
 def _others(causes: list[dict[str, Any]], cause: dict[str, Any]) -> str:
     return ', '.join(f'{_name(c)} {100 * c["share"]:+.0f} %' for c in causes if c is not cause)
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return the table and the verdict for people."""
-    def pair(cause: dict[str, Any], prefix: str, kind: str = '') -> str:
-        f = cause[f'{prefix}_{kind}frequency_hz']
-        return 'none' if f is None else f'{f:.1f} Hz {cause[f"{prefix}_{kind}amplitude_n"]:.0f} N'
-
-    def gain(value: float | None) -> str:
-        return '-' if value is None else f'{value:.3g}'
-
-    lines = [f'{"":22}{"alone":^46}{"all but it":^46}',
-             f'{"nonlinearity":22}' + 2 * f'{"simulated":>16}{"predicted":>18}{"onset":>10}  '
-             + '  necessary sufficient  share']
-    for c in document['causes']:
-        lines.append(
-            f'{_name(c):22}'
-            + ''.join(f'{pair(c, p):>16}{pair(c, p, "predicted_"):>18}'
-                      f'{gain(c[f"{p}_onset_gain"]):>10}  ' for p in ('alone', 'all_but'))
-            + f'{"yes" if c["necessary"] else "no":>11}'
-            f'{"yes" if c["sufficient"] else "no":>11}{100 * c["share"]:6.0f} %')
-    return '\n'.join([*lines, '', document['verdict']])
-

@@ -8,7 +8,8 @@ import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.limit_cycle.attribution.ablation import attribute
+from asi_analysis.limit_cycle.attribution.ablation import attribute_model
+from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run, response_of
@@ -66,7 +67,7 @@ def _cut(run: Run, signal: str | None) -> Segment:
 
 
 def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> Shape:
-    """Return the shape of the stretch that a document of `attribute_run` speaks of."""
+    """Return the shape of the stretch that a document of `attribute_cycle` is about."""
     part = run.between(document['start_s'], document['end_s'] + 0.5 * run.period_s)
     name, output = response_of(part, signal)
     if part.command_n is None or name == 'command':
@@ -93,14 +94,20 @@ def shape_probabilities(found: Shape) -> dict[str, float]:
     return dict(sorted(chances.items(), key=lambda item: -item[1]))
 
 
-def attribute_run(run: Run, signal: str | None = None, report: Progress = silent
-                  ) -> dict[str, Any]:
+def attribute_cycle(run: Run, signal: str | None = None, report: Progress = silent
+                    ) -> Attribution:
     """
-    Return all that `asi attribute BAG --json` prints.
+    Return the probable causes of an oscillation in a recording.
 
-    A bag of this package's actuator is also compared with the cycles that its model makes with
-    each nonlinearity alone. Raises InputError without command and output, or if the motion is the
-    answer to the reference.
+    run: with command and output of any loop, judged by their shape. If the recording has the
+    parameters of this package's actuator, its cycle is compared with those that the model makes
+    with each nonlinearity alone. signal: name of the output; by default the force, or the first
+    other that was recorded. Raises InputError without command and output, or if the motion is
+    forced by the reference.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.read_bag('runs/limit_cycle/bag')                        # doctest: +SKIP
+    >>> print(asi.attribute_cycle(run))                                   # doctest: +SKIP
     """
     report('judging', 0.0)
     segment = _cut(run, signal)
@@ -115,7 +122,7 @@ def attribute_run(run: Run, signal: str | None = None, report: Progress = silent
     configuration = run.information
     if 'actuator' in configuration and 'controller' in configuration and (
             segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
-        return document | _by_model(run, segment, report)
+        return Attribution(document | _by_model(run, segment, report), run=run, signal=signal)
     report('shape', 0.3)
     found = shape_of(run, document, signal)
     document['frequency_hz'] = found.frequency_hz
@@ -123,8 +130,9 @@ def attribute_run(run: Run, signal: str | None = None, report: Progress = silent
     causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
                'probability': chance, 'unexplained': _unexplained(found, cause)}
               for cause, chance in chances.items()]
-    return document | {'causes': [EMPTY | cause for cause in causes],
-                       'verdict': _shape_verdict(chances, found, segment)}
+    return Attribution(document | {'causes': [EMPTY | cause for cause in causes],
+                                   'verdict': _shape_verdict(chances, found, segment)},
+                       run=run, signal=signal)
 
 
 def _unexplained(found: Shape, cause: str) -> float | None:
@@ -162,7 +170,7 @@ def _by_model(run: Run, segment: Segment, report: Progress) -> dict[str, Any]:
     gain = float(controller.get('gain') or 0.0)
     from asi_controller.compensator import OWN_GAIN
     gain = gain or OWN_GAIN[str(controller.get('compensator', 'proportional'))]
-    table = attribute(information['actuator'], controller, rate, gain, report)
+    table = attribute_model(information['actuator'], controller, rate, gain, report)
     weights = []
     for cause in table['causes']:
         frequency, amplitude = cause['alone_frequency_hz'], cause['alone_amplitude_n']
@@ -187,12 +195,3 @@ def _by_model(run: Run, segment: Segment, report: Progress) -> dict[str, Any]:
         + (f'{expected:.4g} Hz, {table["amplitude_n"]:.4g} N' if expected else 'none')
         + ': find the gap first (asi gap)')
     return {'causes': [EMPTY | cause for cause in table['causes']], 'verdict': verdict}
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return the answer for people."""
-    lines = [f'{c["nonlinearity"].replace("_", " "):<22}{100 * c["probability"]:5.1f} %'
-             for c in document['causes']]
-    return '\n'.join([*lines, '', document['verdict']])
-
-

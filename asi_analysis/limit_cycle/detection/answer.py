@@ -1,12 +1,13 @@
-"""What `asi limit-cycle` says of bags, as one plain dictionary."""
+"""`asi limit-cycle`: the segments of recordings, each with its verdict."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.isolation import judge
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run
+from asi_analysis.reporting.result import Pictures, Result, Table, table_of
 
 
 def _number(value: float) -> float | None:
@@ -39,24 +40,46 @@ def segment_as_dict(segment: Segment) -> dict[str, Any]:
     }
 
 
-def limit_cycle(runs: Sequence[Run], signal: str | None = None) -> dict[str, Any]:
+class LimitCycles(Result):
     """
-    Return all that `asi limit-cycle --json` prints of runs, judged together for isolation.
+    Segments of recordings, each with its verdict: `detect_limit_cycles`.
 
-    Raises InputError if a run lacks the signal or has too few samples.
+    The keys are those of `asi limit-cycle --json`; `runs` are the recordings.
     """
+
+    title = 'Limit cycles'
+    rows = 'segments'
+    runs: list[Run]
+
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of(self.segments, {
+            'from s': '{start_s:.4g}', 'to s': '{end_s:.4g}', 'verdict': '{verdict}',
+            'confidence': '{confidence:.0%}', 'Hz': '{frequency_hz:.5g}',
+            'amplitude': '{amplitude_n:.4g}', 'unit': '{unit}', 'THD': '{thd:.2g}'})
+        yield from (f'{s["start_s"]:.4g} to {s["end_s"]:.4g} s: {s["why"]}'
+                    for s in self.segments)
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.limit_cycle.detection.figure import drawn
+        return drawn(self.runs, self)
+
+
+def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None) -> LimitCycles:
+    """
+    Judge each stretch of recordings: limit cycle, forced, decaying, noise, …, and how surely.
+
+    runs: one recording, or several of the same loop, which together show whether a cycle is
+    isolated (reached from inside and from outside). signal: the name of the signal to judge; by
+    default the force, or the first other that was recorded. Raises InputError if a run lacks the
+    signal or has too few samples.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)
+    >>> cycles = asi.detect_limit_cycles(run)
+    >>> last = cycles.segments[-1]
+    >>> print(last['verdict'], f'{last["frequency_hz"]:.0f} Hz')
+    """
+    runs = [runs] if isinstance(runs, Run) else list(runs)
     segments = judge([segment for run in runs for segment in judge_run(run, signal)])
-    return {'segments': [segment_as_dict(segment) for segment in segments]}
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return the answer for people: a line a segment, with its reason below."""
-    lines = []
-    for s in document['segments']:
-        figures = ''
-        if s['frequency_hz'] is not None:
-            figures = (f'  {s["frequency_hz"]:.5g} Hz, {s["amplitude_n"]:.4g} {s["unit"]}, '
-                       f'THD {100 * s["thd"]:.2g} %')
-        lines += [f'{s["start_s"]:9.4g} to {s["end_s"]:9.4g} s  {s["verdict"]:<12}'
-                  f'{100 * s["confidence"]:4.0f} %{figures}', f'    {s["why"]}']
-    return '\n'.join(lines)
+    return LimitCycles({'segments': [segment_as_dict(segment) for segment in segments]},
+                       runs=runs)

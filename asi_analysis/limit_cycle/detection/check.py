@@ -5,7 +5,7 @@ Sines for the accuracy, against the Cramér-Rao bound; and one family of signals
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.verdict import judge_run
 from asi_analysis.measures.sinusoid import fit
+from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress
 
 Array = npt.NDArray[np.float64]
@@ -220,7 +221,25 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
             'false_limit_cycles': false_cycles, 'verdicts': dict(verdicts)}
 
 
-def check(count: int, seed: int, report: Progress) -> dict[str, Any]:
+class DetectionCheck(Result):
+    """Accuracy and verdicts on signals of known truth, by the keys of the JSON."""
+
+    rows = 'verdicts'
+
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of(self.accuracy, {
+            'cycles': '{cycles:g}', 'samples a cycle': '{samples_a_cycle:g}',
+            'SNR dB': '{snr_db:g}', 'frequency error / bound': '{frequency_error_over_bound:.2f}',
+            'amplitude error / bound': '{amplitude_error_over_bound:.2f}',
+            'frequency coverage': '{frequency_coverage:.3f}',
+            'amplitude coverage': '{amplitude_coverage:.3f}'},
+            'errors over the Cramér-Rao bound, coverage of the 95 % intervals')
+        yield table_of(self.verdicts, {
+            'family': '{family}', 'truth': '{truth}', 'right': '{right:d}', 'of': '{count:d}',
+            'false limit cycles': '{false_limit_cycles:d}'}, 'verdicts')
+
+
+def check(count: int, seed: int, report: Progress) -> DetectionCheck:
     """Return both tables: `count` signals a row."""
     grid = [(cycles, samples, snr) for cycles in (3.0, 10.0, 100.0, 300.0)
             for samples in (5.0, 12.0, 40.0) for snr in (10.0, 25.0, 40.0)]
@@ -233,18 +252,4 @@ def check(count: int, seed: int, report: Progress) -> dict[str, Any]:
     for row, family in enumerate(FAMILIES):
         report(family, (len(grid) + row) / rows)
         verdicts.append(check_verdicts(family, count, seed + row))
-    return {'accuracy': accuracy, 'verdicts': verdicts}
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return both tables for people."""
-    lines = ['cycles  samples a cycle  SNR dB   error / bound: frequency  amplitude   '
-             'coverage of 95 %: frequency  amplitude']
-    lines += [f'{r["cycles"]:6g}{r["samples_a_cycle"]:17g}{r["snr_db"]:8g}'
-              f'{r["frequency_error_over_bound"]:27.2f}{r["amplitude_error_over_bound"]:11.2f}'
-              f'{r["frequency_coverage"]:30.3f}{r["amplitude_coverage"]:11.3f}'
-              for r in document['accuracy']]
-    lines += ['', f'{"family":<28}{"truth":<13}{"right":>8}{"false limit cycles":>20}']
-    lines += [f'{r["family"]:<28}{r["truth"]:<13}{r["right"]:>4}/{r["count"]}'
-              f'{r["false_limit_cycles"]:>15}' for r in document['verdicts']]
-    return '\n'.join(lines)
+    return DetectionCheck({'accuracy': accuracy, 'verdicts': verdicts})

@@ -8,12 +8,12 @@ its cycle at the cycle's own frequency.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.experiments.running import run_experiment
-from asi_analysis.limit_cycle.detection.answer import limit_cycle
+from asi_analysis.limit_cycle.detection.answer import LimitCycles, detect_limit_cycles
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 
@@ -22,7 +22,7 @@ DRIVEN_HZ: Final = 60.0
 DRIVEN_S: Final = 0.3
 
 
-def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> dict[str, Any]:
+def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> LimitCycles:
     """
     Return the bags of both runs and the segments of both, judged together.
 
@@ -36,4 +36,5 @@ def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> d
             'outside': replace(experiment, controller={**experiment.controller, **sine},
                                duration_s=experiment.duration_s + DRIVEN_S)}
     bags = [run_experiment(checked(run), out / name, report) for name, run in runs.items()]
-    return {'bags': list(map(str, bags)), **limit_cycle([read_bag(bag) for bag in bags])}
+    found = detect_limit_cycles([read_bag(bag) for bag in bags])
+    return LimitCycles({'bags': list(map(str, bags)), **found}, **vars(found))

@@ -1,6 +1,6 @@
-"""`asi predict`: predicted cycles over a range of gains, beside the simulated ones."""
+"""`asi predict`: predicted limit cycles over a range of gains, beside the simulated ones."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,16 +27,75 @@ from asi_analysis.loop.simulation import (
     sustained,
 )
 from asi_analysis.measures.oscillation import Oscillation
+from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent
 
 
-def predict(actuator: Values, controller: Values, rate_hz: float, first_gain: float,
-            steps_n: Sequence[float] = (), report: Progress = silent) -> dict[str, Any]:
+class Prediction(Result):
     """
-    Return all that `asi predict --json` prints: cycles by each method, and how they agree.
+    Predicted and simulated limit cycles over the gain: `predict_cycles`.
 
-    first_gain: below the onset; the search begins there. steps_n: sizes of step (N) for which the
-    onset is wanted too. Raises InputError for a gain from which no search can begin.
+    The keys are those of `asi predict --json`; `actuator` and `controller` are the parameters.
+    """
+
+    title = 'Predicted limit cycles'
+    rows = 'cycles'
+    actuator: Values
+    controller: Values
+    first_gain: float
+
+    def parts(self) -> Iterator[str | Table]:
+        yield (f'{self.compensator} at {self.rate_hz:g} Hz, reference {self.reference_n:g} N')
+        yield table_of(self.cycles, {
+            'gain': '{gain:.3f}', 'Hz': '{frequency_hz:.2f}', 'amplitude N': '{amplitude_n:.1f}',
+            'THD': '{thd:.2%}', 'multiplier': '{second_multiplier:.3g}', 'stable': '{stable}',
+            'method': '{method}'})
+        if self.onset_gain is None:
+            yield 'no cycle found, neither by harmonic balance nor by simulation'
+        else:
+            yield filled('onset (fold of the branch): gain {onset_gain:.4g}, '
+                         '{onset_frequency_hz:.4g} Hz; by the describing function of the '
+                         'hysteresis alone: {describing_function_onset_gain:.4g}, '
+                         '{describing_function_onset_frequency_hz:.4g} Hz; without any '
+                         'nonlinearity: {linear_limit_gain:.4g}', self)
+            yield table_of(self.one_harmonic, {
+                'nonlinearity': '{nonlinearity}', 'gain': '{onset_gain:.4g}',
+                'Hz': '{onset_frequency_hz:.4g}'},
+                'onset with one nonlinearity alone, one harmonic')
+        if self.largest_frequency_error is not None:
+            yield filled('largest difference of harmonic balance and simulation: '
+                         '{largest_frequency_error:.2%} in frequency, '
+                         '{largest_amplitude_error:.2%} in amplitude', self)
+        if self.onset_by_step:
+            yield table_of(self.onset_by_step, {
+                'step N': '{step_n:g}', 'predicted gain': '{predicted_gain:.4g}',
+                'predicted Hz': '{predicted_frequency_hz:.4g}',
+                'simulated gain': '{simulated_gain:.4g}',
+                'simulated Hz': '{simulated_frequency_hz:.4g}'}, 'onset over the size of the step')
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.limit_cycle.prediction.figures import drawn
+        gain = 1.2 * (self.onset_gain or self.first_gain)
+        return drawn(loop_of(self.actuator, with_gain(self.controller, gain), self.rate_hz), self)
+
+
+def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0,
+                   first_gain: float = 5.0, steps_n: Sequence[float] = (),
+                   report: Progress = silent) -> Prediction:
+    """
+    Predict the limit cycles of a loop from its model, and simulate them for comparison.
+
+    actuator, controller: parameters by name, the rest at their defaults; the force that is held
+    is `reference.amplitude` (N). rate_hz: control rate, Hz. first_gain: where the search begins,
+    below the onset. steps_n: sizes of steps (N) for which the onset is wanted too. Raises
+    InputError for a gain from which no search can begin.
+
+    By the describing function of the hysteresis alone (Gelb and Vander Velde, Multiple-Input
+    Describing Functions, 1968), and by harmonic balance of all nonlinearities.
+
+    >>> import asi_analysis as asi
+    >>> found = asi.predict_cycles({}, {'reference.shape': 'step',
+    ...                                 'reference.amplitude': 100.0})    # doctest: +SKIP
     """
     if not first_gain > 0.0:
         raise InputError(f'gain = {first_gain:g} is not allowed: the search begins there, above 0')
@@ -70,7 +129,8 @@ def predict(actuator: Values, controller: Values, rate_hz: float, first_gain: fl
                      'onset_amplitude_n': amplitude}
         cycles += _compared(actuator, controller, rate_hz, points, report, document)
     onsets = onset_by_step(actuator, controller, rate_hz, first_gain, steps_n, report)
-    return document | {'cycles': cycles, 'onset_by_step': onsets}
+    return Prediction(document | {'cycles': cycles, 'onset_by_step': onsets}, actuator=actuator,
+                      controller=controller, first_gain=first_gain)
 
 
 def _cycle(gain: float, frequency: float, amplitude: float, stable: bool, method: str,
@@ -153,40 +213,3 @@ def _as_the_step_left_it(actuator: Values, controller: Values, rate_hz: float, p
     own = float(loop.compensator['gain'])
     found = hb.balance(loop, point._replace(gain=own))
     return point if found is None else found._replace(gain=point.gain)
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return the answer for people."""
-    def figure(value: float | None, unit: str = '', digits: int = 4) -> str:
-        return '-' if value is None else f'{value:.{digits}g}{unit}'
-
-    lines = [f'{document["compensator"]} at {document["rate_hz"]:g} Hz, reference '
-             f'{document["reference_n"]:g} N', '',
-             f'{"gain":>8}{"frequency Hz":>14}{"amplitude N":>13}{"THD %":>8}'
-             f'{"multiplier":>12}  stable  method']
-    lines += [f'{c["gain"]:8.3f}{c["frequency_hz"]:14.2f}{c["amplitude_n"]:13.1f}'
-              f'{figure(c["thd"] and 100 * c["thd"], digits=3):>8}'
-              f'{figure(c["second_multiplier"], digits=3):>12}  '
-              f'{"yes" if c["stable"] else "no":<8}{c["method"].replace("_", " ")}'
-              for c in document['cycles']]
-    if document['onset_gain'] is None:
-        lines.append('no cycle found: neither balanced nor simulated')
-    else:
-        lines.append(f'onset (fold): gain {document["onset_gain"]:.4g}, '
-                     f'{document["onset_frequency_hz"]:.4g} Hz; the hysteresis alone, one '
-                     'harmonic: '
-                     f'{figure(document["describing_function_onset_gain"])}, '
-                     f'{figure(document["describing_function_onset_frequency_hz"], " Hz")}')
-        lines.append('one harmonic, each nonlinearity alone: ' + '; '.join(
-            f'{row["nonlinearity"].replace("_", " ")} {figure(row["onset_gain"])}, '
-            f'{figure(row["onset_frequency_hz"], " Hz")}' for row in document['one_harmonic'])
-            + f'; without any {figure(document["linear_limit_gain"])}')
-        if document['largest_frequency_error'] is not None:
-            lines.append('harmonic balance against simulation, at most: '
-                         f'{100 * document["largest_frequency_error"]:.2g} % in frequency, '
-                         f'{100 * document["largest_amplitude_error"]:.2g} % in amplitude')
-    lines += [f'step {r["step_n"]:g} N: onset predicted {figure(r["predicted_gain"])}, '
-              f'{figure(r["predicted_frequency_hz"], " Hz")}; simulated '
-              f'{figure(r["simulated_gain"])}, {figure(r["simulated_frequency_hz"], " Hz")}'
-              for r in document['onset_by_step']]
-    return '\n'.join(lines)

@@ -1,7 +1,7 @@
-"""What `asi quench` says of a compensator, as one plain dictionary."""
+"""`asi quench`: how far a compensator is from a limit cycle."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,20 +10,78 @@ from asi_analysis.limit_cycle.quench.design import design
 from asi_analysis.limit_cycle.quench.dither import dither
 from asi_analysis.limit_cycle.quench.margin import margin
 from asi_analysis.loop.simulation import Values, step_run, sustained
+from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent
 
 WORST: Final = 5
 
 
-def quench(actuator: Values, controller: Values, rates_hz: Sequence[float], count: int,
-           seed: int, designs: int = 0, replayed: tuple[int, Path] | None = None,
-           report: Progress = silent) -> dict[str, Any]:
+class Quench(Result):
     """
-    Return all that `asi quench --json` prints.
+    How far a compensator is from a limit cycle: `quench_cycles`.
 
-    rates_hz: control rates of the attack, the first is that of margin, dither and design; count:
-    conditions tried; designs: candidates of the design helper, 0 for none; replayed: how many of
-    the worst finds to run over ROS, and the directory for their bags.
+    The keys are those of `asi quench --json`; `actuator` and `controller` are the parameters.
+    """
+
+    title = 'Limit cycles quenched'
+    rows = 'worst'
+    actuator: Values
+    controller: Values
+
+    def parts(self) -> Iterator[str | Table]:
+        yield f'{self.compensator} at {self.rate_hz:g} Hz'
+        yield filled('margin {margin:.3g}, least at {margin_at[frequency_hz]:.3g} Hz, amplitude '
+                     '{margin_at[amplitude_n]:.3g} N, bias {margin_at[bias_n]:g} N, load '
+                     '{margin_at[load]}', self)
+        yield (f'{self.sustained_found} sustained oscillations in {self.conditions_tried} '
+               'conditions')
+        worst = [each for each in self.worst if each['sustained']]
+        if worst:
+            yield table_of(worst, {
+                'amplitude N': '{amplitude_n:.3g}', 'control Hz': '{condition[rate_hz]:g}',
+                'load': '{condition[actuator][load.type]}',
+                'reference': '{condition[reference][reference.shape]}',
+                'size N': '{condition[reference][reference.amplitude]:.0f}',
+                'about N': '{condition[reference][reference.offset]:.0f}'},
+                'the largest (-: unbounded)')
+        if self.replayed:
+            yield table_of(self.replayed, {
+                'bag': '{bag}', 'verdict': '{verdict}', 'Hz': '{frequency_hz:.4g}',
+                'amplitude N': '{amplitude_n:.3g}', 'why': '{why}'}, 'over ROS')
+        if self.dither:
+            yield table_of(self.dither, {
+                'Hz': '{frequency_hz:g}', 'quenches N': '{amplitude_n:.0f}',
+                'least cycle left': '{least_left:.0%}', 'at N': '{least_left_at_n:.0f}',
+                'valve travel m/s': '{valve_travel_m_s:.3g}',
+                'force ripple N rms': '{force_ripple_n:.3g}'}, 'dither (-: none quenches)')
+        if self.design:
+            yield table_of([{'name': name, **self.design[name]} for name in ('rival', 'best')], {
+                'design': '{name}', 'rise s': '{rise_time_s:.3g}',
+                'overshoot %': '{overshoot_percent:.2g}', 'settling s': '{settling_time_2_s:.3g}',
+                'error N': '{steady_state_error_n:.2g}', 'margin': '{margin:.3g}'})
+            yield ', '.join(f'{name} = {value:.4g}' if isinstance(value, float)
+                            else f'{name} = {value}'
+                            for name, value in self.design['best']['controller'].items())
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.limit_cycle.quench.figure import draw
+        return {'quench': (draw(self.actuator, self.controller, self),
+                           'Loop and -1/N where the margin is least; the trade-off of designs')}
+
+
+def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float] = (5000.0,),
+                  count: int = 200, seed: int = 1, designs: int = 0,
+                  replayed: tuple[int, Path] | None = None, report: Progress = silent) -> Quench:
+    """
+    Measure the margin of a compensator to a limit cycle, and search for conditions that cycle.
+
+    actuator, controller: parameters by name, the rest at their defaults. rates_hz: control rates
+    of the search, Hz; the first is that of margin, dither and design. count: conditions tried;
+    seed: of the search and the design; designs: candidates of the design helper, 0 for none;
+    replayed: how many of the worst conditions to run over ROS, and the directory of their bags.
+
+    >>> import asi_analysis as asi
+    >>> found = asi.quench_cycles({}, {'compensator': 'lead4'}, count=50)  # doctest: +SKIP
     """
     rate = rates_hz[0]
     report('margin', None)
@@ -49,7 +107,7 @@ def quench(actuator: Values, controller: Values, rates_hz: Sequence[float], coun
         document['dither'] = dither(actuator, controller, rate, report=report)
     if designs:
         document['design'] = design(actuator, controller, rate, designs, seed, report)
-    return document
+    return Quench(document, actuator=actuator, controller=controller)
 
 
 def _finite(value: float) -> float | None:
@@ -60,45 +118,3 @@ def _trial(trial: Trial, rates_hz: tuple[float, ...]) -> dict[str, Any]:
     return {'amplitude_n': _finite(trial.amplitude_n), 'sustained': trial.sustained,
             'frequency_hz': _finite(trial.found.frequency_hz),
             'condition': trial.condition.settings(rates_hz)}
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return the answer for people."""
-    at = document['margin_at']
-    lines = [f'{document["compensator"]} at {document["rate_hz"]:g} Hz',
-             f'margin {document["margin"]:.3g}, least at {at["frequency_hz"]:.3g} Hz, amplitude '
-             f'{at["amplitude_n"]:.3g} N, bias {at["bias_n"]:g} N, load {at["load"]}',
-             f'{document["sustained_found"]} sustained oscillations in '
-             f'{document["conditions_tried"]} conditions'
-             + (f', the largest {document["worst_amplitude_n"]:.3g} N'
-                if document['sustained_found'] and document['worst_amplitude_n'] else '')]
-    for worst in document['worst'][:3]:
-        if not worst['sustained']:
-            continue
-        c, r = worst['condition'], worst['condition']['reference']
-        size = worst['amplitude_n']
-        lines.append(f'  {"unbounded" if size is None else f"{size:.3g} N"} at '
-                     f'{c["rate_hz"]:g} Hz control, load {c["actuator"]["load.type"]}, '
-                     f'{r["reference.shape"]} of {r["reference.amplitude"]:.0f} N about '
-                     f'{r["reference.offset"]:.0f} N')
-    lines += [f'over ROS: {row["bag"]}: {row["verdict"]} ({row["why"]})'
-              + (f', {row["amplitude_n"]:.3g} N at {row["frequency_hz"]:.4g} Hz'
-                 if row['amplitude_n'] is not None else '') for row in document['replayed']]
-    for row in document['dither']:
-        lines.append(f'dither of {row["frequency_hz"]:g} Hz: ' + (
-            f'none quenches; {row["least_left_at_n"]:.0f} N leaves least of the cycle, '
-            f'{100 * row["least_left"]:.0f} %' if row['amplitude_n'] is None else
-            f'{row["amplitude_n"]:.0f} N quenches; valve travel '
-            f'{1e3 * row["valve_travel_m_s"]:.3g} mm/s, force ripple '
-            f'{row["force_ripple_n"]:.3g} N rms'))
-    if document['design']:
-        for name in ('rival', 'best'):
-            d = document['design'][name]
-            lines.append(f'{name}: rise {1e3 * d["rise_time_s"]:.3g} ms, overshoot '
-                         f'{d["overshoot_percent"]:.2g} %, settling '
-                         f'{1e3 * d["settling_time_2_s"]:.3g} ms, error '
-                         f'{d["steady_state_error_n"]:.2g} N, margin {d["margin"]:.3g}')
-        lines.append('  ' + ', '.join(
-            f'{name} = {value:.4g}' if isinstance(value, float) else f'{name} = {value}'
-            for name, value in document['design']['best']['controller'].items()))
-    return '\n'.join(lines)

@@ -8,9 +8,9 @@ meet as many rows and differ clearly from all that were kept before.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from asi_analysis.paper.calibration.search import SEARCH, Problem
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.measures import Measured
 from asi_analysis.parallel import each
+from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import write_text
 from asi_common.parameter_file import write_parameters
@@ -180,8 +181,16 @@ def best_as_member(best: Candidate) -> Member:
     return Member({FREE[k].name: known[FREE[k].name] for k in PHYSICAL}, _met(measured))
 
 
+class Ensemble(Result):
+    """The members of an ensemble, by the keys of `asi ensemble --json`."""
+
+    def parts(self) -> Iterator[str | Table]:
+        yield (f'{self.members} members of {self.evaluations} tried, in {self.out}: they meet '
+               f'{min(self.met, default=0)} to {max(self.met, default=0)} of {self.total} rows')
+
+
 def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Progress
-        ) -> dict[str, Any]:
+        ) -> Ensemble:
     """
     Do what `asi ensemble` is asked to, about the defaults; return its document.
 
@@ -202,12 +211,5 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Pro
     for name, draw in (('ensemble_spread', ensemble_figures.spread),
                        ('ensemble_pairs', ensemble_figures.pairs)):
         figures.save(draw(kept, best_as_member(best)), pictures / f'{name}.png', 110.0)
-    return {'members': len(kept), 'evaluations': tried, 'out': str(out),
-            'met': [member.met for member in kept], 'total': len(AIMS)}
-
-
-def as_text(document: Mapping[str, Any]) -> str:
-    """Return what came out, for people."""
-    return (f'{document["members"]} members of {document["evaluations"]} tried, in '
-            f'{document["out"]}: they meet {min(document["met"], default=0)} to '
-            f'{max(document["met"], default=0)} of {document["total"]} rows')
+    return Ensemble({'members': len(kept), 'evaluations': tried, 'out': str(out),
+                     'met': [member.met for member in kept], 'total': len(AIMS)})

@@ -5,9 +5,9 @@ The front between a quantity and all rows together: for each of its values every
 polished again, beginning with the result for the value before, so that neighbours can be compared.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
@@ -19,6 +19,7 @@ from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.measures import Measured
 from asi_analysis.paper.facts.table import Fact
 from asi_analysis.reporting.figures import BLUE, WIDTH_IN, save, style
+from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import write_text
 
@@ -85,7 +86,18 @@ def picture(name: str, held: Sequence[Held]) -> Figure:
     return figure
 
 
-def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress) -> dict[str, Any]:
+class Front(Result):
+    """The cost over the values of one quantity, by the keys of `asi calibrate --front --json`."""
+
+    rows = 'front'
+
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of([{**each, 'missed': len(each['not_met'])} for each in self.front], {
+            self.quantity: '{value:g}', 'cost': '{cost:.3g}', 'rows not met': '{missed:d}'})
+        yield f'table and picture: {self.out}'
+
+
+def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress) -> Front:
     """
     Do what `asi calibrate --front` is asked to; return its document.
 
@@ -97,14 +109,7 @@ def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress)
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / 'front.md', table(name, held))
     save(picture(name, held), out / 'front.png', 110.0)
-    return {'quantity': name, 'out': str(out),
-            'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,
-                       'not_met': [fact.value for fact in each.not_met]} for each in held]}
-
-
-def as_text(document: Mapping[str, Any]) -> str:
-    """Return what came out, for people."""
-    return '\n'.join([
-        *(f'{document["quantity"]} = {each["value"]:g}: cost {each["cost"]:.3g}, '
-          f'{len(each["not_met"])} rows not met' for each in document['front']),
-        f'table and picture: {document["out"]}'])
+    return Front({
+        'quantity': name, 'out': str(out),
+        'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,
+                   'not_met': [fact.value for fact in each.not_met]} for each in held]})

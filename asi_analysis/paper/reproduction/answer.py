@@ -1,7 +1,7 @@
 """`asi reproduce`: every published fact beside what the simulator says."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,33 +12,86 @@ from asi_analysis.experiments.running import RunFailedError, run_experiment
 from asi_analysis.loop.closed_loop import LoopRun
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.stated import stated
-from asi_analysis.paper.facts.table import FACTS, Fact, Measured, closed_loop_groups, measure
-from asi_analysis.terminal import Progress, silent, table
+from asi_analysis.paper.facts.table import FACTS, Measured, closed_loop_groups, measure
+from asi_analysis.reporting.result import Pictures, Result, Table, table_of
+from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 
 Values = Mapping[str, Value]
 
 
-class Reproduction(NamedTuple):
-    """The table for one parameter set: every measured value, by name."""
+class Reproduction(Result):
+    """
+    Every published fact and what the simulator gives: `reproduce_paper`.
 
+    The keys are those of `asi reproduce --json`; `actuator` and `conditions` are what was
+    simulated, `measured` every measured value by name.
+    """
+
+    title = 'Reproduction of the paper'
+    rows = 'facts'
     actuator: Values
     conditions: Conditions
     measured: Measured
 
-    def met(self, fact: Fact) -> bool:
-        return fact.met(self.measured[fact.value])
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of(self.facts, {
+            'fact': '{id}', 'quantity': '{quantity}', 'paper': '{section}',
+            'published': '{published:.4g}', 'simulated': '{simulated:.4g}', 'unit': '{unit}',
+            'tolerance': '{tolerance}', 'met': '{met}'})
+        yield (f'{self["met"]} of {self.total} rows met; all rows of {len(self.ids_met)} of '
+               f'{self.ids_total} facts met')
+        if self.over_ros:
+            different = [each['value'] for each in self.over_ros if not each['equal']]
+            yield (f'{len(self.over_ros)} values measured over ROS as well: '
+                   + (f'DIFFERENT: {", ".join(different)}' if different else 'all equal'))
+        if self.report:
+            yield f'report: {self.report}'
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.paper.reproduction.figures import paper_figures
+        return {name: (figure, name) for name, figure in paper_figures(
+            self.actuator, self.conditions, self.measured).items()}
+
+    def write_report(self, out: Path) -> Path:
+        """Write report.html, table.md and a PNG of each figure into `out`."""
+        from asi_analysis.paper.reproduction.report import write_reproduction_report
+        page = write_reproduction_report(self, out)
+        self['report'] = str(page)
+        return page
+
+    def repeat_over_ros(self, out: Path, report: Progress = silent) -> None:
+        """Measure the closed-loop rows again with the real nodes, one bag each in `out`."""
+        self['over_ros'] = [as_dict(each) for each in over_ros(self, out, report)]
 
 
-def reproduce(actuator: Values, conditions: Conditions | None = None,
-              report: Progress = silent) -> Reproduction:
+def reproduce_paper(actuator: Values | None = None, conditions: Conditions | None = None,
+                    report: Progress = silent) -> Reproduction:
     """
-    Measure every fact on the simulator.
+    Measure every fact that the paper publishes on the simulator, beside its published value.
 
-    actuator: parameters by name, the rest at their defaults; report: told what is going on.
+    actuator: parameters by name, the rest at their defaults; conditions: loads and steps that the
+    paper does not state.
+
+    >>> import asi_analysis as asi
+    >>> result = asi.reproduce_paper()                                    # doctest: +SKIP
+    >>> print(result.met, 'of', result.total)                             # doctest: +SKIP
     """
-    conditions = conditions or Conditions()
-    return Reproduction(actuator, conditions, measure(actuator, conditions, report))
+    actuator, conditions = actuator or {}, conditions or Conditions()
+    measured = measure(actuator, conditions, report)
+    texts = stated(actuator, conditions)
+    facts = [{
+        'id': fact.id, 'quantity': fact.quantity, 'published': fact.published,
+        'simulated': _finite(measured[fact.value]), 'unit': fact.unit,
+        'tolerance': fact.tolerance, 'met': fact.met(measured[fact.value]),
+        'section': fact.section, 'conditions': texts[fact.id][0], 'method': texts[fact.id][1],
+        'role': fact.role} for fact in FACTS]
+    ids = dict.fromkeys(fact.id for fact in FACTS)
+    whole = [id_ for id_ in ids if all(fact['met'] for fact in facts if fact['id'] == id_)]
+    return Reproduction(
+        {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
+         'ids_met': whole, 'ids_total': len(ids), 'over_ros': [], 'report': None},
+        actuator=actuator, conditions=conditions, measured=measured)
 
 
 class Comparison(NamedTuple):
@@ -86,44 +139,3 @@ def as_dict(comparison: Comparison) -> dict[str, Any]:
 
 def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def as_document(result: Reproduction) -> dict[str, Any]:
-    """Return the answer of `asi reproduce --json`; a value that does not exist is None."""
-    texts = stated(result.actuator, result.conditions)
-    facts = []
-    for fact in FACTS:
-        value = result.measured[fact.value]
-        facts.append({
-            'id': fact.id, 'quantity': fact.quantity, 'published': fact.published,
-            'simulated': _finite(value), 'unit': fact.unit,
-            'tolerance': fact.tolerance, 'met': result.met(fact), 'section': fact.section,
-            'conditions': texts[fact.id][0], 'method': texts[fact.id][1],
-            'role': fact.role})
-    ids = dict.fromkeys(fact.id for fact in FACTS)
-    whole = [id_ for id_ in ids if all(result.met(fact) for fact in FACTS if fact.id == id_)]
-    return {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
-            'ids_met': whole, 'ids_total': len(ids), 'over_ros': [],
-            'report': None}
-
-
-def as_text(document: Mapping[str, Any]) -> str:
-    """Return the table for people."""
-    rows, last = [], None
-    for fact in document['facts']:
-        simulated = '-' if fact['simulated'] is None else f'{fact["simulated"]:.4g}'
-        rows.append((fact['id'] if fact['id'] != last else '', fact['quantity'], fact['section'],
-                     f'{fact["published"]:.4g}', f'{simulated} {fact["unit"]}',
-                     fact['tolerance'], '[green]met[/]' if fact['met'] else '[red]not met[/]'))
-        last = fact['id']
-    lines = [table(('fact', 'quantity', 'paper', 'published', 'simulated', 'met if', ''), rows,
-                   right=('published', 'simulated')),
-             f'{document["met"]} of {document["total"]} rows met; '
-             f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole']
-    if document['over_ros']:
-        different = [each['value'] for each in document['over_ros'] if not each['equal']]
-        lines.append(f'{len(document["over_ros"])} values measured over ROS as well: '
-                     + (f'DIFFERENT: {", ".join(different)}' if different else 'all the same'))
-    if document['report']:
-        lines.append(f'report: {document["report"]}')
-    return '\n'.join(lines)

@@ -8,23 +8,20 @@ import numpy as np
 
 from asi_analysis.loop.linear_model import linear_model
 from asi_analysis.paper.facts.stated import stated
-from asi_analysis.paper.reproduction.answer import Reproduction, as_document
-from asi_analysis.paper.reproduction.figures import paper_figures
+from asi_analysis.paper.reproduction.answer import Reproduction
 from asi_analysis.reporting.report import write_report
 from asi_common.files import write_text
 
 
 def write_reproduction_report(result: Reproduction, out: Path) -> Path:
     """Write report.html and a PNG of each figure into `out`; return the path of report.html."""
-    document = as_document(result)
-    held_out = [fact for fact in document['facts'] if fact['role'] == 'held out']
-    drawn = paper_figures(result.actuator, result.conditions, result.measured)
+    held_out = [fact for fact in result.facts if fact['role'] == 'held out']
     page = write_report(
-        out, 'reproduction.html', {name: (figure, name) for name, figure in drawn.items()},
-        document=document, stated=stated(result.actuator, result.conditions),
+        out, 'reproduction.html', result.pictures(),
+        document=result, stated=stated(result.actuator, result.conditions),
         held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
         linear=linear_model(result.actuator), roots=_roots)
-    write_text(out / 'table.md', _table(document))
+    write_text(out / 'table.md', _table(result))
     return page
 
 

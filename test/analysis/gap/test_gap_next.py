@@ -77,8 +77,10 @@ def test_diagnosed_mended_and_recorded_again(tmp_path: Path, monkeypatch: Any) -
     nominal = written(TEXTBOOK, tmp_path / 'nominal.yaml')
 
     def diagnosed(bag: str, model: Path, report: Path | None) -> dict[str, Any]:
-        return command.run([tmp_path / bag], model, 'actuator', [], 0.2, None, report,
-                           lambda text, share: None)
+        found = command.diagnose([read_bag(tmp_path / bag)], model)
+        if report:
+            found.write_report(report)
+        return found
 
     before = diagnosed('first', nominal, tmp_path / 'report')
     assert before['verdict'] == 'transport_delay'

@@ -10,8 +10,8 @@ from study import STUDY, STUDY_CONTROLLER
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked, information
-from asi_analysis.limit_cycle.attribution import figure, recording, valves
-from asi_analysis.limit_cycle.attribution.ablation import NONLINEARITIES, attribute, shapley
+from asi_analysis.limit_cycle.attribution import figure, valves
+from asi_analysis.limit_cycle.attribution.ablation import NONLINEARITIES, attribute_model, shapley
 from asi_analysis.limit_cycle.attribution.calibration import WEIGHTS, examples, judged
 from asi_analysis.limit_cycle.attribution.loops import (
     VALVES,
@@ -25,7 +25,7 @@ from asi_analysis.limit_cycle.attribution.loops import (
     still,
     ultimate_gain,
 )
-from asi_analysis.limit_cycle.attribution.recording import attribute_run
+from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.reporting.report import write_pictures
@@ -44,7 +44,7 @@ def test_shapley_values_add_up_and_share_what_only_a_pair_does():
 
 @pytest.fixture(scope='module')
 def table():
-    return attribute(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0)
+    return attribute_model(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0)
 
 
 def test_hysteresis_alone_is_necessary_and_sufficient_as_the_paper_concludes(table):
@@ -74,7 +74,8 @@ def test_balance_meets_each_simulated_cycle_of_the_table(table):
 
 
 def test_linear_instability_is_not_blamed_on_a_nonlinearity():
-    found = attribute(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0, gain=14.0)
+    found = attribute_model(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0,
+                            gain=14.0)
     assert 'linear instability' in found['verdict']
 
 
@@ -112,10 +113,10 @@ def test_fault_is_the_cause_of_the_simulated_swing(world):
 
 def test_document_and_picture_of_a_foreign_loop(tmp_path):
     run = _loop('stiction', 77)
-    found = attribute_run(run)
+    found = attribute_cycle(run)
     assert problems(found, 'asi attribute BAG') == []
     assert sum(cause['probability'] for cause in found['causes']) == pytest.approx(1.0)
-    page = write_pictures(tmp_path, 'title', recording.as_text(found),
+    page = write_pictures(tmp_path, 'title', str(found),
                           {'attribution': (figure.recorded(run, found), found['verdict'])})
     assert (tmp_path / 'attribution.png').read_bytes().startswith(b'\x89PNG')
     assert '<svg' in page.read_text() and found['verdict'].split(':')[0] in page.read_text()
@@ -137,7 +138,7 @@ def test_no_valve_is_blamed_for_a_tight_loop_that_its_sensor_shakes():
     plant = Plant((10.0, 0.05, 0.05), 10.0, False, 0.0, 1.0, 10.0, 0.0, 0.0)
     plant = plant._replace(gain=0.93 * ultimate_gain(plant, 2000))
     command, output = run_loop(plant, Valve(), 1e9, Weather(none, none, hiss, none), start=0.0)
-    found = attribute_run(Run(np.arange(4000.0), command_n=command, force_n=output))
+    found = attribute_cycle(Run(np.arange(4000.0), command_n=command, force_n=output))
     assert found['causes'][0]['nonlinearity'] == 'tight_tuning'
     assert found['causes'][0]['probability'] > 0.8
 
@@ -157,7 +158,7 @@ def test_bag_of_this_actuator_is_judged_by_its_model():
                                          'reference.shape': 'step',
                                          'reference.amplitude': 100.0}, 0.8))
     made = simulate_loop(experiment.actuator, experiment.controller, 0.8)
-    found = attribute_run(Run(made.time_s, made.reference_n, made.command_n, made.force_n,
+    found = attribute_cycle(Run(made.time_s, made.reference_n, made.command_n, made.force_n,
                               source='bag', information=information(experiment)))
     best = max(found['causes'], key=lambda cause: cause['probability'])
     assert best['nonlinearity'] == 'valve_hysteresis' and best['probability'] > 0.9
@@ -168,7 +169,7 @@ def test_bag_of_this_actuator_is_judged_by_its_model():
 def test_output_without_command_is_refused():
     t = np.arange(1000) / 100.0
     with pytest.raises(InputError, match='command and output'):
-        attribute_run(Run(t, force_n=np.sin(t)))
+        attribute_cycle(Run(t, force_n=np.sin(t)))
 
 
 def test_motion_that_answers_its_reference_has_no_cause_to_find():
@@ -176,5 +177,5 @@ def test_motion_that_answers_its_reference_has_no_cause_to_find():
     reference = np.sin(2 * np.pi * (0.5 + 0.05 * t) * t)
     noise = 0.01 * np.random.default_rng(7).standard_normal((2, t.size))
     with pytest.raises(InputError, match='no oscillation of its own'):
-        attribute_run(Run(t, reference_n=reference, command_n=2.0 * reference + noise[0],
+        attribute_cycle(Run(t, reference_n=reference, command_n=2.0 * reference + noise[0],
                           force_n=np.roll(reference, 3) + noise[1]))

@@ -11,7 +11,7 @@ from documented import problems
 from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.limit_cycle.detection.answer import limit_cycle
+from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.check import FAMILIES, check_accuracy, check_verdicts
 from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.limit_cycle.detection.verdict import judge_run
@@ -93,10 +93,10 @@ def _cycle(amplitude_of_time, source):
 def test_isolation_needs_the_orbit_from_both_sides():
     inside = _cycle(lambda t: 1.0 - 0.9 * np.exp(-5 * t), 'inside')
     outside = _cycle(lambda t: 1.0 + 1.5 * np.exp(-5 * t), 'outside')
-    alone = limit_cycle([inside])['segments'][-1]
+    alone = detect_limit_cycles([inside])['segments'][-1]
     assert alone['verdict'] == 'limit_cycle' and alone['came_from'] == 'inside'
     assert not alone['isolated'] and 'isolation not shown' in alone['why']
-    both = [s for s in limit_cycle([inside, outside])['segments']
+    both = [s for s in detect_limit_cycles([inside, outside])['segments']
             if s['verdict'] == 'limit_cycle']
     assert len(both) == 2 and all(s['isolated'] for s in both)
 
@@ -104,12 +104,12 @@ def test_isolation_needs_the_orbit_from_both_sides():
 def test_orbits_of_different_size_are_no_evidence_for_each_other():
     inside = _cycle(lambda t: 1.0 - 0.9 * np.exp(-5 * t), 'inside')
     outside = _cycle(lambda t: 1.5 + 1.5 * np.exp(-5 * t), 'outside')
-    assert not any(s['isolated'] for s in limit_cycle([inside, outside])['segments'])
+    assert not any(s['isolated'] for s in detect_limit_cycles([inside, outside])['segments'])
 
 
 def test_return_to_the_orbit_after_a_push_shows_isolation():
     pushed = _cycle(lambda t: 1.0 + np.where(t > 1.5, -0.7 * np.exp(-8 * (t - 1.5)), 0.0), 'push')
-    last = limit_cycle([pushed])['segments'][-1]
+    last = detect_limit_cycles([pushed])['segments'][-1]
     assert last['isolated'] and 'disturbance' in last['why']
 
 

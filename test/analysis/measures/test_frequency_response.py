@@ -14,7 +14,7 @@ from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.frequency_response import (
     actuator_bandwidth,
     correlation_delay,
-    frequency_response,
+    estimate,
     loop_bandwidth,
 )
 from asi_common.parameter import completed
@@ -38,7 +38,7 @@ def test_bandwidth_and_delay_of_a_known_filter(kind):
     b, a = signal.butter(2, 50.0, fs=RATE_HZ)
     x = excitation(kind)
     y = np.concatenate([np.zeros(15), signal.lfilter(b, a, x)[:-15]])
-    found = frequency_response(x, y, 1.0 / RATE_HZ)
+    found = estimate(x, y, 1.0 / RATE_HZ)
     assert found.bandwidth_hz == pytest.approx(50.0, rel=0.03)
     w, expected = signal.freqz(b, a, found.frequency_hz, fs=RATE_HZ)
     expected = expected * np.exp(-2j * np.pi * w * 15 / RATE_HZ)
@@ -50,15 +50,15 @@ def test_bandwidth_and_delay_of_a_known_filter(kind):
 def test_pure_delay():
     x = excitation('prbs')
     y = np.concatenate([np.zeros(15), x[:-15]])
-    assert frequency_response(x, y, 1.0 / RATE_HZ).delay_s == pytest.approx(0.003, rel=1e-2)
+    assert estimate(x, y, 1.0 / RATE_HZ).delay_s == pytest.approx(0.003, rel=1e-2)
     assert correlation_delay(x, y, 1.0 / RATE_HZ) == pytest.approx(0.003, abs=1e-5)
 
 
 def test_what_the_input_does_not_move_is_not_told():
     """Beyond the chirp's last frequency and in an output of noise there is no response."""
     x = excitation('chirp')
-    assert frequency_response(x, x, 1.0 / RATE_HZ).frequency_hz.max() < 600.0
-    assert frequency_response(x, np.random.default_rng(1).normal(size=x.size),
+    assert estimate(x, x, 1.0 / RATE_HZ).frequency_hz.max() < 600.0
+    assert estimate(x, np.random.default_rng(1).normal(size=x.size),
                               1.0 / RATE_HZ) is None
 
 

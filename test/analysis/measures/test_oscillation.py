@@ -6,7 +6,7 @@ import pytest
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.simulation import step_run
-from asi_analysis.measures.analysis import analyze, as_text
+from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.oscillation import is_sustained, of_samples, oscillation
 
 T = np.arange(5000) / 5000.0
@@ -32,7 +32,7 @@ def test_sine_is_found_exactly():
 def test_a_torque_is_told_in_its_own_unit():
     torque = STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T)
     units = {'signals': {'force': 'Nm', 'reference': 'Nm'}}
-    told = as_text(analyze(Run(T, reference_n=STEP, force_n=torque, information=units)))
+    told = str(analyze(Run(T, reference_n=STEP, force_n=torque, information=units)))
     assert '91.4 Hz, 40 Nm, sustained' in told and ' N\n' not in told
 
 

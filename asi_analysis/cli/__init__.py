@@ -1,0 +1,48 @@
+"""
+The `asi` command: reads the command line, calls the Python API, prints.
+
+Nothing heavy is imported before a command needs it. A new command is one function with @command,
+in the module of its group; an exception becomes the exit status (see `main`).
+"""
+
+import sys
+import warnings
+from typing import Any
+
+import typer
+
+# Importing a group adds its commands, in the order of the help.
+from asi_analysis.cli import bags, gap, limit_cycles, paper  # noqa: F401
+from asi_analysis.cli.options import app as app
+from asi_analysis.errors import InputError
+
+
+def main() -> int:
+    """
+    Run the command; return the exit status.
+
+    0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError, or a
+    file that cannot be read or written), said in one line on stderr; 130: Ctrl-C.
+    """
+    warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
+    # Typer brings its own copy of click; this is its ClickException.
+    click_exception: Any = typer.BadParameter.__mro__[2]
+    try:
+        status = app(prog_name='asi', standalone_mode=False) or 0
+        return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
+    except InputError as error:
+        return _fail(str(error), 2)
+    except OSError as error:
+        return _fail(f'{error.filename}: {error.strerror}' if error.filename else str(error), 2)
+    except RuntimeError as error:
+        return _fail(str(error), 1)
+    except click_exception as error:
+        said = error.format_message().rstrip('.')
+        where = error.ctx.command_path if getattr(error, 'ctx', None) else 'asi'
+        # Called without anything, a command has shown its help already.
+        return _fail(f'{said} (see {where} --help)', 2) if said else 2
+
+
+def _fail(text: str, status: int) -> int:
+    print(f'asi: {" ".join(text.split())}', file=sys.stderr)
+    return status

@@ -1,0 +1,149 @@
+"""Commands that make and read a recording: run, analyze, import, export."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from asi_analysis.cli.options import (
+    Bag,
+    Compensator,
+    Gain,
+    Json,
+    ParameterFile,
+    Settings,
+    command,
+    show,
+)
+from asi_analysis.errors import InputError
+from asi_analysis.terminal import bar
+
+
+@command('run', 'asi run --compensator lead_lag --gain 20 --step 500 --duration 1')
+def run(
+    compensator: Compensator = None,
+    gain: Gain = None,
+    step: Annotated[float | None, typer.Option(
+        help='Size of a step in the reference, N; the same as --reference step --amplitude')
+    ] = None,
+    reference: Annotated[str | None, typer.Option(
+        help='step, ramp, sine, triangle, chirp, multisine, prbs or topic')] = None,
+    amplitude: Annotated[float | None, typer.Option(help='Size of the reference, N')] = None,
+    offset: Annotated[float | None, typer.Option(
+        help='Force about which it moves, N')] = None,
+    frequency: Annotated[float | None, typer.Option(
+        help='Its frequency, or the first or lowest, Hz')] = None,
+    end_frequency: Annotated[float | None, typer.Option(
+        help='Last or highest frequency of chirp or multisine, Hz')] = None,
+    load: Annotated[str | None, typer.Option(help='locked, spring, free or prescribed')] = None,
+    duration: Annotated[float, typer.Option(help='Length of the run, s')] = 1.0,
+    mode: Annotated[str, typer.Option(
+        help='lockstep: repeatable, however slow the machine; realtime: by the wall clock')
+    ] = 'lockstep',
+    rate: Annotated[float, typer.Option(
+        help='Control rate, Hz; 0: 5000 in lock-step, 1000 in real time')] = 0.0,
+    seed: Annotated[int | None, typer.Option(help='Seed of sensor noise and PRBS', min=0)] = None,
+    actuator: ParameterFile = None,
+    controller: ParameterFile = None,
+    set_: Settings = None,
+    out: Annotated[Path | None, typer.Option(
+        help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
+    experiment: Annotated[Literal['isolation'] | None, typer.Option(
+        help='isolation: two runs that show whether a limit cycle is isolated')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Run one experiment over ROS: start the nodes, record a bag, analyse it.
+
+    The later wins: parameter files, then --set, then the options by name.
+    """
+    from asi_analysis.experiments import experiment as ex
+    from asi_analysis.experiments import running
+    named = {'compensator': compensator, 'gain': gain, 'reference.shape': reference,
+             'reference.amplitude': amplitude, 'reference.offset': offset,
+             'reference.frequency': frequency, 'reference.end_frequency': end_frequency,
+             'reference.seed': seed}
+    if step is not None:
+        if reference not in (None, 'step') or amplitude is not None:
+            raise InputError('--step is a reference of its own: it goes without --reference '
+                             'and --amplitude')
+        named |= {'reference.shape': 'step', 'reference.amplitude': step}
+    values = ex.gather({'actuator': actuator, 'controller': controller}, set_ or [],
+                       {'actuator': {'load.type': load, 'force_sensor.noise_seed': seed},
+                        'controller': named}, duration)
+    wanted = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
+                                      rate))
+    out = running.directory_of(wanted, out)
+    try:
+        with bar() as progress:
+            if experiment:
+                from asi_analysis.limit_cycle.detection.experiment import isolation
+                result: Any = isolation(wanted, out, progress)
+            else:
+                result = running.summary(wanted, running.run_experiment(wanted, out, progress))
+    except KeyboardInterrupt:
+        if (out / 'bag').exists():
+            print(f'asi: what was recorded is in {out / "bag"}', file=sys.stderr)
+        raise
+    show(result, as_json)
+
+
+@command('analyze', 'asi analyze runs/demo/lead_lag/bag')
+def analyze(
+    bag: Bag,
+    as_json: Json = False,
+) -> None:
+    """Measure step response, bandwidth and oscillation of a recorded run."""
+    from asi_analysis.bags.bag import read_bag
+    from asi_analysis.measures.analysis import analyze as analyze_run
+    show(analyze_run(read_bag(bag)), as_json)
+
+
+@command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
+def import_(
+    file: Annotated[Path, typer.Argument(
+        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet, or a rosbag2')],
+    out: Annotated[Path, typer.Option(help='The bag to write')],
+    map_: Annotated[list[str] | None, typer.Option(
+        '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',
+        help='What a column is; once a signal; none for a file of `asi export`')] = None,
+    rate: Annotated[float | None, typer.Option(
+        help='Samples a second, if no column is the time')] = None,
+    skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0)] = 0,
+    delimiter: Annotated[str | None, typer.Option(help='Default: found out')] = None,
+    columns: Annotated[str | None, typer.Option(
+        help='Names, with commas between, for a file without a header')] = None,
+    zero: Annotated[float, typer.Option(
+        help='Take off each signal its mean over so many seconds from the start')] = 0.0,
+    as_json: Json = False,
+) -> None:
+    """
+    Make a bag of someone else's recording, so that every analysis runs on it.
+
+    Signals: time, reference, command, force, valve_position, position, velocity. A column of a
+    rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/how_to/importing.md.
+    """
+    from asi_analysis.bags.exchange.importing import import_recording
+    from asi_analysis.bags.exchange.summary import Imported
+    with bar() as progress:
+        progress(f'reading {file}', None)
+        run = import_recording(
+            file, map_ or [], rate, skip_lines=skip_lines, delimiter=delimiter,
+            columns=columns.split(',') if columns else None, zero_s=zero, out=out)
+    show(Imported.of(run, out), as_json)
+
+
+@command('export', 'asi export runs/demo/lead_lag/bag --out lead_lag.csv')
+def export(
+    bag: Bag,
+    out: Annotated[Path, typer.Option(help='The .csv or .parquet file to write')],
+    as_json: Json = False,
+) -> None:
+    """Write a bag's signals as a table: CSV or Parquet, with the units in the names."""
+    from asi_analysis.bags.bag import read_bag
+    from asi_analysis.bags.exchange.exporting import export as write_table
+    from asi_analysis.bags.exchange.summary import Exported
+    run = read_bag(bag)
+    write_table(run, out)
+    show(Exported.of(run, out), as_json)

@@ -1,0 +1,94 @@
+"""Commands about the sim-to-real gap: `asi gap BAG...` and `asi gap check`."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+import typer.core
+
+from asi_analysis.cli.options import HELP, Dask, Jobs, Json, app, command, directory, show
+from asi_analysis.terminal import bar
+
+
+class GapCommands(typer.core.TyperGroup):
+    """Takes `asi gap BAG...` as `asi gap of BAG...`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in {*self.commands, '-h', '--help'}:
+            args = ['of', *args]
+        return super().parse_args(ctx, args)
+
+
+gap_app = typer.Typer(cls=GapCommands, help='The sim-to-real gap: where, which effect, how '
+                      'far it shrinks, what to record next.\n\n`asi gap BAG...` diagnoses '
+                      'recordings; its options: `asi gap of --help`.', no_args_is_help=True,
+                      context_settings=HELP)
+app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --model m.yaml`')
+
+
+@command('of', 'asi gap real_1 real_2 --model m.yaml --report why', gap_app)
+def gap(
+    bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
+    model: Annotated[Path | None, typer.Option(
+        help='Nominal parameters: a ROS parameter file; default: config/actuator.yaml')] = None,
+    plant: Annotated[Literal['actuator', 'joint'], typer.Option(
+        help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
+    held_out: Annotated[list[Path] | None, typer.Option(
+        help='A recording that is only judged on; may be repeated')] = None,
+    tolerance: Annotated[float, typer.Option(
+        help='How far off the nominal parameters may be, as a share')] = 0.2,
+    drive: Annotated[Literal['force', 'position'] | None, typer.Option(
+        help='Of a joint; default: told from the signals')] = None,
+    report: Annotated[Path | None, typer.Option(
+        callback=directory,
+        help='Directory for an HTML report and the improved model file')] = None,
+    as_json: Json = False,
+) -> None:
+    """Tell where recordings differ from the simulator, why, and how far that can be mended."""
+    from asi_analysis.bags.bag import read_bag
+    from asi_analysis.gap.answer.command import diagnose
+    with bar() as progress:
+        progress('reading', None)
+        result = diagnose([read_bag(bag) for bag in bags], model, plant,
+                              [read_bag(bag) for bag in held_out or []], tolerance, drive,
+                              progress)
+        if report:
+            progress('report', None)
+            result.write_report(report)
+    show(result, as_json)
+
+
+@command('check', 'asi gap check --cases 60 --seed 20000', gap_app)
+def gap_check(
+    directory: Annotated[Path | None, typer.Argument(
+        help='Blind cases of any examiner (doc/explanation/gap.md); default: '
+             'new ones are written')] = None,
+    cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
+    seed: Annotated[int, typer.Option(
+        min=0, help='First seed of the new cases; those below 10000 were developed on')] = 20000,
+    world: Annotated[Literal['textbook', 'full', 'foreign'], typer.Option(
+        help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
+             'courses and noise, small effects everywhere')] = 'textbook',
+    load: Annotated[Literal['spring', 'locked'], typer.Option(
+        help='Load of new cases')] = 'spring',
+    signals: Annotated[
+        Literal['all', 'no_valve', 'no_velocity', 'no_position', 'force_only'], typer.Option(
+            help='What new cases record')] = 'all',
+    jobs: Jobs = 2,
+    dask: Dask = None,
+    out: Annotated[Path, typer.Option(
+        callback=directory,
+        help='Directory for new cases; an unfinished check by the same call is continued')
+    ] = Path('runs/gap_check'),
+    as_json: Json = False,
+) -> None:
+    """Diagnose blind cases, then open the sealed answers and say how often it was right."""
+    from asi_analysis.gap.check.check import check
+    from asi_analysis.parallel import workers
+    with workers(jobs, dask), bar() as progress:
+        if directory is None:
+            from asi_examiner.bags import write_cases
+            for done in write_cases(out, cases, seed, world, load, signals):
+                progress(f'{done} of {cases} cases written', done / cases)
+        result = check(directory or out, progress)
+    show(result, as_json)

@@ -1,0 +1,178 @@
+"""Commands about limit cycles: limit-cycle, predict, attribute, quench."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from asi_analysis.cli.options import (
+    Compensator,
+    Dask,
+    Gain,
+    Held,
+    Jobs,
+    Json,
+    Rate,
+    Report,
+    Settings,
+    command,
+    directory,
+    numbers,
+    show,
+)
+from asi_analysis.errors import InputError
+from asi_analysis.terminal import bar
+
+
+@command('limit-cycle', 'asi limit-cycle runs/from_inside/bag runs/from_outside/bag')
+def limit_cycle(
+    bags: Annotated[list[Path] | None, typer.Argument(
+        help='Bags of the same loop, judged together')] = None,
+    signal: Annotated[str | None, typer.Option(
+        help='Signal to judge; by default the force, or the first other that is there')] = None,
+    report: Report = None,
+    check: Annotated[int | None, typer.Option(
+        min=1, help='No bag: so many signals of known truth in each class instead')] = None,
+    seed: Annotated[int, typer.Option(min=0, help='Of --check: which signals')] = 1,
+    as_json: Json = False,
+) -> None:
+    """Say of each stretch of a recording whether it is a limit cycle, and how surely."""
+    if check is not None:
+        from asi_analysis.limit_cycle.detection.check import check as check_detection
+        with bar() as progress:
+            checked = check_detection(check, seed, progress)
+        show(checked, as_json)
+        return
+    from asi_analysis.bags.bag import read_bag
+    from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
+    if not bags:
+        raise InputError('limit-cycle takes at least one bag, or --check')
+    with bar() as progress:
+        progress('reading', None)
+        runs = [read_bag(bag) for bag in bags]
+        progress('judging', None)
+        result = detect_limit_cycles(runs, signal)
+        if report:
+            result.write_report(report)
+    show(result, as_json)
+
+
+@command('predict', 'asi predict --steps 20,100,300,600 --report runs/prediction')
+def predict(
+    compensator: Compensator = None,
+    gain: Annotated[float, typer.Option(
+        help='Where the search for a cycle begins: below the onset')] = 5.0,
+    step: Held = 100.0,
+    steps: Annotated[str, typer.Option(
+        help='Steps (N, with commas) for which the onset is wanted too: Fig. 7')] = '',
+    rate: Rate = 5000.0,
+    set_: Settings = None,
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Predict the limit cycles of a loop from its model, and simulate them beside.
+
+    By the describing function of the hysteresis alone, as the paper, and by the harmonic balance
+    of all nonlinearities; the rate and its hold included.
+    """
+    values = _configured(set_, compensator, gain, step, rate)
+    sizes = numbers('--steps', steps)
+    from asi_analysis.limit_cycle.prediction.predict import predict_cycles
+    with bar() as progress:
+        result = predict_cycles(values['actuator'], values['controller'], rate, gain, sizes,
+                                progress)
+        if report:
+            result.write_report(report)
+    show(result, as_json)
+
+
+@command('attribute', 'asi attribute --step 100')
+def attribute(
+    bag: Annotated[Path | None, typer.Argument(
+        help='A bag with an oscillation; without one, the model is asked')] = None,
+    compensator: Compensator = None,
+    gain: Annotated[float | None, typer.Option(
+        help='Gain at which cycles are compared; by default a little above the onset')] = None,
+    step: Held = 100.0,
+    rate: Rate = 5000.0,
+    set_: Settings = None,
+    signal: Annotated[str | None, typer.Option(help='Output to judge in the bag')] = None,
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Say which nonlinearity causes a limit cycle.
+
+    Of the model: each alone, and all but it. Of a bag: by the shape of command and output, for
+    any loop; a bag of this actuator is compared with what its model makes of each.
+    """
+    with bar() as progress:
+        if bag is not None:
+            from asi_analysis.bags.bag import read_bag
+            from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
+            result = attribute_cycle(read_bag(bag), signal, progress)
+        else:
+            from asi_analysis.limit_cycle.attribution.ablation import attribute_model
+            values = _configured(set_, compensator, gain, step, rate)
+            result = attribute_model(values['actuator'], values['controller'], rate, gain,
+                                     progress)
+        if report:
+            result.write_report(report)
+    show(result, as_json)
+
+
+@command('quench', 'asi quench --compensator lead4 --conditions 300 --designs 200')
+def quench(
+    compensator: Compensator = None,
+    gain: Gain = None,
+    step: Annotated[float, typer.Option(help='Force at which dither is tried, N')] = 100.0,
+    conditions: Annotated[int, typer.Option(
+        help='Conditions that the attack tries', min=1)] = 200,
+    rates: Annotated[str, typer.Option(
+        help='Control rates of the attack, Hz; the first is that of margin and design')] = '5000',
+    designs: Annotated[int, typer.Option(
+        help='Candidates of the design helper; 0: none', min=0)] = 0,
+    seed: Annotated[int, typer.Option(help='Seed of attack and design', min=0)] = 1,
+    replay: Annotated[int, typer.Option(
+        help='How many of the worst finds to run over ROS', min=0)] = 0,
+    out: Annotated[Path, typer.Option(
+        callback=directory, help='Directory for the bags of --replay')] = Path('runs/quench'),
+    set_: Settings = None,
+    report: Report = None,
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Measure how far a compensator is from a limit cycle, and attack it.
+
+    Exit status 1 if a sustained oscillation was found.
+    """
+    rates_hz = numbers('--rates', rates)
+    values = _configured(set_, compensator, gain, step, *rates_hz)
+    from asi_analysis.limit_cycle.quench.answer import quench_cycles
+    from asi_analysis.parallel import workers
+    with workers(jobs, dask), bar() as progress:
+        result = quench_cycles(values['actuator'], values['controller'], rates_hz, conditions,
+                               seed, designs, (replay, out) if replay else None, progress)
+        if report:
+            result.write_report(report)
+    show(result, as_json)
+    if result.sustained_found:
+        raise typer.Exit(1)
+
+
+def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
+                step: float, *rates_hz: float) -> dict[str, dict[str, Any]]:
+    """Return parameters of actuator and controller for a step, checked at each rate."""
+    from asi_analysis.experiments import experiment as ex
+    values = ex.gather({}, settings or [],
+                       {'controller': {'compensator': compensator, 'gain': gain,
+                                       'reference.shape': 'step', 'reference.amplitude': step}},
+                       1.0)
+    if not rates_hz or 0.0 in rates_hz:
+        raise InputError('a control rate is needed, above 0 Hz')
+    for rate in rates_hz:
+        ex.checked(ex.Experiment(values['actuator'], values['controller'], 1.0, 'lockstep', rate))
+    return values

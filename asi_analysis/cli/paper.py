@@ -1,0 +1,124 @@
+"""Commands about the paper: demo, reproduce, calibrate, ensemble."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from asi_analysis.cli.options import Dask, Jobs, Json, ParameterFile, command, directory, show
+from asi_analysis.terminal import bar
+
+
+@command('demo', 'asi demo --out runs/demo')
+def demo(
+    out: Annotated[Path, typer.Option(
+        callback=directory,
+        help='Directory of the report; an earlier demo there is replaced')] = Path('runs/demo'),
+    as_json: Json = False,
+) -> None:
+    """Run the paper's experiments over ROS and write a report: OUT/report.html."""
+    from asi_analysis.paper.demo import run_demo
+    with bar() as progress:
+        result = run_demo(out, progress)
+    show(result, as_json)
+
+
+@command('reproduce', 'asi reproduce --report runs/reproduction')
+def reproduce(
+    actuator: ParameterFile = None,
+    candidate: Annotated[Path | None, typer.Option(
+        help='best.json of a calibration: parameters and conditions')] = None,
+    report: Annotated[Path | None, typer.Option(
+        callback=directory,
+        help='Directory for an HTML report with our version of Figs. 3 to 12')] = None,
+    over_ros: Annotated[Path | None, typer.Option(
+        help='Make the closed-loop rows with the real nodes as well; their bags go into this '
+        'directory. A value that differs: exit status 1')] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Measure every fact that the paper publishes on the simulator, each beside its value.
+
+    Exit status 0, whether all are met or not: the table says so.
+    """
+    from asi_analysis.experiments.experiment import read_parameters
+    from asi_analysis.paper.reproduction.answer import reproduce_paper
+    values: Mapping[str, Any] = read_parameters(actuator, 'actuator') if actuator else {}
+    conditions = None
+    if candidate:
+        from asi_analysis.paper.calibration.quantities import read_best
+        values, conditions = read_best(candidate)
+    with bar() as progress:
+        result = reproduce_paper(values, conditions, progress)
+        if report:
+            progress('report', None)
+            result.write_report(report)
+        if over_ros:
+            result.repeat_over_ros(over_ros, progress)
+    show(result, as_json)
+    if not all(each['equal'] for each in result.over_ros):
+        raise typer.Exit(1)
+
+
+@command('calibrate', 'asi calibrate --evaluations 2000 --jobs 2 --out runs/calibration')
+def calibrate(
+    evaluations: Annotated[int, typer.Option(
+        help='Candidates of the global search, with those of an earlier call', min=0)] = 2000,
+    polish: Annotated[int, typer.Option(
+        help='Most rounds of successive linear programs from the best', min=0)] = 20,
+    structure: Annotated[Literal['side', 'cylinder', 'one-load'], typer.Option(
+        help='What is searched')] = 'side',
+    seed: Annotated[int, typer.Option(help='Seed of the search', min=0)] = 1,
+    spread: Annotated[float, typer.Option(
+        help='First spread of the search, share of the range of each parameter')] = 0.1,
+    start: Annotated[Path | None, typer.Option(
+        help='best.json of an earlier calibration to start from; default: the defaults')] = None,
+    only: Annotated[list[str] | None, typer.Option(
+        help='Leave free only this quantity; may be repeated')] = None,
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    out: Annotated[Path, typer.Option(
+        callback=directory,
+        help='Directory of state and result; a search that is there is continued')
+    ] = Path('runs/calibration'),
+    front: Annotated[str | None, typer.Option(
+        help='NAME=V1,V2,…: hold a quantity at each value, polish the rest, and show the cost')
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Fit the model's free parameters to the facts that the paper publishes."""
+    from asi_analysis.parallel import workers
+    result: Any
+    with workers(jobs, dask), bar() as progress:
+        if front:
+            from asi_analysis.paper.calibration.front import run as run_front
+            result = run_front(front, start, polish, out, progress)
+        else:
+            from asi_analysis.paper.calibration.answer import run as run_calibration
+            result = run_calibration(out, structure, evaluations, polish, seed, spread, start,
+                                     only or [], progress)
+    show(result, as_json)
+
+
+@command('ensemble', 'asi ensemble --count 20')
+def ensemble(
+    count: Annotated[int, typer.Option(help='Members wanted', min=1)] = 20,
+    most: Annotated[int, typer.Option(help='Candidates to try at most', min=1)] = 1500,
+    seed: Annotated[int, typer.Option(help='Seed of the draws', min=0)] = 1,
+    out: Annotated[Path, typer.Option(
+        callback=directory, help='Directory of the members')] = Path('config/ensemble'),
+    pictures: Annotated[Path, typer.Option(
+        callback=directory,
+        help='Directory of the pictures and the sensitivity table')] = Path(
+        'doc/explanation/reproduction'),
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    as_json: Json = False,
+) -> None:
+    """Find parameter sets about the defaults that meet the paper's facts about equally well."""
+    from asi_analysis.paper.calibration.ensemble import run as run_ensemble
+    from asi_analysis.parallel import workers
+    with workers(jobs, dask), bar() as progress:
+        result = run_ensemble(out, pictures, count, most, seed, progress)
+    show(result, as_json)
