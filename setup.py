@@ -65,10 +65,16 @@ setup(
         'console_scripts': [
             'actuator = asi_actuator.executables:actuator',
             'can_actuator = asi_actuator.executables:can_actuator',
-            'controller = asi_actuator.executables:controller',
-            'recorder = asi_actuator.executables:recorder',
-            'replay = asi_actuator.executables:replay',
+            'controller = asi_controller.executables:controller',
+            'recorder = asi_analysis.bags.nodes.executables:recorder',
+            'replay = asi_analysis.bags.nodes.executables:replay',
             'asi = asi_analysis.cli:main',
+        ],
+        # What the parameter `driver` of the actuator node takes; another package may add its own.
+        'asi_actuator.drivers': [
+            'simulated = asi_actuator.driver.simulated:SimulatedActuator',
+            'can = asi_actuator.driver.can_bus:CanActuator',
+            'replay = asi_analysis.bags.nodes.replay_driver:ReplayedActuator',
         ],
     },
 )

@@ -1,7 +1,14 @@
 """The parameters of the actuator node, besides those of its physics (`parameters.py`)."""
 
+from importlib.metadata import entry_points
+from typing import Final
+
 from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.parameter import Parameter
+
+# The drivers that are installed, by their value of the parameter `driver` (asi_actuator/driver).
+DRIVERS: Final = {entry.name: entry for entry in sorted(
+    entry_points(group='asi_actuator.drivers'), key=lambda entry: entry.name)}
 
 # The defaults are beyond what the model does with its own defaults, so that no simulated run
 # meets them; config/can.yaml has those for hardware.
@@ -45,7 +52,7 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
               'Noise (standard deviation) up to which ~/calibrate trusts the mean', 0.0, 1e4),
     Parameter('driver', 'simulated', '',
               'simulated: the model; can: hardware on a CAN bus (doc/how_to/bridge.md); replay: '
-              'the states of a bag', choices=('simulated', 'can', 'replay'), read_only=True),
+              'the states of a bag', choices=tuple(DRIVERS), read_only=True),
     Parameter('can.interface', 'socketcan', '', 'Interface of python-can: socketcan, slcan …',
               read_only=True),
     Parameter('can.channel', 'can0', '', 'Channel of that interface: can0, /dev/ttyACM0 …',

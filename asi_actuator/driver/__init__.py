@@ -1,23 +1,21 @@
 """
 What stands behind the actuator node: the model, hardware on a CAN bus, or a recording.
 
-A driver is named by its module, so that one may live where it belongs: `replay` reads bags, which
-is the work of asi_analysis, and the node needs to know none of them.
+A driver is a class that is a `Driver`, and a Python entry point of the group
+`asi_actuator.drivers`. Any package can add one: in its pyproject.toml
+
+    [project.entry-points."asi_actuator.drivers"]
+    name = "package.module:Class"
+
+or `entry_points` in its setup.py. Its name is then a value of the parameter `driver`.
 """
 
 from collections.abc import Mapping
-from importlib import import_module
-from typing import Final, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from asi_actuator.model.actuator import Measurement
-from asi_common.parameter import Value
-
-# Module and class of each driver, by the value of the parameter `driver`.
-DRIVERS: Final = {
-    'simulated': ('asi_actuator.driver.simulated', 'SimulatedActuator'),
-    'can': ('asi_actuator.driver.can_bus', 'CanActuator'),
-    'replay': ('asi_analysis.bags.nodes.replay_driver', 'ReplayedActuator'),
-}
+from asi_actuator.node_parameters import DRIVERS
+from asi_common.parameter import ParameterError, Value
 
 
 class Health(NamedTuple):
@@ -71,8 +69,17 @@ def make_driver(values: Mapping[str, Value], period_s: float) -> Driver:
     """
     Return the driver that the parameter `driver` names, not yet open.
 
-    Raises ParameterError for values that it cannot work with.
+    Raises ParameterError for values that it cannot work with, and for a driver that is not
+    installed or cannot be imported.
     """
-    module, name = DRIVERS[str(values['driver'])]
-    driver: Driver = getattr(import_module(module), name)(values, period_s)
+    entry = DRIVERS.get(name := str(values['driver']))
+    if entry is None:
+        raise ParameterError(f'driver = {name!r} is not installed: there are '
+                             f'{", ".join(DRIVERS) or "none"}')
+    try:
+        make = entry.load()
+    except (ImportError, AttributeError) as error:
+        raise ParameterError(f'driver = {name!r} cannot be imported from {entry.value}: {error}'
+                             ) from error
+    driver: Driver = make(values, period_s)
     return driver

@@ -487,7 +487,7 @@ def test_interface_that_is_not_there_is_a_problem_in_one_line(interface: str) ->
     ({'driver': 'can', 'mode': 'realtime', 'can.interface': 'pigeon'}, 'can.interface = '),
     ({'driver': 'can', 'mode': 'realtime', 'can.dbc': '/nowhere.dbc'}, '/nowhere.dbc'),
     ({'driver': 'replay', 'replay.bag': '/nowhere'}, "replay.bag = '/nowhere'"),
-    ({'driver': 'pigeon'}, 'one of simulated, can, replay'),
+    ({'driver': 'pigeon'}, 'one of can, replay, simulated'),
 ])
 def test_driver_that_cannot_work_is_one_line_and_exit_status_2(
         parameters: dict, words: str, start_node: Callable) -> None:
