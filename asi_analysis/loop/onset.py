@@ -26,7 +26,7 @@ RAISE: Final = 1.06
 MOST: Final = 12.0
 # Gains that are tried at a time.
 SIDE_BY_SIDE: Final = 4
-ACCURACY: Final = 0.002
+ACCURACY: Final = 0.0005
 # The branch is followed down from these multiples of the onset gain: corners of the friction may
 # stop Newton's rule on one of them.
 START_ABOVE: Final = (1.02, 1.03, 1.045, 1.07)

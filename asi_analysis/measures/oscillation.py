@@ -168,7 +168,7 @@ def of_samples(values: Array, rate_hz: float, noise_floor: float = FLOOR_N) -> O
     growth = float(time @ level) / moment
     left = level - level.mean() - growth * time
     deviation = math.sqrt(float(left @ left) / (count - 2) / moment)
-    frequency = rate_hz / period
+    frequency = float(rate_hz / period)
     return Oscillation(
         is_sustained(growth, deviation, count - 2, frequency, amplitude, noise_floor), frequency,
         amplitude, thd, growth, math.nan, math.nan, deviation)

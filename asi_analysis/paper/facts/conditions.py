@@ -31,7 +31,7 @@ class Conditions(NamedTuple):
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0
     onset_steps_n: tuple[float, ...] = (0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
-    onset_accuracy: float = 0.003
+    onset_accuracy: float = 0.0005
     # How long a loop is watched to decide whether its oscillation is sustained.
     onset_watched_s: float = 32.0
     # Fig. 6: a step of this size, at this multiple of the onset gain.

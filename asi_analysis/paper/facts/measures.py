@@ -172,12 +172,15 @@ def onset_name(step_n: float, quantity: str) -> str:
     return f'onset_{quantity}_at_{step_n:.0f}_n'
 
 
-def _step(conditions: Conditions, step_n: float) -> Values:
-    """Return the reference of Fig. 7: a step from rest; to 0 N, a step back from `start_n`."""
-    if step_n == 0.0:
-        return {'reference.offset': conditions.start_n, 'reference.amplitude': -conditions.start_n,
-                'reference.start': BEFORE_S}
-    return {'reference.amplitude': step_n}
+def step_settings(conditions: Conditions, gain: float, step_n: float) -> Values:
+    """
+    Return the controller's parameters for a step of Fig. 7 from rest.
+
+    A step of 0 N starts nothing: it is a step back from `start_n`.
+    """
+    from_n = conditions.start_n if step_n == 0.0 else 0.0
+    return {**_gain(conditions, gain), 'reference.offset': from_n,
+            'reference.amplitude': step_n - from_n, 'reference.start': BEFORE_S}
 
 
 def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] | None = None
@@ -191,8 +194,8 @@ def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] 
         if name not in measured:
             # The next onset is near the last one.
             start = 0.95 * near if near else FIRST_LOOK
-            found = onset(locked, {**_gain(conditions, start), **_step(conditions, step)}, RATE_HZ,
-                          start, conditions.onset_accuracy, conditions.onset_watched_s,
+            found = onset(locked, step_settings(conditions, start, step), RATE_HZ, start,
+                          conditions.onset_accuracy, conditions.onset_watched_s,
                           HIGHEST_GAIN / start)
             measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
@@ -274,7 +277,7 @@ def free_onset(actuator: Values, conditions: Conditions, changes: Mapping[str, V
     if not math.isfinite(onset_gain):
         return 0.0
     found = onset({**actuator, **LOCKED, **changes},
-                  {**_gain(conditions, onset_gain), **_step(conditions, conditions.cycle_step_n)},
+                  step_settings(conditions, onset_gain, conditions.cycle_step_n),
                   RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, most)
     return min(found.gain / onset_gain, most) if found else most
 
@@ -303,7 +306,7 @@ def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float
     def simulated(gain: float, changes: Mapping[str, Value]) -> Oscillation | None:
         return sustained(step_run(
             {**actuator, **LOCKED, **changes},
-            {**_gain(conditions, gain), **_step(conditions, conditions.cycle_step_n)}, RATE_HZ,
+            step_settings(conditions, gain, conditions.cycle_step_n), RATE_HZ,
             conditions.onset_watched_s))
 
     low = max(conditions.cycle_gain * min(onset_gain, PAPER_GAIN), first.gain)

@@ -1,0 +1,73 @@
+"""The commands and the facts say the same figure for the same thing, converged."""
+
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.limit_cycle.detection.verdict import judge_run
+from asi_analysis.limit_cycle.prediction.predict import onset_by_step
+from asi_analysis.loop.bench import RATE_HZ, in_process, step_experiment
+from asi_analysis.measures.oscillation import oscillation
+from asi_analysis.paper.facts.conditions import LOCKED, Conditions
+from asi_analysis.paper.facts.measures import (
+    describing,
+    onset_frequencies,
+    onset_name,
+    onsets,
+)
+from asi_analysis.paper.facts.refined import onset_notes, refined
+
+CONDITIONS = Conditions()
+
+
+@pytest.fixture(scope='module')
+def facts():
+    gains = onsets({}, CONDITIONS)
+    return gains | onset_frequencies({}, CONDITIONS, gains)
+
+
+@pytest.mark.parametrize('step_n', [300.0, 600.0])
+def test_predict_says_what_the_facts_say(facts, step_n):
+    controller = {'gain': 3.0, 'feedforward': CONDITIONS.feedforward}
+    row, = onset_by_step({**LOCKED}, controller, RATE_HZ, 5.0, [step_n])
+    assert facts[onset_name(step_n, 'gain')] == pytest.approx(row['simulated_gain'], rel=1e-3)
+    # The frequency rises steeply with the gain at the onset.
+    assert facts[onset_name(step_n, 'frequency_hz')] == pytest.approx(
+        row['simulated_frequency_hz'], rel=0.015)
+    assert row['predicted_gain'] == pytest.approx(row['simulated_gain'], rel=5e-3)
+    assert onset_notes({}, CONDITIONS._replace(onset_steps_n=(step_n,)), facts) == {}
+
+
+@pytest.mark.parametrize('step_n', [100.0, 600.0])
+def test_recordings_at_the_onset_are_the_cycle_that_the_facts_tell(facts, step_n):
+    gain, expected = (facts[onset_name(step_n, what)] for what in ('gain', 'frequency_hz'))
+    run = in_process(step_experiment(
+        {**LOCKED}, {'gain': gain, 'feedforward': CONDITIONS.feedforward}, step_n, 12.0))
+    end = Run(*run).between(6.0, 12.0)
+    judged = judge_run(end)[-1]
+    assert judged.verdict == 'limit_cycle'
+    assert judged.frequency_hz == pytest.approx(expected, rel=2e-3)
+    found = oscillation(end)
+    assert found.sustained and found.frequency_hz == pytest.approx(expected, rel=2e-3)
+
+
+def test_just_below_the_onset_every_step_dies_out(facts):
+    for step_n in (100.0, 600.0):
+        gain = 0.99 * facts[onset_name(step_n, 'gain')]
+        run = in_process(step_experiment(
+            {**LOCKED}, {'gain': gain, 'feedforward': CONDITIONS.feedforward}, step_n, 12.0))
+        assert not oscillation(Run(*run).between(8.0, 12.0)).sustained
+
+
+def test_onset_and_prediction_do_not_move_at_twice_the_resolution(facts):
+    actuator, conditions = refined({}, CONDITIONS._replace(onset_steps_n=(300.0, 600.0)), 2)
+    for name, gain in onsets(actuator, conditions).items():
+        assert gain == pytest.approx(facts[name], rel=1e-3)
+    coarse, fine = describing({}), describing({}, 1440)
+    for name, value in fine.items():
+        assert coarse[name] == pytest.approx(value, rel=1e-4)
+
+
+def test_a_step_back_from_100_n_starts_the_cycle_lower_than_a_step_of_20_n(facts):
+    gains = onsets({}, CONDITIONS._replace(onset_steps_n=(20.0,)))
+    assert facts[onset_name(0.0, 'gain')] == pytest.approx(7.59, rel=0.005)
+    assert gains[onset_name(20.0, 'gain')] == pytest.approx(8.44, rel=0.005)
