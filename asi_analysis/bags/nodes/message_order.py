@@ -8,6 +8,7 @@ runs of the same experiment give the same file, however they were scheduled.
 """
 
 import heapq
+import math
 from collections import Counter, deque
 from collections.abc import Iterable, Set
 from typing import Final, NamedTuple
@@ -60,8 +61,15 @@ class ReceiptOrder:
                               arrival.data))
         return items
 
+    def end(self) -> None:
+        """Do nothing: whatever has come is taken."""
+
+    def lacking(self) -> set[int]:
+        """Return the topics whose message is missing in a tick that is held back: none."""
+        return set()
+
     def waiting(self) -> bool:
-        """Tell whether a message is held back: never."""
+        """Tell whether a tick is held back: never."""
         return False
 
 
@@ -95,6 +103,7 @@ class TickOrder:
         self._late: list[Item] = []
         self._spoken: Counter[int] = Counter()  # ticks in which a topic has spoken
         self._written = 0                       # ticks
+        self._end: float = math.inf             # stamp of the last tick that is taken
 
     def ready(self, arrivals: Iterable[Arrival], now_s: float) -> list[Item]:
         """
@@ -120,8 +129,19 @@ class TickOrder:
             while self._stamps and next(iter(self._stamps.values())) <= stamp:
                 del self._stamps[next(iter(self._stamps))]
 
+    def end(self) -> None:
+        """Take no messages of ticks after the newest one: the recording ends there."""
+        self._end = self._newest
+        self._order = [stamp for stamp in self._order if stamp <= self._end]  # still a heap
+
+    def lacking(self) -> set[int]:
+        """Return the topics whose message is missing in a tick that is held back."""
+        last = max(self._order, default=-1)
+        return {topic for topic, latest in self._latest.items()
+                if latest < last and topic not in self._unawaited}
+
     def waiting(self) -> bool:
-        """Tell whether a tick lacks a message that has come in most others."""
+        """Tell whether a tick is held back."""
         return bool(self._order)
 
     def _may_go(self, stamp: int, now_s: float) -> bool:
@@ -154,6 +174,8 @@ class TickOrder:
             self._add_unstamped(arrival, arrived_s, now_s)
             return
         if arrival.topic == self._guide:
+            if stamp > self._end:
+                return
             self._stamps[arrival.number] = stamp
             self._newest = max(self._newest, stamp)
         elif not stamp or abs(stamp - self._newest) > OTHER_CLOCK_NS:
@@ -165,6 +187,8 @@ class TickOrder:
 
     def _add_unstamped(self, arrival: Arrival, arrived_s: float, now_s: float) -> None:
         stamp = self._stamps.get(arrival.number)
+        if stamp is None and self._end < math.inf and arrival.number > max(self._stamps, default=0):
+            return
         if stamp is None and now_s - arrived_s > PATIENCE_S:
             stamp = self._newest
         if stamp is None:
@@ -174,6 +198,8 @@ class TickOrder:
 
     def _place(self, arrival: Arrival, stamp: int, now_s: float) -> None:
         topic = arrival.topic
+        if stamp > self._end and topic not in self._unawaited:
+            return
         self._latest[topic] = max(self._latest.get(topic, -1), stamp)
         tick = self._ticks.get(stamp)
         if tick is None:

@@ -35,7 +35,6 @@ from asi_analysis.bags.bag_writer import RELIABLE, BagWriter, typestore
 from asi_analysis.bags.nodes.message_order import (
     HOLD_S,
     OTHER_CLOCK_NS,
-    PATIENCE_S,
     Arrival,
     ReceiptOrder,
     TickOrder,
@@ -61,7 +60,10 @@ NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
 # Often enough that little waits, seldom enough that one wake-up serves many messages.
 DRAIN_PERIOD_S: Final = 0.01
 LOOK_AROUND_PERIOD_S: Final = 0.2
+# At the end: silence for so long means that nothing is on its way any more. A tick that lacks a
+# message, which DDS would send again within 50 ms, is waited for so long.
 FAREWELL_S: Final = 0.05
+LAST_TICK_S: Final = 1.0
 # What counts at most of the time between two looks at what has come: while this process or the
 # whole machine stands still nothing can come, and nothing is missing.
 LOOK_S: Final = 2.0 * DRAIN_PERIOD_S
@@ -194,19 +196,33 @@ class Recorder(Node):
         super().destroy_node()
 
     def _await_rest(self) -> None:
-        """Take what is on its way: until a moment brings nothing, and no tick lacks anything."""
+        """
+        Take what was published before now: the recording ends here.
+
+        In lock-step it ends with the last tick that has begun, whose answer is waited for unless
+        nobody is left who could give it.
+        """
         ended_ns = self._even_clock.now_ns()
+        self._drain(ended_ns)
+        self._write()
+        if self._order:
+            self._order.end()
         moment_s = self._looked_for_s + FAREWELL_S
-        end_s = self._looked_for_s + PATIENCE_S
+        end_s = self._looked_for_s + LAST_TICK_S
         while self._looked_for_s < end_s and (
-                self._looked_for_s < moment_s or (self._order and self._order.waiting())):
+                self._looked_for_s < moment_s or self._answer_may_come()):
             time.sleep(DRAIN_PERIOD_S)
             known = len(self._arrived)   # and waiting to be written: the first tick has not come
-            self._drain()
+            self._drain(ended_ns)
             # What others go on to publish does not count.
             if any(arrival.published_ns <= ended_ns for arrival in self._arrived[known:]):
                 moment_s = self._looked_for_s + FAREWELL_S
             self._write()
+
+    def _answer_may_come(self) -> bool:
+        """Return whether a tick lacks a message whose topic still has a publisher."""
+        return self._order is not None and any(
+            self.count_publishers(self._topics[topic].name) for topic in self._order.lacking())
 
     def _text(self, name: str, default: str, description: str) -> str:
         return self.declare_parameter(name, default, ParameterDescriptor(
@@ -222,8 +238,8 @@ class Recorder(Node):
             self._fail(error)
             raise RunError('the recording has ended') from None
 
-    def _drain(self) -> None:
-        """Take everything that has come."""
+    def _drain(self, until_ns: float = math.inf) -> None:
+        """Take what has come; of each topic, up to the first message published after a time."""
         now_s = time.monotonic()
         self._looked_for_s += min(now_s - self._last_look_s, LOOK_S)
         self._last_look_s = now_s
@@ -233,13 +249,16 @@ class Recorder(Node):
             with topic.subscription.handle:
                 while (taken := topic.take()) is not None:
                     data, info = taken
+                    published_ns = info['source_timestamp'] - set_ns
                     self._arrived.append(Arrival(
                         index, topic.count(info['publication_sequence_number']),
                         topic.stamp(data),
                         # One from just before the clock was set back is not from the future.
                         min((info['received_timestamp'] or time.time_ns()) - set_ns,
                             self._even_clock.now_ns()),
-                        info['source_timestamp'] - set_ns, data))
+                        published_ns, data))
+                    if published_ns > until_ns:
+                        break
 
     def _write(self, final: bool = False) -> None:
         """Write what has been taken, as far as its turn has come; everything, if `final`."""
