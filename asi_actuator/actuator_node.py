@@ -24,8 +24,16 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.safety import Safety, State
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
-from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics, StateChanges
-from asi_common.node.discovery import not_recorded
+from asi_common.node.diagnostics import (
+    ERROR,
+    OK,
+    SILENT_S,
+    WARN,
+    Diagnostics,
+    LoopStatistics,
+    StateChanges,
+)
+from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, RunFinished, Unhurried, run_node
 from asi_common.node.ros_parameters import RosParameters
 from asi_common.node.topics import CONTROL_QOS, STREAM_QOS, SteadyClock
@@ -58,12 +66,15 @@ class ActuatorNode(Node):
                              self._safety_changed)
         self.parameters.when_changed(self._configure)
         self.last_tick = self._last_tick()
-        self.statistics = LoopStatistics()
+        lockstep = values['mode'] == 'lockstep'
+        self.statistics = LoopStatistics(math.inf if lockstep else self.period_s)
+        self.recorder = AwaitedRecorder(self, bool(values['await_recorder']))
         self.ignored = 0
         self.paused = False
         # The newest state, the link it came by, and the periods since then.
         self.measured: Measurement | None = None
         self.health = Health()
+        self.lost_states = 0  # of the link, that statistics knows
         self.unseen = 0
 
         self._valve_m = 0.0
@@ -74,22 +85,20 @@ class ActuatorNode(Node):
         self.state_changes = StateChanges(self)
         self.topics = [self.states, self.forces, self.valve_positions, self.velocities,
                        self.state_changes.publisher]
-        self.loop: Loop = (LockStep if values['mode'] == 'lockstep' else RealTime)(self)
+        self.loop: Loop = (LockStep if lockstep else RealTime)(self)
         self.commands = self.create_subscription(
             WrenchStamped, 'valve_command', self._on_command, CONTROL_QOS, raw=True)
         self.create_service(SetBool, '~/enable', self._enable)
         self.create_service(Trigger, '~/calibrate', self._calibrate)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(SetBool, '~/pause', self._pause)
-        self.diagnostics = Diagnostics(self, self._describe)
+        self.diagnostics = Diagnostics(self, self._describe, self._state)
         self.get_logger().info(f'{values["driver"]}, {values["mode"]} at {self.rate_hz:g} Hz, '
                                f'{self.safety.state}')
 
     def missing(self) -> list[str]:
         """Return the recorders that the first state still waits for."""
-        if not self.parameters.values['await_recorder']:
-            return []
-        return [f'a recorder of {name}' for name in not_recorded(self, self.topics)]
+        return [f'a recorder of {name}' for name in self.recorder.missing(self.topics)]
 
     def exchange(self, command_n: float, periods: int) -> bool:
         """
@@ -123,11 +132,13 @@ class ActuatorNode(Node):
 
     def tell_state(self, stamp_ns: int) -> None:
         """Publish the state that the safety logic is in from the control period of a stamp on."""
-        safety = self.safety
-        level = {State.ENABLED: OK, State.DISABLED: WARN, State.FAULT: ERROR}[safety.state]
         # In lock-step, before the state of that stamp: so a recorder knows where it belongs.
-        self.state_changes.publish(stamp_ns, level, safety.state, safety.reason,
+        self.state_changes.publish(stamp_ns, self._state(),
                                    wait=self.parameters.values['mode'] == 'lockstep')
+
+    def _state(self) -> wire.Status:
+        level = {State.ENABLED: OK, State.DISABLED: WARN, State.FAULT: ERROR}[self.safety.state]
+        return self.state_changes.status(level, self.safety.state, self.safety.reason)
 
     def publish_rest(self, force: bytes, valve: bytes, velocity: bytes) -> None:
         """Publish what no controller waits for."""
@@ -227,6 +238,8 @@ class ActuatorNode(Node):
         return answer
 
     def _describe(self) -> tuple[bytes, str, dict[str, object]]:
+        self.statistics.lose(self.health.lost_states - self.lost_states)
+        self.lost_states = self.health.lost_states
         if self.safety.state is State.FAULT:
             level, text = ERROR, f'fault, the valve command is 0: {self.safety.reason}'
         elif self.paused:
@@ -235,6 +248,8 @@ class ActuatorNode(Node):
             level, text = self.loop.health()
             if level == OK and self.safety.state is State.DISABLED:
                 level, text = WARN, 'disabled: the valve command is 0'
+            if problems := self.statistics.problems():
+                level, text = max(level, WARN), f'{text}, but {"; ".join(problems)}'
         return level, text, {
             'state': self.safety.state, 'driver': self.parameters.values['driver'],
             'mode': self.parameters.values['mode'], 'rate (Hz)': self.rate_hz,
@@ -282,7 +297,7 @@ class LockStep:
         self.answered = (0, 0.0)
         self.resent = 0
         self.silent_since_ns = self.sent_ns = time.monotonic_ns()
-        self.clocks = node.create_publisher(ClockMessage, '/clock', STREAM_QOS)
+        self.clocks = node.create_publisher(ClockMessage, 'clock', STREAM_QOS)
         node.topics.append(self.clocks)
         node.create_timer(WATCH_PERIOD_S, self._watch, Unhurried(),
                           Clock(clock_type=ClockType.STEADY_TIME))
@@ -370,7 +385,8 @@ class LockStep:
             return
         values, now_ns = self.node.parameters.values, time.monotonic_ns()
         silence = self._silence(now_ns)
-        if self.answered[0] and silence > float(values['give_up_after']):
+        give_up_after_s = float(values['give_up_after'])
+        if self.answered[0] and 0.0 < give_up_after_s < silence:
             raise RunError(f'no valve_command answers state {self.tick} '
                            f'({self.stamp_ns * 1e-9:.6f} s) for {silence:.1f} s: '
                            'has the controller ended?')
@@ -393,7 +409,6 @@ class RealTime:
         self.start: float | None = None
         self.done = 0
         self.overruns = 0
-        self.lost = 0
         self.timer = node.create_timer(node.period_s, self._tick,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -429,10 +444,13 @@ class RealTime:
             return WARN, 'no valve_command yet, the valve command is 0' + (
                 f' ({self.node.ignored} were stamped too far from now)' if self.node.ignored
                 else '')
+        silence_s = time.monotonic() - self.commanded_at
+        if silence_s > SILENT_S:
+            return WARN, f'no valve_command for {silence_s:.1f} s: has the controller ended?'
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
-        return {'overruns': self.overruns, 'lost samples': self.lost}
+        return {'overruns': self.overruns}
 
     def _tick(self) -> None:
         node = self.node
@@ -452,7 +470,7 @@ class RealTime:
             self.commands = self.periods = 0
         # A timer that fires late has missed samples; the actuator catches up within bounds.
         self.overruns += due > 1
-        self.lost += max(0, due - 1)
+        node.statistics.lose(due - 1)
         if node.exchange(self.command_n, min(due, MOST_CATCH_UP)):
             stamp_ns = self.clock.now_ns()
             if not node.statistics.ticks:

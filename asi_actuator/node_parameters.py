@@ -41,7 +41,7 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
               1e-3, 60.0),
     Parameter('give_up_after', 5.0, 's',
               'Lock-step: end the run with an error if a controller that has answered before '
-              'is silent for so long', 1e-2, 3600.0),
+              'is silent for so long; 0: wait for ever', 0.0, 3600.0),
     Parameter('command_timeout', 0.1, 's',
               'Real time: a command older than this is a fault, and the valve command 0',
               1e-3, 60.0),

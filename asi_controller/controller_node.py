@@ -18,8 +18,8 @@ from std_srvs.srv import SetBool
 
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
-from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics
-from asi_common.node.discovery import not_recorded
+from asi_common.node.diagnostics import ERROR, OK, SILENT_S, WARN, Diagnostics, LoopStatistics
+from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, run_node
 from asi_common.node.ros_parameters import RosParameters
 from asi_common.node.topics import CONTROL_QOS, PISTON, STREAM_QOS, SteadyClock
@@ -62,8 +62,9 @@ class ControllerNode(Node):
         lockstep = values['mode'] == 'lockstep'
         self.controller = Controller(values, self.rate_hz, lockstep)
         self.parameters.when_changed(self._change)
-        self.statistics = LoopStatistics()
+        self.statistics = LoopStatistics(math.inf if lockstep else 1.0 / self.rate_hz)
         self.ignored = 0
+        self.recorder = AwaitedRecorder(self, bool(values['await_recorder']))
         self.recorded = not values['await_recorder']
 
         self.command = b''
@@ -92,7 +93,7 @@ class ControllerNode(Node):
     def ready(self) -> bool:
         """Return whether nothing is to be waited for any more."""
         if not self.recorded:
-            self.recorded = not not_recorded(self, [self.commands, self.references])
+            self.recorded = not self.recorder.missing([self.commands, self.references])
         return self.recorded
 
     def _on_state(self, message: bytes) -> None:
@@ -140,6 +141,8 @@ class ControllerNode(Node):
         level, text = self.loop.health()
         if level == OK and not self.controller.enabled:
             level, text = WARN, 'disabled: the valve command is 0'
+        if problems := self.statistics.problems():
+            level, text = max(level, WARN), f'{text}, but {"; ".join(problems)}'
         return level, text, {
             'mode': values['mode'], 'rate (Hz)': self.rate_hz,
             'compensator': values['compensator'], **self.statistics.values(),
@@ -186,7 +189,7 @@ class LockStep:
         source.ros_time_is_active = True
         source.attach_clock(clock)
         self._set_time = clock.handle.set_ros_time_override
-        node.create_subscription(ClockMessage, '/clock', self._on_clock, CONTROL_QOS, raw=True)
+        node.create_subscription(ClockMessage, 'clock', self._on_clock, CONTROL_QOS, raw=True)
         node.create_timer(1.0 / node.rate_hz, self._answer_if_due, clock=clock)
         if not node.recorded:
             node.create_timer(WATCH_PERIOD_S, self._answer_if_due,
@@ -223,6 +226,9 @@ class LockStep:
                           if self.node.recorded else 'waiting for a recorder')
         if self.answered_ns is None:
             return WARN, 'waiting for the actuator'
+        silence_s = self.node.statistics.silence_s()
+        if silence_s > SILENT_S:
+            return WARN, f'no new state for {silence_s:.1f} s: the actuator is paused or has ended'
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
@@ -275,7 +281,6 @@ class RealTime:
         self.clock = SteadyClock()
         self.latest: tuple[int, float] | None = None
         self.received_at = 0.0
-        self.lost = 0
         self.period_s = 1.0 / node.rate_hz
         self.timer = node.create_timer(self.period_s, self._tick,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -287,7 +292,7 @@ class RealTime:
             return
         if self.latest is not None and not self._stale():
             periods = (stamp_ns - self.latest[0]) * 1e-9 * self.node.rate_hz
-            self.lost += max(0, round(periods) - 1)
+            self.node.statistics.lose(round(periods) - 1)
         self.latest = stamp_ns, force_n
         self.received_at = time.monotonic()
         self.node.statistics.latency(latency_ns)
@@ -317,7 +322,7 @@ class RealTime:
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
-        return {'lost samples': self.lost}
+        return {}
 
     def _stale(self) -> bool:
         silence = time.monotonic() - self.received_at

@@ -1,50 +1,112 @@
 """
-The actuator and its controller, and a recorder if it is wanted.
+The actuator and its controller; if wanted, a recorder, and the actuator in motion in RViz.
 
-ros2 launch asi_actuator asi_actuator.launch.py mode:=realtime record:=run1
+ros2 launch asi_actuator asi_actuator.launch.py mode:=realtime reference:=sine record:=run1
+
+A parameter is set only if its argument is given: otherwise the parameter files decide.
 """
 
 from pathlib import Path
+from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, Shutdown
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
-CONFIG = Path(get_package_share_directory('asi_actuator')) / 'config'
-
-ARGUMENTS = (
-    ('mode', 'lockstep', 'lockstep or realtime'),
-    ('rate_hz', '0.0', 'control rate; 0: 5000 in lock-step, 1000 in real time'),
-    ('duration', '0.0', 'length of the run in s; 0: no end'),
-    ('actuator_config', str(CONFIG / 'actuator.yaml'), 'parameter file of the actuator'),
-    ('controller_config', str(CONFIG / 'controller.yaml'), 'parameter file of the controller'),
-    ('record', '', 'directory of the bag; empty: nothing is recorded'),
+NODES = ('actuator', 'controller', 'recorder')
+# Launch argument: the parameter that it sets, its type, of which nodes, what it is.
+PARAMETERS = {
+    'mode': ('mode', str, NODES[:2], 'lockstep or realtime'),
+    'rate_hz': ('rate_hz', float, NODES[:2],
+                'control rate; 0: 5000 in lock-step, 1000 in real time'),
+    'duration': ('duration', float, ('actuator',), 'length of the run in s; 0: no end'),
+    'driver': ('driver', str, ('actuator',), 'simulated, can or replay'),
+    'compensator': ('compensator', str, ('controller',),
+                    'proportional, lead_lag, lead2, lead4 or custom'),
+    'gain': ('gain', float, ('controller',), 'gain of the compensator; 0: its own'),
+    'reference': ('reference.shape', str, ('controller',),
+                  'topic, or a signal of the controller: step, ramp, sine, chirp …'),
+    'record': ('output', str, ('recorder',), 'directory of the bag; empty: nothing is recorded'),
+    'use_sim_time': ('use_sim_time', bool, NODES, 'true: time stamps from the topic clock'),
+}
+OTHERS = (
+    ('namespace', '', 'namespace of all nodes'),
+    ('log_level', 'info', 'debug, info, warn, error or fatal, of all nodes'),
+    ('params_file', '', 'parameter files for all nodes, separated by commas; the last one wins'),
+    ('rviz', 'false', 'true: show the actuator in RViz'),
 )
+# How long the recorder may take to finish its bag after Ctrl-C, s, before SIGTERM, then SIGKILL.
+FINISH_S = '30'
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return what to start."""
-    record = LaunchConfiguration('record')
-    recorded = NotEqualsSubstitution(record, '')
-    loop = {
-        'mode': LaunchConfiguration('mode'),
-        'rate_hz': ParameterValue(LaunchConfiguration('rate_hz'), value_type=float),
-        'await_recorder': ParameterValue(recorded, value_type=bool),
-    }
-    duration = {'duration': ParameterValue(LaunchConfiguration('duration'), value_type=float)}
     return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value='', description=text)
+          for name, (*_, text) in PARAMETERS.items()),
         *(DeclareLaunchArgument(name, default_value=default, description=text)
-          for name, default, text in ARGUMENTS),
-        Node(package='asi_actuator', executable='actuator',
-             parameters=[LaunchConfiguration('actuator_config'), loop | duration],
-             on_exit=Shutdown(reason='the run has ended')),
-        Node(package='asi_actuator', executable='controller',
-             parameters=[LaunchConfiguration('controller_config'), loop]),
-        Node(package='asi_actuator', executable='recorder', parameters=[{'output': record}],
-             condition=IfCondition(recorded)),
-    ])
+          for name, default, text in OTHERS),
+        OpaqueFunction(function=_started)])
+
+
+def _started(context: Any) -> list[Any]:
+    """Return what the arguments ask for."""
+    given = context.launch_configurations
+
+    def node(executable: str, **options: Any) -> Node:
+        return Node(package='asi_actuator', executable=executable, namespace=given['namespace'],
+                    parameters=_parameters(given, executable), remappings=[('/clock', 'clock')],
+                    ros_arguments=['--log-level', given['log_level']], **options)
+
+    nodes = [node('actuator', on_exit=Shutdown(reason='the run has ended')), node('controller')]
+    if given['record']:
+        nodes.append(node('recorder', on_exit=_recorder_ended, sigterm_timeout=FINISH_S,
+                          sigkill_timeout=FINISH_S))
+    return nodes + _scene(given)
+
+
+def _parameters(given: dict[str, str], node: str) -> list[Any]:
+    """Return the parameter files of a node, and after them what the arguments set."""
+    values: dict[str, Any] = {
+        parameter: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for name, (parameter, kind, nodes, _) in PARAMETERS.items()
+        if given[name] and node in nodes}
+    if given['record'] and node != 'recorder':
+        values['await_recorder'] = True
+    files = [file for file in given['params_file'].split(',') if file]
+    return [*files, values] if values else files
+
+
+def _recorder_ended(event: Any, context: Any) -> list[Any]:
+    """End all if the recorder could not start: the nodes would wait for it."""
+    return [Shutdown(reason='the recorder could not start')] if event.returncode == 2 else []
+
+
+def _scene(given: dict[str, str]) -> list[Any]:
+    """Return what shows the frames of the actuator in RViz, where it is installed."""
+    if given['rviz'] != 'true':
+        return []
+    config = Path(get_package_share_directory('asi_actuator')) / 'config'
+    urdf = (config / 'asi_actuator.urdf').read_text()
+    scene: list[Any] = []
+    names = ('tf', 'tf_static', 'clock')
+    for package, parameters, arguments in (
+            ('robot_state_publisher', {'robot_description': ParameterValue(urdf, value_type=str)},
+             []),
+            ('rviz2', {}, ['-d', str(config / 'asi_actuator.rviz')])):
+        try:
+            get_package_share_directory(package)
+        except PackageNotFoundError:
+            scene.append(LogInfo(msg=f'rviz:=true needs {package}, which is not installed'))
+            continue
+        if given['use_sim_time']:
+            parameters['use_sim_time'] = ParameterValue(
+                LaunchConfiguration('use_sim_time'), value_type=bool)
+        scene.append(Node(package=package, executable=package, namespace=given['namespace'],
+                          parameters=[parameters], arguments=arguments,
+                          remappings=[(f'/{name}', name) for name in names]))
+    return scene

@@ -192,14 +192,14 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
     if topic.type != DIAGNOSTIC_ARRAY:
         return []
     changes = []
-    # Most are about the loop, twice a second.
     for data in (data for data in topic.data if f'{STATE}\0'.encode() in data):
         try:
             message: Any = typestore().deserialize_cdr(data, DIAGNOSTIC_ARRAY)
         except Exception:  # noqa: B902 - whatever rosbags makes of bytes that are damaged
             continue
         stamp = message.header.stamp
-        for status in message.status:
+        # The same status beside that of the loop is the periodic one, which changes nothing.
+        for status in message.status if len(message.status) == 1 else ():
             values = {pair.key: pair.value for pair in status.values}
             if status.name.endswith(STATE) and 'state' in values:
                 changes.append((stamp.sec * 10**9 + stamp.nanosec, StateChange(

@@ -1,11 +1,14 @@
 """
-What a node says about itself on /diagnostics: about its loop, and each change of its state.
+What a node says about itself on /diagnostics: how its loop does, and what state it is in.
 
-The first, named `NODE: loop`, comes twice a second of wall time. The second, `NODE: state`, is
-stamped in the time of the loop and holds nothing of the wall clock: in lock-step it is the same in
-each run of an experiment, so a recorder keeps it there, and the first not.
+Twice a second of wall time comes an array of `NODE: loop` and, if the node has one, `NODE: state`.
+Each change of the state comes at once too, as an array of that status alone. This one is stamped
+in the time of the loop and holds nothing of the wall clock: in lock-step it is the same in each
+run of an experiment, so a recorder keeps it there, and the periodic ones not.
 """
 
+import math
+import time
 from array import array
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -28,15 +31,24 @@ LOOP, STATE = ': loop', ': state'
 HEARD_S: Final = 2.0
 # Ticks over which period and latency are taken.
 WINDOW: Final = 5000
+# Real time: a period longer than so many nominal ones is worth a warning; so is a lost sample, for
+# so long (s).
+LONGEST_PERIODS: Final = 2.0
+LOST_FOR_S: Final = 5.0
+# A partner that is silent for so long (s) has ended, or stands still.
+SILENT_S: Final = 1.0
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 class LoopStatistics:
-    """Period and latency of the last ticks (wall time), and how many of them saturated."""
+    """Period and latency of the last ticks (wall time), how many saturated, samples lost."""
 
-    def __init__(self) -> None:
-        self.ticks = 0
+    def __init__(self, period_s: float = math.inf) -> None:
+        """period_s: the nominal period in real time; in lock-step a tick may take any time."""
+        self.ticks = self.lost = 0
+        self._longest_ns = LONGEST_PERIODS * period_s * 1e9
+        self._lost_at_s = -math.inf
         # Cut when they are looked at. Numpy takes 5000 numbers of an array at once, of a deque one
         # by one, for half a millisecond: a tick that came meanwhile would be late.
         self._ticked_ns, self._latencies_ns = array('q'), array('q')
@@ -51,13 +63,36 @@ class LoopStatistics:
         if saturated:
             self._saturated.append(self.ticks)
 
+    def lose(self, samples: int) -> None:
+        """Count samples that were lost now."""
+        if samples > 0:
+            self.lost += samples
+            self._lost_at_s = time.monotonic()
+
+    def problems(self) -> list[str]:
+        """Return what of the last seconds is worth a warning, in words."""
+        problems = []
+        if time.monotonic() - self._lost_at_s < LOST_FOR_S:
+            problems.append(f'samples were lost within the last {LOST_FOR_S:g} s '
+                            f'({self.lost} since the start)')
+        longest_ns = np.diff(np.array(self._ticked_ns[-WINDOW:])).max(initial=0)
+        if longest_ns > self._longest_ns:
+            problems.append(f'the longest of the last periods took {longest_ns * 1e-6:.3g} ms, '
+                            f'{longest_ns / self._longest_ns * LONGEST_PERIODS:.1f} times as long '
+                            'as it should')
+        return problems
+
+    def silence_s(self) -> float:
+        """Return how long ago the last tick was, s."""
+        return (time.monotonic_ns() - self._ticked_ns[-1]) * 1e-9 if self._ticked_ns else 0.0
+
     def values(self) -> dict[str, object]:
         """Return what there is to say, by key; the unit is part of the key."""
         for noted in (self._ticked_ns, self._latencies_ns, self._saturated):
             del noted[:-WINDOW]
         saturated = np.count_nonzero(np.array(self._saturated) > self.ticks - WINDOW)
         return {
-            'ticks': self.ticks,
+            'ticks': self.ticks, 'lost samples': self.lost,
             **_summary('period', np.diff(np.array(self._ticked_ns))),
             **_summary('latency', np.array(self._latencies_ns)),
             'saturation share': saturated / max(1, len(self._ticked_ns)),
@@ -75,13 +110,15 @@ def _summary(name: str, times_ns: npt.NDArray[np.int64]) -> dict[str, object]:
 
 
 class Diagnostics:
-    """Publishes a node's state of health."""
+    """Publishes how a node does, twice a second and whenever it is asked to."""
 
     def __init__(self, node: Node,
-                 describe: Callable[[], tuple[bytes, str, Mapping[str, object]]]):
-        """describe() returns level, message, and values by key."""
+                 describe: Callable[[], tuple[bytes, str, Mapping[str, object]]],
+                 state: Callable[[], wire.Status] | None = None):
+        """describe() returns level, message, and values by key; state() as StateChanges has it."""
         self._node = node
         self._describe = describe
+        self._state = state
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         node.create_timer(PERIOD_S, self.publish, Unhurried(),
                           Clock(clock_type=ClockType.STEADY_TIME))
@@ -89,9 +126,12 @@ class Diagnostics:
     def publish(self) -> None:
         level, text, values = self._describe()
         name = full_name(self._node)
-        self._publisher.publish(wire.status(
-            self._node.get_clock().now().nanoseconds, level, name, name + LOOP, text,
-            {key: _text(value) for key, value in values.items()}))
+        statuses = [wire.Status(level, name + LOOP, text,
+                                {key: _text(value) for key, value in values.items()})]
+        if self._state is not None:
+            statuses.append(self._state())
+        self._publisher.publish(wire.diagnostics(
+            self._node.get_clock().now().nanoseconds, name, statuses))
 
 
 class StateChanges:
@@ -102,15 +142,18 @@ class StateChanges:
         # Of its own, so that the numbers of its messages are the same in each run.
         self.publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
-    def publish(self, stamp_ns: int, level: bytes, state: str, reason: str, wait: bool) -> None:
+    def status(self, level: bytes, state: str, reason: str) -> wire.Status:
+        """Return the status of a state and the reason for it, '' for none."""
+        return wire.Status(level, self._name + STATE, f'{state}: {reason}' if reason else state,
+                           {'state': state, 'reason': reason})
+
+    def publish(self, stamp_ns: int, status: wire.Status, wait: bool) -> None:
         """
-        Tell a state that holds from a time (ns) of the loop on, and the reason, '' for none.
+        Publish the status of a state that holds from a time (ns) of the loop on.
 
         wait: return when all who listen have it, so that it comes before what is published next.
         """
-        self.publisher.publish(wire.status(
-            stamp_ns, level, self._name, self._name + STATE,
-            f'{state}: {reason}' if reason else state, {'state': state, 'reason': reason}))
+        self.publisher.publish(wire.diagnostics(stamp_ns, self._name, [status]))
         if wait:
             self.publisher.wait_for_all_acked(Duration(seconds=HEARD_S))
 

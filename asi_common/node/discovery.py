@@ -1,12 +1,39 @@
 """Who hears a node's topics, so that nothing is missed at the start of a run."""
 
+import time
 from collections.abc import Iterable
 from typing import Final
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from asi_common.node.executor import RunError
+
+# Waited for so long (s), a recorder has ended or was never started.
+RECORDER_S: Final = 120.0
 RECORDER: Final = 'asi_recorder'
+
+
+class AwaitedRecorder:
+    """Holds a node back until a recorder hears its topics (parameter `await_recorder`)."""
+
+    def __init__(self, node: Node, awaited: bool):
+        self._node = node
+        self._awaited = awaited
+        self._since_s: float | None = None
+
+    def missing(self, publishers: Iterable[Publisher]) -> list[str]:
+        """Return the topics that no recorder hears yet; raises RunError after RECORDER_S."""
+        names = not_recorded(self._node, publishers) if self._awaited else []
+        now_s = time.monotonic()
+        if not names:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = now_s
+        elif now_s - self._since_s > RECORDER_S:
+            raise RunError(f'await_recorder is true, but no {RECORDER} has subscribed to '
+                           f'{", ".join(names)} within {RECORDER_S:g} s: has it ended?')
+        return names
 
 
 def not_recorded(node: Node, publishers: Iterable[Publisher]) -> list[str]:

@@ -7,10 +7,10 @@ bytes, more than all else that a node does in a tick; here each way takes one or
 Whatever is laid out in another way, as with another frame or other joints, rclpy unpacks.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import nan
 from struct import Struct
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message
@@ -69,19 +69,30 @@ def answer(stamp_ns: int, command_n: float, reference_n: float) -> tuple[bytes, 
     return (_WRENCH.pack(stamp, _FRAME, command_n), _WRENCH.pack(stamp, _FRAME, reference_n))
 
 
-def status(stamp_ns: int, level: bytes, node: str, name: str, text: str,
-           values: Mapping[str, str]) -> bytes:
+class Status(NamedTuple):
+    """A diagnostic_msgs/DiagnosticStatus."""
+
+    level: bytes
+    name: str
+    text: str
+    values: Mapping[str, str]
+
+
+def diagnostics(stamp_ns: int, node: str, statuses: Sequence[Status]) -> bytes:
     """
-    Return a diagnostic_msgs/DiagnosticArray of one status; `node` becomes its hardware_id.
+    Return a diagnostic_msgs/DiagnosticArray; `node` becomes the hardware_id of each status.
 
     rclpy leaves in the gaps between the texts whatever was there in memory, which is not the same
     from run to run.
     """
+    parts = [_string(''), _COUNT.pack(len(statuses))]
+    for level, name, text, values in statuses:
+        parts += [level, _string(name), _string(text), _string(node), _COUNT.pack(len(values)),
+                  *(_string(each) for pair in values.items() for each in pair)]
     data = clock(stamp_ns)
-    for part in (_string(''), _COUNT.pack(1), level, _string(name), _string(text), _string(node),
-                 _COUNT.pack(len(values)),
-                 *(_string(each) for pair in values.items() for each in pair)):
-        data += bytes(-len(data) % 4) + part
+    for part in parts:
+        # A level is one byte, all else begins at a multiple of 4.
+        data += bytes(-len(data) % 4 if len(part) > 1 else 0) + part
     return data
 
 

@@ -38,6 +38,13 @@ def diagnostics(ros_node: Any) -> Callable[[str, str], Any]:
     return status
 
 
+def says_how_it_runs(status: Any) -> bool:
+    """Return whether a status is OK, or a warning that says why: the machine may be too busy."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+    return status.level == (DiagnosticStatus.OK if status.message == 'running'
+                            else DiagnosticStatus.WARN)
+
+
 def force(state: Any) -> float:
     return state.effort[0]
 
@@ -75,7 +82,7 @@ def test_watchdog_takes_the_command_away_until_the_reset(
     constant = {'reference.shape': 'step', 'reference.amplitude': 200.0}
     controller = start_node(CONTROLLER, **PATIENT, **constant)
     states.wait_until(lambda state: state.effort[1] > 100.0, 'a valve command')
-    assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
+    assert says_how_it_runs(diagnostics('asi_actuator', 'running'))
     controller.kill()
     set_parameters('asi_actuator', {'command_timeout': 2.0})
     states.wait_until(lambda state: state.effort[1] == 0.0, 'the watchdog')
@@ -91,7 +98,57 @@ def test_watchdog_takes_the_command_away_until_the_reset(
     assert not refused.success and 'age of valve_command' in refused.message
     assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
     states.wait_until(lambda state: state.effort[1] > 100.0, 'the next controller')
-    assert diagnostics('asi_actuator', 'running').level == DiagnosticStatus.OK
+    assert says_how_it_runs(diagnostics('asi_actuator', 'running'))
+
+
+@pytest.mark.parametrize('node', ['asi_actuator', 'asi_controller'])
+def test_lost_samples_and_long_periods_are_a_warning_that_passes(
+        node: str, start_node: Callable, diagnostics: Callable) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    processes = {'asi_actuator': start_node(ACTUATOR, mode='realtime', rate_hz=200.0,
+                                            command_timeout=60.0),
+                 'asi_controller': start_node(CONTROLLER, **PATIENT)}
+    diagnostics(node, 'running')
+    # One that stands still cannot tick, nor can the controller hear who does.
+    processes['asi_actuator'].send(signal.SIGSTOP)
+    time.sleep(1.5)
+    processes['asi_actuator'].send(signal.SIGCONT)
+    status = diagnostics(node, 'samples were lost')
+    assert status.level == DiagnosticStatus.WARN
+    assert int({v.key: v.value for v in status.values}['lost samples']) > 10
+    assert 'the longest of the last periods took' in diagnostics('asi_actuator', 'took').message
+
+
+@pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
+def test_a_partner_that_is_gone_is_a_warning(
+        mode: str, start_node: Callable, diagnostics: Callable) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    patient = {'command_timeout': 60.0, 'give_up_after': 0.0, 'mode': mode, 'rate_hz': 200.0}
+    actuator = start_node(ACTUATOR, **patient)
+    controller = start_node(CONTROLLER, **PATIENT | {'mode': mode})
+    diagnostics('asi_actuator', 'running')
+    controller.kill()
+    words = 'no answer to state' if mode == 'lockstep' else 'no valve_command for'
+    assert diagnostics('asi_actuator', words).level == DiagnosticStatus.WARN
+    start_node(CONTROLLER, **PATIENT | {'mode': mode, 'state_timeout': 0.5})
+    diagnostics('asi_controller', 'running')
+    actuator.kill()
+    assert diagnostics('asi_controller', 'no new state').level >= DiagnosticStatus.WARN
+
+
+def test_the_state_is_published_again_and_again(start_node: Callable, ros_node: Any) -> None:
+    """An aggregator calls a status stale that came only once."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    listener = Listener(ros_node, DiagnosticArray, '/diagnostics')
+    start_node(ACTUATOR)
+    for message in listener.wait(3):
+        loop, state = message.status
+        assert (loop.name, state.name) == ('asi_actuator: loop', 'asi_actuator: state')
+        assert (state.message, state.level) == ('enabled', DiagnosticStatus.OK)
+        assert message.header.stamp.sec > 0
 
 
 def test_controller_says_that_the_actuator_is_gone_and_gives_no_command(

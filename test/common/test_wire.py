@@ -36,8 +36,8 @@ STATE = wire.state(STAMP_NS, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 ANSWER = wire.answer(STAMP_NS, -7.5, 8.5)
 
 
-def a_status(text: str) -> DiagnosticArray:
-    message = DiagnosticArray(status=[DiagnosticStatus(
+def statuses(text: str, count: int) -> DiagnosticArray:
+    message = DiagnosticArray(status=count * [DiagnosticStatus(
         level=DiagnosticStatus.ERROR, name='node: state', hardware_id='node', message=text,
         values=[KeyValue(key='reason', value=text[1:])])])
     message.header.stamp = STAMP
@@ -45,8 +45,9 @@ def a_status(text: str) -> DiagnosticArray:
 
 
 @pytest.mark.parametrize(('data', 'message'), [
-    *((wire.status(STAMP_NS, DiagnosticStatus.ERROR, 'node', 'node: state', text,
-                   {'reason': text[1:]}), a_status(text)) for text in ('', 'a', 'ab', 'abc', 'ö')),
+    *((wire.diagnostics(STAMP_NS, 'node', count * [wire.Status(
+        DiagnosticStatus.ERROR, 'node: state', text, {'reason': text[1:]})]),
+       statuses(text, count)) for text in ('', 'a', 'ab', 'abc', 'ö') for count in (1, 2)),
     (wire.clock(STAMP_NS), Clock(clock=STAMP)),
     *zip(STATE, (a_state('piston', {'piston': 5.0, 'valve': 6.0}), Clock(clock=STAMP),
                  a_wrench('piston', 5.0), Float64(data=2.0), Float64(data=3.0)), strict=True),

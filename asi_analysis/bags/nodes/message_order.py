@@ -187,7 +187,8 @@ class TickOrder:
 
     def _add_unstamped(self, arrival: Arrival, arrived_s: float, now_s: float) -> None:
         stamp = self._stamps.get(arrival.number)
-        if stamp is None and self._end < math.inf and arrival.number > max(self._stamps, default=0):
+        ended = self._end < math.inf
+        if stamp is None and ended and arrival.number > max(self._stamps, default=0):
             return
         if stamp is None and now_s - arrived_s > PATIENCE_S:
             stamp = self._newest

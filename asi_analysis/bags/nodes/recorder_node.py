@@ -21,6 +21,8 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -53,7 +55,7 @@ TYPES: Final = {
     'velocity': 'std_msgs/msg/Float64',
     'force_reference': 'geometry_msgs/msg/WrenchStamped',
     'valve_command': 'geometry_msgs/msg/WrenchStamped',
-    '/clock': 'rosgraph_msgs/msg/Clock',
+    'clock': 'rosgraph_msgs/msg/Clock',
     '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
 }
 NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
@@ -179,8 +181,10 @@ class Recorder(Node):
         self._state_name = f'{self.get_namespace()}/{NODES["actuator"]}'.lstrip('/') + STATE
         self._unasked = [] if configuration else [
             (name, AsyncParameterClient(self, node)) for name, node in NODES.items()]
-        self.create_timer(DRAIN_PERIOD_S, self._record)
-        self.create_timer(LOOK_AROUND_PERIOD_S, self._look_around)
+        # Whatever use_sim_time says: a clock that stands still must not stop the recording.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DRAIN_PERIOD_S, self._record, clock=steady)
+        self.create_timer(LOOK_AROUND_PERIOD_S, self._look_around, clock=steady)
         self.get_logger().info(f'recording to {output}')
 
     def destroy_node(self) -> None:

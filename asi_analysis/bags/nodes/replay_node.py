@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 from asi_analysis.bags.bag_file import Topic, read_contents
 from asi_analysis.bags.qos import as_profile
 from asi_analysis.errors import InputError
-from asi_common.node.discovery import not_recorded
+from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
 from asi_common.node.topics import STREAM_QOS, set_time
@@ -61,6 +61,7 @@ class Replay(Node):
         self._entries = self._load(Path(str(values['bag'])))
         self._played = [*{entry.publisher for entry in self._entries},
                         *([self._clocks] if self._clocks else [])]
+        self._recorder = AwaitedRecorder(self, bool(values['await_recorder']))
         self._heard = not values['await_recorder']
         self._start_ns = self._entries[0].log_ns
         self._duration_ns = self._entries[-1].log_ns - self._start_ns
@@ -108,7 +109,7 @@ class Replay(Node):
         if now_s < self._last_s:
             return
         if self._paused or not self._heard:
-            self._heard = self._heard or not not_recorded(self, self._played)
+            self._heard = self._heard or not self._recorder.missing(self._played)
             self._last_s = now_s
             return
         self._position_ns += (now_s - self._last_s) * 1e9 * float(self.parameters.values['rate'])

@@ -103,3 +103,20 @@ def test_real_time_is_the_order_of_receipt() -> None:
     items = ReceiptOrder().ready(arrivals, 0.0)
     assert [(item.topic, item.log_ns, item.publish_ns) for item in items] == [
         (1, 20, 19), (0, 30, 29)]
+
+
+def test_the_end_is_the_last_tick_that_has_begun_and_it_is_known_what_that_lacks() -> None:
+    order = TickOrder(5, FORCE)
+    begun = [a for k in range(1, 31) for a in tick(k)]
+    missing = begun.pop()
+    assert missing.topic == COMMAND
+    # Of a tick after the last of the guide, or after the end, nothing is taken.
+    written = order.ready([*begun, tick(31)[STATE]], 0.0)
+    assert order.lacking() >= {COMMAND}
+    order.end()
+    assert order.lacking() == {COMMAND}
+    written += order.ready([missing, *tick(31)[1:], *tick(32)], 0.0)
+    assert order.lacking() == set() and not order.waiting()
+    written += order.ready([], math.inf)
+    assert [(item.topic, item.log_ns) for item in written] == [
+        (topic, k * PERIOD_NS) for k in range(1, 31) for topic in range(5)]

@@ -31,6 +31,7 @@ from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.measures.analysis import analyze
 
 RECORDER = 'asi_analysis.bags.nodes.recorder_node'
+ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 REPLAY = 'asi_analysis.bags.nodes.replay_node'
 
 Start = Callable[..., NodeProcess]
@@ -110,10 +111,10 @@ def test_a_fault_in_lockstep_is_in_the_bag_with_its_time_and_reason_the_same_eac
     configuration.write_text('{}')
     for name in ('one', 'two'):
         recorder = start_node(RECORDER, output=tmp_path / name, configuration=configuration)
-        controller = start_node('asi_controller.controller_node', await_recorder=True,
+        controller = start_node(CONTROLLER, await_recorder=True,
                                 **{'reference.shape': 'step', 'reference.amplitude': 400.0,
                                    'reference.start': 0.01})
-        actuator = start_node('asi_actuator.actuator_node', await_recorder=True, duration=0.05,
+        actuator = start_node(ACTUATOR, await_recorder=True, duration=0.05,
                               **{'limit.force': 150.0})
         assert actuator.exit_status() == 1
         assert recorder.stop() == 0 == controller.stop()
@@ -228,7 +229,7 @@ def test_standing_still_is_no_silence(
 def test_what_waits_for_the_first_tick_keeps_no_recorder_from_ending(
         ros_node: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(recorder_node, 'PATIENCE_S', math.inf)
+    monkeypatch.setattr(recorder_node, 'LAST_TICK_S', math.inf)
     recorder = recorder_node.Recorder()
     publisher = ros_node.create_publisher(DiagnosticArray, '/diagnostics', 10)
     wait_until(publisher.get_subscription_count, 'the recorder')
@@ -246,6 +247,37 @@ def test_what_waits_for_the_first_tick_keeps_no_recorder_from_ending(
     bag, = tmp_path.iterdir()
     with Reader(bag) as reader:
         assert reader.message_count == 1
+
+
+def test_ends_beside_a_running_lock_step_with_a_whole_tick(start_node: Start, tmp_path: Path
+                                                           ) -> None:
+    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    loop = [start_node(CONTROLLER, await_recorder=True, **{'reference.shape': 'sine'}),
+            start_node(ACTUATOR, await_recorder=True)]
+    wait_until(lambda: recorded('/force', tmp_path / 'bag') > 2000, 'a part of the run')
+    assert recorder.stop() == 0, recorder.text
+    assert 'lost' not in recorder.text
+    topics = read_contents(tmp_path / 'bag', lambda name: name != '/diagnostics').topics
+    count, = {len(topic.data) for topic in topics.values()}
+    assert len(topics) == 7 and len(read_bag(tmp_path / 'bag')) == count > 2000
+    assert [node.stop() for node in loop] == [0, 0]
+
+
+def test_waits_for_no_answer_that_nobody_is_left_to_give(
+        start_node: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ros_node: Any) -> None:
+    """As after Ctrl-C on a launch file; without a limit to the wait, so that it would not end."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recorder_node, 'LAST_TICK_S', math.inf)
+    recorder = recorder_node.Recorder()
+    loop = [start_node(module, await_recorder=True) for module in (CONTROLLER, ACTUATOR)]
+    wait_until(lambda: recorder._record() or recorder._writer.counts().get('/force', 0) > 50,
+               'a part of the run')
+    for node in loop:
+        assert node.stop() == 0
+    recorder.destroy_node()
+    bag, = (path for path in tmp_path.iterdir() if path.is_dir())
+    run = read_bag(bag)
+    assert run.force_n is not None and len(run) > 50
 
 
 def test_lost_messages_are_told_and_the_exit_status_is_1(
@@ -282,7 +314,7 @@ def test_lost_messages_are_told_and_the_exit_status_is_1(
 
 
 def test_asks_the_nodes_for_their_parameters(start_node: Start, tmp_path: Path) -> None:
-    start_node('asi_controller.controller_node', gain=4.5).wait_for('lockstep at')
+    start_node(CONTROLLER, gain=4.5).wait_for('lockstep at')
     recorder = start_node(RECORDER, output=tmp_path / 'bag')
     file = tmp_path / 'bag/bag_0.mcap'
     wait_until(lambda: file.exists() and b'asi.run' in file.read_bytes(),

@@ -1,0 +1,182 @@
+"""The launch file: what it starts, as `ros2 launch` would, and that this runs; with real nodes."""
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import pytest
+import yaml
+from conftest import NodeProcess
+
+from asi_analysis.bags.bag_file import read_contents
+
+ROOT = Path(__file__).parents[1]
+MODULES = {'actuator': 'asi_actuator.actuator_node',
+           'controller': 'asi_controller.controller_node',
+           'recorder': 'asi_analysis.bags.nodes.recorder_node'}
+Evaluated = Callable[..., dict[str, Any]]
+
+
+class Action(SimpleNamespace):
+    """Stands for any action of launch and launch_ros: keeps what it was made with."""
+
+
+class NotFoundError(Exception):
+    """Stands for ament's PackageNotFoundError."""
+
+
+def packages(installed: dict[str, str]) -> dict[str, ModuleType]:
+    """Return as much of launch, launch_ros and ament_index_python as the launch file uses."""
+    def share(package: str) -> str:
+        if package not in installed:
+            raise NotFoundError(package)
+        return installed[package]
+
+    names: dict[str, dict[str, Any]] = {
+        'ament_index_python.packages': {
+            'PackageNotFoundError': NotFoundError, 'get_package_share_directory': share},
+        'launch': {'LaunchDescription': lambda actions: actions},
+        'launch.actions': {
+            'DeclareLaunchArgument': lambda name, **options: Action(name=name, **options),
+            **dict.fromkeys(('LogInfo', 'OpaqueFunction', 'Shutdown'), Action)},
+        'launch.substitutions': {'LaunchConfiguration': lambda name: Action(argument=name)},
+        'launch_ros': {},
+        'launch_ros.actions': {'Node': Action},
+        'launch_ros.parameter_descriptions': {
+            'ParameterValue': lambda value, value_type: Action(value=value, type=value_type)},
+    }
+    modules = {}
+    for name, content in names.items():
+        modules[name] = ModuleType(name)
+        vars(modules[name]).update(content)
+    return modules
+
+
+@pytest.fixture
+def evaluated() -> Evaluated:
+    """Return what is started with arguments: nodes by executable, `log`, what is said."""
+    def evaluate(installed: tuple[str, ...] = (), **arguments: str) -> dict[str, Any]:
+        shares = dict.fromkeys(('asi_actuator', *installed), str(ROOT))
+        with mock.patch.dict(sys.modules, packages(shares)):
+            spec = importlib.util.spec_from_file_location(
+                'launch_file', ROOT / 'launch' / 'asi_actuator.launch.py')
+            assert spec and spec.loader
+            file = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(file)
+            *declared, opaque = file.generate_launch_description()
+            given = {argument.name: argument.default_value for argument in declared}
+            assert set(arguments) <= set(given)
+            given |= arguments
+            actions = opaque.function(SimpleNamespace(launch_configurations=given))
+        for action in actions:
+            for values in getattr(action, 'parameters', ()):
+                if isinstance(values, dict):
+                    values.update({name: resolved(value, given) for name, value in values.items()})
+        return {'log': [action.msg for action in actions if hasattr(action, 'msg')],
+                **{action.executable: action for action in actions
+                   if hasattr(action, 'executable')}}
+
+    def resolved(value: Any, given: dict[str, str]) -> Any:
+        if not isinstance(value, Action):
+            return value
+        text = value.value if isinstance(value.value, str) else given[value.value.argument]
+        return text if value.type is str else value.type(yaml.safe_load(text))
+
+    return evaluate
+
+
+@pytest.fixture
+def start_launched(start_node: Callable[..., NodeProcess], tmp_path: Path
+                   ) -> Callable[[Any], NodeProcess]:
+    """Return a function that starts a node as launch_ros does."""
+    def start(node: Any) -> NodeProcess:
+        arguments = [*node.ros_arguments, '-r', f'__ns:=/{node.namespace}']
+        for place, parameters in enumerate(node.parameters):
+            if isinstance(parameters, dict):
+                file = tmp_path / f'{node.namespace}{node.executable}-{place}.yaml'
+                file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
+                parameters = str(file)
+            arguments += ['--params-file', parameters]
+        for old, new in node.remappings:
+            arguments += ['-r', f'{old}:={new}']
+        return start_node(MODULES[node.executable], *arguments)
+
+    return start
+
+
+def test_without_arguments_nothing_is_set(evaluated: Evaluated) -> None:
+    launched = evaluated()
+    assert set(launched) == {'actuator', 'controller', 'log'} and not launched['log']
+    assert launched['actuator'].parameters == launched['controller'].parameters == []
+
+
+def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluated) -> None:
+    launched = evaluated(params_file='one.yaml,two.yaml', rate_hz='500', gain='2', driver='can',
+                         compensator='lead2', reference='sine', duration='3', mode='realtime',
+                         record='bag', namespace='left', log_level='debug', use_sim_time='true')
+    files, common = ['one.yaml', 'two.yaml'], {
+        'rate_hz': 500.0, 'mode': 'realtime', 'await_recorder': True, 'use_sim_time': True}
+    assert launched['actuator'].parameters == [
+        *files, common | {'driver': 'can', 'duration': 3.0}]
+    assert launched['controller'].parameters == [
+        *files, common | {'compensator': 'lead2', 'gain': 2.0, 'reference.shape': 'sine'}]
+    assert launched['recorder'].parameters == [*files, {'output': 'bag', 'use_sim_time': True}]
+    for name in MODULES:
+        assert launched[name].namespace == 'left'
+        assert launched[name].ros_arguments == ['--log-level', 'debug']
+
+
+def test_a_recorder_that_cannot_start_ends_all_but_one_that_fails_later_does_not(
+        evaluated: Evaluated) -> None:
+    ended = evaluated(record='bag')['recorder'].on_exit
+    assert len(ended(SimpleNamespace(returncode=2), None)) == 1
+    assert ended(SimpleNamespace(returncode=1), None) == ended(
+        SimpleNamespace(returncode=0), None) == []
+
+
+def test_rviz_where_it_is_installed_and_otherwise_what_is_missing(evaluated: Evaluated) -> None:
+    launched = evaluated(installed=('robot_state_publisher', 'rviz2'), rviz='true')
+    assert '<robot' in launched['robot_state_publisher'].parameters[0]['robot_description']
+    assert Path(launched['rviz2'].arguments[1]).exists() and not launched['log']
+    missing = evaluated(rviz='true')
+    assert 'rviz2' not in missing
+    assert [word in line for word, line in zip(
+        ('robot_state_publisher', 'rviz2'), missing['log'], strict=True)] == [True, True]
+
+
+@pytest.mark.parametrize('file', ['actuator.yaml', 'controller.yaml', 'can.yaml'])
+def test_each_shipped_file_gives_the_nodes_what_it_says(
+        file: str, evaluated: Evaluated, start_launched: Callable[[Any], NodeProcess],
+        get_parameters: Callable) -> None:
+    path = ROOT / 'config' / file
+    launched = evaluated(params_file=str(path))
+    for name, nodes in yaml.safe_load(path.read_text()).items():
+        executable = name.removeprefix('/**/asi_')
+        start_launched(launched[executable]).wait_for(f'asi_{executable}]:')
+        given = {key: value for key, value in nodes['ros__parameters'].items()
+                 if not isinstance(value, dict)}
+        assert get_parameters(f'asi_{executable}', list(given)) == given
+
+
+def test_two_pairs_in_namespaces_run_and_are_recorded_side_by_side(
+        evaluated: Evaluated, start_launched: Callable[[Any], NodeProcess], tmp_path: Path
+        ) -> None:
+    pairs = [evaluated(namespace=side, duration='0.05', reference='step', rate_hz=rate,
+                       record=str(tmp_path / side))
+             for side, rate in (('left', '5000'), ('right', '1000'))]
+    nodes = [[start_launched(pair[name]) for name in ('recorder', 'controller', 'actuator')]
+             for pair in pairs]
+    for (recorder, controller, actuator), side, ticks in zip(
+            nodes, ('left', 'right'), (250, 50), strict=True):
+        assert actuator.exit_status() == 0, actuator.text
+        assert recorder.stop() == 0 == controller.stop(), recorder.text
+        topics = read_contents(tmp_path / side, lambda _: True).topics
+        counts = {name: len(topic.data) for name, topic in topics.items()
+                  if name != '/diagnostics'}
+        assert counts == {f'/{side}/{name}': ticks for name in (
+            'joint_states', 'force', 'valve_position', 'velocity', 'force_reference',
+            'valve_command', 'clock')}
