@@ -164,7 +164,7 @@ def main() -> None:
     parser.add_argument('--seconds', type=float, default=3.0)
     arguments = parser.parse_args()
     if arguments.our_executor:
-        choose_transport(os.environ)
+        choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = {'actuator': Actuator, 'controller': Controller}[arguments.end](arguments)
     executor = (LoopExecutor if arguments.our_executor else SingleThreadedExecutor)()

@@ -24,7 +24,7 @@ SIDES: Final = ('left', 'right')
 def lockstep(rig: Rig, tally: Tally, end: float) -> None:
     """Two loops in two namespaces side by side, disturbed while they run."""
     states = {side: rig.states(f'/{side}/joint_states') for side in SIDES}
-    clocks = rig.node.create_publisher(Clock, '/clock', 10)
+    clocks = {side: rig.node.create_publisher(Clock, f'/{side}/clock', 10) for side in SIDES}
     commands = {side: rig.node.create_publisher(WrenchStamped, f'/{side}/valve_command', 10)
                 for side in SIDES}
     while time.monotonic() < end or not tally.tried:
@@ -44,7 +44,8 @@ def lockstep(rig: Rig, tally: Tally, end: float) -> None:
         faults = 0
         while any(is_alive(process) for process in actuators.values()):
             side = rig.random.choice(SIDES)
-            _disturb(rig, side, actuators[side], controllers[side], clocks, commands[side])
+            _disturb(rig, side, actuators[side], controllers[side], clocks[side],
+                     commands[side])
             faults += 1
         for side in SIDES:
             # The loop's own answers count as one fault too: that of being disturbed by the other.

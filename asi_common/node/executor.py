@@ -4,7 +4,6 @@ import faulthandler
 import gc
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, MutableMapping
@@ -18,6 +17,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
@@ -173,14 +173,14 @@ def run_node(make_node: Callable[[], Node]) -> int:
     Run a node until SIGINT, SIGTERM or its own end; return the exit status.
 
     0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
-    parameter or ROS argument. What went wrong is said in one line on stderr.
+    parameter or ROS argument. What went wrong is logged in one line.
     """
-    choose_transport(os.environ)
+    unprotected = choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
     try:
         # rclpy's own handlers would shut the context down in the middle of a callback.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
-        print(str(error).splitlines()[0], file=sys.stderr)
+        get_logger('asi').fatal(str(error).splitlines()[0])
         return 2
     executor = LoopExecutor()
 
@@ -193,9 +193,11 @@ def run_node(make_node: Callable[[], Node]) -> int:
         node = make_node()
     except (ParameterError, rclpy_implementation.RCLError) as error:
         # The second: the middleware cannot do what the environment asks for, such as security.
-        print(' '.join(str(error).split()), file=sys.stderr)
+        get_logger('asi').fatal(' '.join(str(error).split()))
         rclpy.try_shutdown()
         return 2
+    if unprotected:
+        node.get_logger().warning(unprotected)
     executor.add_node(node)
     try:
         executor.spin()
@@ -215,22 +217,34 @@ def run_node(make_node: Callable[[], Node]) -> int:
     return 0
 
 
-def choose_transport(environment: MutableMapping[str, str]) -> None:
+def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:
     """
-    Have Fast DDS use UDP alone, unless the user has settings of their own.
+    Have Fast DDS use UDP alone, on this machine alone if it is asked to, and return a warning.
 
-    Its shared memory is guarded by locks that a killed process keeps, and a loop that comes
-    across one stands still for 2 s (doc/explanation/reliability.md). To stay on this machine,
-    rmw_fastrtps adds shared memory whatever a profile says; so a profile does what it would do.
+    environment: gets the profile, unless the user has one; rmw: the middleware's identifier. The
+    warning says what ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST does not do here, '' for nothing.
+
+    Shared memory of Fast DDS is guarded by locks that a killed process keeps, and a loop that
+    comes across one stands still for 2 s (doc/explanation/reliability.md). Asked to stay on this
+    machine, rmw_fastrtps adds shared memory whatever a profile says, and binds its sockets to all
+    interfaces; so a profile takes the place of that range.
     """
-    if 'FASTRTPS_DEFAULT_PROFILES_FILE' in environment:
-        return
-    profile = 'fastdds.xml'
-    if (environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
-            and not environment.get('ROS_STATIC_PEERS')):
-        environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
-        profile = 'fastdds_localhost.xml'
-    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(PROFILES / profile)
+    local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
+    if not rmw.startswith('rmw_fastrtps'):
+        why = f'with {rmw}'
+    elif 'FASTRTPS_DEFAULT_PROFILES_FILE' in environment:
+        why = 'with FASTRTPS_DEFAULT_PROFILES_FILE'
+    elif environment.get('ROS_STATIC_PEERS'):
+        why = 'with ROS_STATIC_PEERS'
+        environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(PROFILES / 'fastdds.xml')
+    else:
+        why = ''
+        if local:
+            environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
+        environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(
+            PROFILES / ('fastdds_localhost.xml' if local else 'fastdds.xml'))
+    return (f'{why} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST limits whom this node looks for, not '
+            'who may reach it: see doc/how_to/security.md') if local and why else ''
 
 
 def _say_farewell(node: Node) -> None:

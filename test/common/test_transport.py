@@ -1,0 +1,115 @@
+"""What the nodes can be reached by: with the range LOCALHOST by nothing but this machine."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Listener, NodeProcess
+
+from asi_common.node.executor import choose_transport
+
+ACTUATOR = 'asi_actuator.actuator_node'
+# Prints the nodes that are found once `asi_open` is, and has been for a while.
+LOOK = """
+import time, rclpy
+rclpy.init()
+node = rclpy.create_node('looker')
+names = set()
+while 'asi_open' not in names:
+    rclpy.spin_once(node, timeout_sec=0.1)
+    names |= set(node.get_node_names())
+for _ in range(50):
+    rclpy.spin_once(node, timeout_sec=0.1)
+    names |= set(node.get_node_names())
+print(*sorted(names))
+"""
+
+
+def sockets(pid: int) -> set[str]:
+    """Return the IPv4 addresses that the UDP sockets of a process are bound to."""
+    inodes = {os.readlink(file)[8:-1] for file in Path(f'/proc/{pid}/fd').iterdir()
+              if os.readlink(file).startswith('socket:')}
+    rows = [line.split() for line in Path(f'/proc/{pid}/net/udp').read_text().splitlines()[1:]]
+    return {'.'.join(str(int(row[1][place:place + 2], 16)) for place in (6, 4, 2, 0))
+            for row in rows if row[9] in inodes}
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='needs /proc')
+def test_localhost_binds_no_socket_to_another_address(
+        ros_environment: dict[str, str], start_node: Callable[..., NodeProcess],
+        states: Listener) -> None:
+    ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    local = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+    states.wait(3)
+    assert sockets(local.pid) == {'127.0.0.1'}
+    ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SUBNET'
+    open_ = start_node(ACTUATOR, '-r', '__node:=asi_open', mode='realtime', rate_hz=200.0)
+    open_.wait_for('realtime at')
+    assert '0.0.0.0' in sockets(open_.pid)
+
+
+@pytest.fixture
+def other_namespace() -> Iterator[tuple[list[str], str]]:
+    """Return how to run a command in another network namespace, and our address as seen there."""
+    name, ours, theirs = f'asi_{os.getpid()}', '10.213.77.1', '10.213.77.2'
+    inside = ['ip', 'netns', 'exec', name]
+    veth = f'asi{os.getpid() % 10**6}'
+    if os.geteuid():
+        pytest.skip('a network namespace can be made by root only')
+    with ExitStack() as made:
+        for command in (
+                ['ip', 'netns', 'add', name],
+                ['ip', 'link', 'add', f'{veth}a', 'type', 'veth', 'peer', 'name', f'{veth}b',
+                 'netns', name],
+                ['ip', 'addr', 'add', f'{ours}/30', 'dev', f'{veth}a'],
+                ['ip', 'link', 'set', f'{veth}a', 'up'],
+                [*inside, 'ip', 'addr', 'add', f'{theirs}/30', 'dev', f'{veth}b'],
+                [*inside, 'ip', 'link', 'set', f'{veth}b', 'up'],
+                [*inside, 'ip', 'link', 'set', 'lo', 'up']):
+            try:
+                result = subprocess.run(command, capture_output=True, text=True)
+            except FileNotFoundError:
+                pytest.skip('needs iproute2')
+            if result.returncode:
+                pytest.skip(f'{" ".join(command)}: {result.stderr.strip()}')
+            if command[2] == 'add' and command[1] == 'netns':
+                made.callback(subprocess.run, ['ip', 'netns', 'del', name])
+        yield inside, ours
+
+
+def test_localhost_is_out_of_reach_of_another_network_namespace(
+        other_namespace: tuple[list[str], str], ros_environment: dict[str, str],
+        start_node: Callable[..., NodeProcess]) -> None:
+    """Of one who names this machine as a peer; a node with the range SUBNET is found so."""
+    inside, address = other_namespace
+    for name, range_ in (('asi_actuator', 'LOCALHOST'), ('asi_open', 'SUBNET')):
+        ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = range_
+        start_node(ACTUATOR, '-r', f'__node:={name}', mode='realtime', rate_hz=200.0
+                   ).wait_for('realtime at')
+    result = subprocess.run(
+        [*inside, sys.executable, '-c', LOOK], capture_output=True, text=True, timeout=300.0,
+        env={**ros_environment, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
+             'ROS_STATIC_PEERS': address})
+    assert result.stdout.split() == ['asi_open', 'looker'], result.stderr
+
+
+@pytest.mark.parametrize(('rmw', 'given', 'changed', 'word'), [
+    ('rmw_fastrtps_cpp', {}, True, ''),
+    ('rmw_fastrtps_cpp', {'ROS_STATIC_PEERS': '10.0.0.2'}, False, 'ROS_STATIC_PEERS'),
+    ('rmw_fastrtps_cpp', {'FASTRTPS_DEFAULT_PROFILES_FILE': 'mine.xml'}, False,
+     'FASTRTPS_DEFAULT_PROFILES_FILE'),
+    ('rmw_cyclonedds_cpp', {}, False, 'rmw_cyclonedds_cpp'),
+    ('rmw_zenoh_cpp', {}, False, 'rmw_zenoh_cpp')])
+def test_the_range_is_kept_where_no_profile_replaces_it_and_what_it_does_not_do_is_said(
+        rmw: str, given: dict[str, str], changed: bool, word: str) -> None:
+    environment: dict[str, Any] = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **given}
+    warning = choose_transport(environment, rmw)
+    assert (environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SYSTEM_DEFAULT') == changed
+    assert given.items() <= environment.items()
+    assert bool(warning) == bool(word) and word in warning
+    assert choose_transport({**given, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}, rmw) == ''
