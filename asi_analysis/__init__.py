@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from asi_analysis.limit_cycle.quench.answer import quench_cycles as quench_cycles
     from asi_analysis.loop.in_process import simulate as simulate
     from asi_analysis.measures.analysis import analyze as analyze
+    from asi_analysis.measures.analysis import oscillation as oscillation
     from asi_analysis.measures.frequency_response import frequency_response as frequency_response
-    from asi_analysis.measures.oscillation import oscillation as oscillation
     from asi_analysis.measures.step_response import step_response as step_response
     from asi_analysis.paper.reproduction.answer import reproduce_paper as reproduce_paper
     from asi_analysis.reporting.result import Result as Result
@@ -54,7 +54,7 @@ _HOME = {
     'export': 'bags.exchange.exporting',
     'frequency_response': 'measures.frequency_response',
     'import_recording': 'bags.exchange.importing',
-    'oscillation': 'measures.oscillation',
+    'oscillation': 'measures.analysis',
     'predict_cycles': 'limit_cycle.prediction.predict',
     'quench_cycles': 'limit_cycle.quench.answer',
     'read_bag': 'bags.bag',

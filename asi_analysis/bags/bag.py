@@ -50,6 +50,9 @@ def read_bag(path: str | Path) -> Run:
     joint_states (or, without it, of the first of force, valve_command, ... that is there), from
     0; what is published with other stamps is held until the next message. Whatever a damaged
     file still holds is returned, with an InputWarning. Raises InputError if that is nothing.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.read_bag('runs/demo/lead_lag/bag')                      # doctest: +SKIP
     """
     path = Path(path)
     contents = read_contents(path, lambda name: _base(name) in (*TYPES, DIAGNOSTICS))
@@ -93,6 +96,13 @@ def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None 
 
     information: what the bag says of its run; that of the run itself if None.
     Raises InputError if the bag exists already.
+
+    >>> import tempfile
+    >>> import asi_analysis as asi
+    >>> folder = tempfile.mkdtemp()
+    >>> asi.write_bag(asi.simulate({}, {'reference.amplitude': 100.0}, 0.2), f'{folder}/bag')
+    >>> len(asi.read_bag(f'{folder}/bag'))
+    1000
     """
     path = Path(path)
     writer = BagWriter(path)

@@ -64,7 +64,7 @@ class Run:
     >>> run = asi.simulate({}, {'reference.amplitude': 100.0}, 0.4)
     >>> len(run), len(run[:10]), len(run[0.1:0.3])
     (2000, 10, 1000)
-    >>> run[0.1:].time_s[0]
+    >>> float(run[0.1:].time_s[0])
     0.1
     """
 

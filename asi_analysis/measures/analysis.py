@@ -3,15 +3,17 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.measures import oscillation as measure
 from asi_analysis.measures.frequency_response import (
     Bandwidth,
     actuator_bandwidth,
     frequency_response,
     loop_bandwidth,
 )
-from asi_analysis.measures.oscillation import oscillation
 from asi_analysis.measures.step_response import HEADLINE, StepResponse, step_response
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
@@ -60,13 +62,14 @@ def analyze(run: Run) -> Analysis:
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
     >>> analysis = asi.analyze(run)
-    >>> print(analysis)
+    >>> print(f'{1e3 * analysis.rise_time_s:.1f} ms, {analysis.bandwidth_hz:.0f} Hz')
+    6.5 ms, 72 Hz
     >>> analysis.oscillation['sustained']
     False
     """
     if len(run) < 2:
         raise InputError(f'{run.source}: one sample is too little: at least 2 are needed')
-    step, swing, width = step_response(run), oscillation(run), loop_bandwidth(run)
+    step, swing, width = step_response(run), measure.oscillation(run), loop_bandwidth(run)
     notes = [f'fault at {change.time_s:.6g} s, the valve command is 0 from there on: '
              f'{change.reason}' for change in run.states if change.state == 'fault']
     notes += step.notes
@@ -85,6 +88,49 @@ def analyze(run: Run) -> Analysis:
         'states': [change._asdict() for change in run.states],
         'notes': notes,
     }, run=run, step=step)
+
+
+class Oscillation(Result):
+    """
+    The oscillation of the force in the steady part of a run: `oscillation`.
+
+    sustained is None if that cannot be told; reason says why. `run` is the recording.
+    """
+
+    title = 'Oscillation'
+    run: Run
+
+    def parts(self) -> Iterator[str | Table]:
+        yield Table(('', ''), [('oscillation', in_words(self, self.run.unit('force')))])
+        if self.reason:
+            yield f'note: {self.reason}'
+
+    def pictures(self) -> Pictures:
+        from asi_analysis.reporting import figures
+        if not self.frequency_hz:
+            raise InputError(self.reason or 'no oscillation to draw')
+        reference = self.run.reference_n
+        return {'oscillation': (figures.oscillation_in_time(
+            self.run.time_s, self.run.signal('force'),
+            np.full(len(self.run), np.nan) if reference is None else reference,
+            8.0 / self.frequency_hz), 'Force over time, and its last cycles')}
+
+
+def oscillation(run: Run) -> Oscillation:
+    """
+    Return whether the force oscillates in the steady part of a run, its frequency and amplitude.
+
+    run: a recording with force. The steady part is the second half of the time after the last
+    jump of the reference; what a periodic reference forces is taken out. Frequency in Hz,
+    amplitude of the fundamental in N.
+
+    >>> import asi_analysis as asi
+    >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)
+    >>> print(asi.oscillation(run))
+    oscillation  87.5 Hz, 234 N, sustained
+    """
+    found = measure.oscillation(run)
+    return Oscillation({**found.to_dict(), 'reason': found.reason}, run=run)
 
 
 def _bandwidth(run: Run, width: Bandwidth) -> dict[str, Any]:

@@ -27,6 +27,8 @@ EXCITED_NEARBY: Final = 0.03
 NEARBY: Final = 0.01
 # and if the coherence is at least this.
 COHERENT: Final = 0.8
+# A reference of at least so many steps excites as many frequencies as noise does (PRBS).
+FEWEST_STEPS: Final = 4
 HALF_POWER: Final = np.sqrt(0.5)
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
 
@@ -164,7 +166,7 @@ def loop_bandwidth(run: Run) -> Bandwidth:
         return Bandwidth(None, None, None, None, f'the run has no {missing}')
     steps = step_responses(run)
     step = headline(steps)
-    if step is not None and len(steps) < 4:
+    if step is not None and len(steps) < FEWEST_STEPS:
         found = step_bandwidth(run, step)
         return Bandwidth(found, 'step', None, None, None if found else
                          'the step response does not settle')
@@ -219,7 +221,7 @@ def frequency_response(run: Run, input: str = 'reference', output: str | None = 
     names of signals, the output by default the one that is controlled. Gain in units of output
     over input, phase in degrees, bandwidth in Hz (-3 dB), delay in s. Frequencies without
     excitation, or where the coherence is below 0.8, are left out. Raises InputError for a signal
-    that was not recorded, or if fewer than 3 frequencies are left.
+    that was not recorded, for a reference of a few steps, or if fewer than 3 frequencies are left.
 
     H1 estimator: Bendat and Piersol, Random Data, 4th ed., section 6.1.
 
@@ -228,8 +230,12 @@ def frequency_response(run: Run, input: str = 'reference', output: str | None = 
     ...                         'reference.end_frequency': 200.0}, 2.0)
     >>> response = asi.frequency_response(run, 'command', 'force')
     >>> print(f'{response.bandwidth_hz:.0f} Hz')
+    22 Hz
     """
     output = output or run.controlled()
+    if input == 'reference' and 0 < len(step_responses(run)) < FEWEST_STEPS:
+        raise InputError(f'{run.source or "run"}: a step excites too few frequencies: use '
+                         'step_response, or record a chirp, multisine or PRBS')
     found = estimate(run.signal(input), run.signal(output), run.period_s)
     if found is None:
         raise InputError(f'{run.source or "run"}: {TOO_POOR}')

@@ -301,7 +301,12 @@ def step_response(run: Run) -> StepResponse:
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
     >>> step = asi.step_response(run)
-    >>> print(f'{1e3 * step.rise_time_s:.1f} ms, {step.overshoot_percent:.0f} %')
+    >>> print(step)
+    rise time 10-90 %   6.48 ms
+    overshoot           0 %
+    settling time 2 %   21 ms
+    settling time 5 %   13.3 ms
+    steady-state error  -1.03 N
     >>> step.steps[0]['final_n']
     100.0
     """

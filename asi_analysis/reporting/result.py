@@ -169,5 +169,5 @@ def table_of(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str], titl
 
 
 def number(value: float | None, unit: str = '', digits: int = 4) -> str:
-    """Return a number with its unit for a table cell; '-' if there is none."""
-    return '-' if value is None else f'{value:.{digits}g} {unit}'.rstrip()
+    """Return a number with its unit for a table cell, 0 below 1e-9; '-' if there is none."""
+    return '-' if value is None else f'{round(value, 9):.{digits}g} {unit}'.rstrip()

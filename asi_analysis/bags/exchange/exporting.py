@@ -20,6 +20,13 @@ def export(run: Run, path: str | Path) -> None:
 
     Every number is written in full: importing the file gives the same run. Raises InputError for
     another kind of file, or one that exists or cannot be written.
+
+    >>> import tempfile
+    >>> import asi_analysis as asi
+    >>> folder = tempfile.mkdtemp()
+    >>> asi.export(asi.simulate({}, {'reference.amplitude': 100.0}, 0.2), f'{folder}/run.csv')
+    >>> print(open(f'{folder}/run.csv').readline().strip())
+    time_s,reference_n,command_n,force_n,valve_position_m,position_m,velocity_m_s
     """
     path = Path(path)
     writers = {'.csv': _write_csv, '.parquet': _write_parquet}

@@ -28,7 +28,7 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
                      skip_lines: int = 0, delimiter: str | None = None,
                      columns: Sequence[str] | None = None, zero_s: float = 0.0,
                      out: str | Path | None = None) -> Run:
-    """
+    r"""
     Return someone else's recording as a run; written as the bag `out` too, if that is given.
 
     path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet or a bag; mapping: texts
@@ -37,6 +37,14 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     lines before the header;
     columns: names for a file without a header; zero_s: take off each signal its mean over so many
     seconds from the start. Raises InputError.
+
+    >>> import pathlib, tempfile
+    >>> import asi_analysis as asi
+    >>> file = pathlib.Path(tempfile.mkdtemp(), 'log.csv')
+    >>> _ = file.write_text('t,load\n0,0.0\n1,0.5\n2,1.0\n')
+    >>> run = asi.import_recording(file, ['time=t[ms]', 'force=load[kN]'])
+    >>> run.force_n.tolist()
+    [0.0, 500.0, 1000.0]
     """
     path = Path(path)
     if not zero_s >= 0.0:

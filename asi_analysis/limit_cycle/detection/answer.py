@@ -77,7 +77,8 @@ def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None) ->
     >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)
     >>> cycles = asi.detect_limit_cycles(run)
     >>> last = cycles.segments[-1]
-    >>> print(last['verdict'], f'{last["frequency_hz"]:.0f} Hz')
+    >>> print(last['verdict'], f'{last["frequency_hz"]:.1f} Hz')
+    limit_cycle 87.5 Hz
     """
     runs = [runs] if isinstance(runs, Run) else list(runs)
     segments = judge([segment for run in runs for segment in judge_run(run, signal)])
