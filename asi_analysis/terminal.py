@@ -24,7 +24,7 @@ def bar() -> Iterator[Progress]:
     console = Console(stderr=True)
     with Bars(SpinnerColumn(), TextColumn('{task.description}'), BarColumn(),
               TimeElapsedColumn(), console=console, transient=True,
-              disable=not console.is_terminal) as bars:
+              disable=not sys.stderr.isatty()) as bars:
         task = bars.add_task('', total=None)
 
         def progress(text: str, share: float | None) -> None:

@@ -8,12 +8,15 @@ The build of the documents (`conf.py`) calls the rest.
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Final
 
 import grimp
 
 ROOT: Final = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))   # the packages that stand here, not installed ones
 # Packages whose sub-packages are rooms of their own; the others are one room each.
 OPENED: Final = ('asi_common', 'asi_actuator', 'asi_controller', 'asi_analysis')
 PACKAGES: Final = (*OPENED, 'asi_examiner')
@@ -60,7 +63,8 @@ def direct_imports() -> dict[str, set[str]]:
             return room
         below = {path.parent.name for path in (ROOT / room).glob('*/__init__.py')}
         uses = graph.find_upstream_modules(module)
-        above = any(each.startswith(tuple(f'{room}.{name}.' for name in below)) for each in uses)
+        above = any(f'{each}.'.startswith(tuple(f'{room}.{name}.' for name in below))
+                    for each in uses)
         return f'{room} above' if above else room
 
     boxes: dict[str, set[str]] = {}
@@ -111,6 +115,32 @@ def with_parts(page: Path) -> str:
         part = rooms_table() if name == 'rooms' else import_diagram()
         text = f'{before}{mark}\n{part}\n\n<!-- end -->{rest.split("<!-- end -->", 1)[1]}'
     return text
+
+
+def commands_page() -> str:
+    """Return the help of every command, as Markdown."""
+    written = subprocess.run(
+        [sys.executable, '-m', 'typer', 'asi_analysis.cli', 'utils', 'docs', '--name', 'asi',
+         '--title', 'Commands'], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return written.replace('```console', '```sh')
+
+
+def blocks_page() -> str:
+    """Return the files of the model, each with its docstring and functions, for autodoc."""
+    blocks = sorted(path.stem for path in (ROOT / 'asi_actuator/model').glob('*.py')
+                    if path.stem not in ('__init__', 'actuator'))
+    return '\n'.join(
+        f'## {block.replace("_", " ").capitalize()}\n\n```{{eval-rst}}\n'
+        f'.. automodule:: asi_actuator.model.{block}\n   :members:\n```\n'
+        for block in ['actuator', *blocks])
+
+
+def write_reference() -> None:
+    """Write the pages that are made anew for each build of the documents."""
+    folder = ROOT / 'doc/reference/generated'
+    folder.mkdir(exist_ok=True)
+    (folder / 'commands.md').write_text(commands_page())
+    (folder / 'model_blocks.md').write_text(blocks_page())
 
 
 if __name__ == '__main__':

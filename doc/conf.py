@@ -1,0 +1,70 @@
+"""
+Sphinx builds the documents with this: `make docs`.
+
+Pages that follow from the code are written into doc/reference/generated first; tutorials run as
+they are built, so what they show is what the code does.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+# The tutorials call `asi`, and import what stands here.
+os.environ['PATH'] = f'{Path(sys.executable).parent}{os.pathsep}{os.environ["PATH"]}'
+os.environ['PYTHONPATH'] = os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')])
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+# Functions are documented as they are written, not as what the compiler makes of them.
+os.environ['NUMBA_DISABLE_JIT'] = '1'
+import asi_actuator.model.actuator  # noqa: E402, F401
+
+del os.environ['NUMBA_DISABLE_JIT']
+
+from doc import generate  # noqa: E402 (after the path is set)
+
+generate.write_reference()
+
+project = 'asi_actuator'
+copyright = 'the asi_actuator maintainers'  # noqa: A001 (Sphinx names it so)
+extensions = ['myst_nb', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon', 'sphinx.ext.mathjax',
+              'sphinx.ext.viewcode', 'sphinxcontrib.mermaid']
+# Tables that commands write, each part of a page.
+exclude_patterns = ['explanation/reproduction/*', 'reference/generated/model_blocks.md']
+html_theme = 'furo'
+html_title = 'asi_actuator'
+html_theme_options = {'source_directory': 'doc/'}
+templates_path: list[str] = []
+
+myst_enable_extensions = ['dollarmath', 'colon_fence', 'deflist']
+myst_heading_anchors = 3
+myst_fence_as_directive = ['mermaid']
+
+nb_execution_mode = 'force'
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_merge_streams = True
+
+default_role = 'code'
+autodoc_typehints_format = 'short'
+autodoc_member_order = 'bysource'
+maximum_signature_line_length = 90
+# Types of other projects: their pages are not looked up, so that the build needs no network.
+nitpick_ignore_regex = [('py:.*', r'.*')]
+
+
+def setup(app: Sphinx) -> None:
+    """Register how signatures are shortened, and which members need no entry of their own."""
+    app.connect('autodoc-process-signature', lambda app, what, name, obj, options, signature, back:
+                (_short(signature), _short(back)))
+    # The fields of a NamedTuple stand in its signature.
+    app.connect('autodoc-skip-member', lambda app, what, name, member, skip, options:
+                skip or type(member).__name__ == '_tuplegetter')
+
+
+def _short(text: str | None) -> str | None:
+    return text and text.replace('ndarray[tuple[Any, ...], dtype[float64]]', 'NDArray')
