@@ -32,6 +32,13 @@ def main() -> int:
         return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
     except InputError as error:
         return _fail(str(error), 2)
+    except ValueError as error:
+        from asi_common.parameter import ParameterError
+        if not isinstance(error, ParameterError):
+            raise
+        return _fail(str(error), 2)
+    except MemoryError:
+        return _fail('there is not enough memory for this', 2)
     except OSError as error:
         return _fail(f'{error.filename}: {error.strerror}' if error.filename else str(error), 2)
     except RuntimeError as error:

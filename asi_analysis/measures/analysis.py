@@ -1,7 +1,7 @@
 """`asi analyze`: step response, bandwidth and oscillation of a run."""
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,8 +14,12 @@ from asi_analysis.measures.frequency_response import (
     frequency_response,
     loop_bandwidth,
 )
+from asi_analysis.measures.quality import Finding, findings, trust
 from asi_analysis.measures.step_response import HEADLINE, StepResponse, step_response
 from asi_analysis.reporting.result import Pictures, Result, Table, number
+
+# Share of the samples that a spectrum, or the fit of a sine, may miss.
+LOST_SHARE: Final = 0.01
 
 
 class Analysis(Result):
@@ -75,6 +79,9 @@ def analyze(run: Run) -> Analysis:
     notes += step.notes
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
+    figures = _bandwidth(run, width) | {'oscillation': swing.to_dict()}
+    reliable = dict(step.reliable)
+    notes += _withhold(run, step, findings(run), figures, reliable)
     return Analysis({
         'source': run.source,
         'samples': len(run),
@@ -82,11 +89,12 @@ def analyze(run: Run) -> Analysis:
         'rate_hz': run.rate_hz,
         'unit': step.unit,
         **{key: step[key] for key in HEADLINE},
-        **_bandwidth(run, width),
-        'oscillation': swing.to_dict(),
+        **figures,
         'steps': step.steps,
         'states': [change._asdict() for change in run.states],
         'notes': notes,
+        'quality': step.quality,
+        'reliable': reliable,
     }, run=run, step=step)
 
 
@@ -139,6 +147,43 @@ def _bandwidth(run: Run, width: Bandwidth) -> dict[str, Any]:
     return {'bandwidth_hz': width.bandwidth_hz, 'bandwidth_method': width.method,
             'actuator_bandwidth_hz': own, 'delay_s': width.delay_s,
             'correlation_delay_s': width.correlation_delay_s}
+
+
+def _withhold(run: Run, step: StepResponse, found: Sequence[Finding], figures: dict[str, Any],
+              reliable: dict[str, bool]) -> list[str]:
+    """Take out the figures of the whole run that rest on doubtful samples; return the notes."""
+    start, end = float(run.time_s[0]), float(run.time_s[-1])
+    output = run.controlled() if run.reference_n is not None else 'force'
+    notes: list[str] = []
+    by_step = figures['bandwidth_method'] == 'step'
+    for name, words, signals in (
+            ('bandwidth_hz', 'bandwidth', ('reference', output)),
+            ('actuator_bandwidth_hz', 'bandwidth of the actuator', ('command', 'force')),
+            ('delay_s', 'delay', ('reference', output)),
+            ('correlation_delay_s', 'delay by correlation', ('reference', output))):
+        trusted = trust(found, run, signals, start, end, LOST_SHARE)
+        if by_step and name == 'bandwidth_hz':
+            # It is that of the step response.
+            reliable[name] = step.reliable.get('settling_time_2_s', True)
+            if not reliable[name]:
+                figures[name] = None
+                notes.append('bandwidth: withheld, as the step response is')
+            continue
+        reliable[name] = trusted.reliable
+        if figures[name] is None:
+            continue
+        if figures[name] < -run.period_s and 'delay' in name:
+            reliable[name] = False
+            notes.append(f'{words}: doubtful, the output comes before the reference')
+        notes += trusted.note(words)
+        if trusted.withheld:
+            figures[name] = None
+    trusted = trust(found, run, ('force', 'reference'), 0.5 * (start + end), end, LOST_SHARE)
+    reliable['oscillation'] = trusted.reliable
+    notes += trusted.note('oscillation')
+    if trusted.withheld:
+        figures['oscillation'] = dict.fromkeys(figures['oscillation'])
+    return notes
 
 
 def in_words(swing: Mapping[str, Any], unit: str = 'N') -> str:

@@ -1,8 +1,8 @@
 """
 How far the samples of a run can be trusted: gaps, missing samples, clipping, spikes and the like.
 
-`findings` lists what is wrong with a run; `doubts` says why a figure that rests on a stretch of it
-is not to be trusted.
+`findings` lists what is wrong with a run; `trust` says whether a figure that is computed from a
+stretch of it is reliable, doubtful or withheld.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,10 +35,13 @@ SPIKE_SHARE: Final = 0.2
 # Fewer levels than this are told; fewer than that leave no figure of 2 % of a step.
 TOLD_LEVELS: Final = 100
 FEWEST_LEVELS: Final = 25
-# A controlled signal and its reference differ by less than this factor, unless a unit is wrong.
+# A controlled signal moves less than this many times as far as its reference, and more than the
+# inverse, unless a unit is wrong; told if both move alike.
 UNIT_FACTOR: Final = 100.0
+ALIKE: Final = 0.7
 # Share of its change that an output may make before its reference changes.
 BEFORE: Final = 0.3
+LOSSES: Final = frozenset(('gap', 'missing'))
 # Intervals that are listed of one finding.
 LISTED: Final = 20
 
@@ -54,8 +57,10 @@ class Finding(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the finding for JSON: the first intervals, and how many there are."""
-        return self._asdict() | {'count': len(self.intervals_s),
-                                 'intervals_s': list(map(list, self.intervals_s[:LISTED]))}
+        return {'kind': self.kind, 'signal': self.signal, 'severity': self.severity,
+                'text': self.text, 'count': len(self.intervals_s),
+                'intervals': [{'start_s': start, 'end_s': end}
+                              for start, end in self.intervals_s[:LISTED]]}
 
 
 def findings(run: Run) -> list[Finding]:
@@ -67,17 +72,43 @@ def findings(run: Run) -> list[Finding]:
     return sorted(found, key=lambda each: each.severity != DOUBTFUL)
 
 
-def doubts(found: Sequence[Finding], signals: Sequence[str], start_s: float, end_s: float
-           ) -> list[Finding]:
-    """Return the findings that make figures of these signals from start to end doubtful."""
-    return [each for each in found
-            if each.severity == DOUBTFUL and each.signal in ('time', *signals)
-            and any(start <= end_s and end >= start_s for start, end in each.intervals_s)]
+def quality_of(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the findings of several runs for JSON, each with its source if there are several."""
+    return [finding.to_dict() | (
+                {'text': f'{run.source}: {finding.text}'} if len(runs) > 1 else {})
+            for run in runs if len(run) > 1 for finding in findings(run)]
 
 
-def as_text(found: Sequence[Finding]) -> list[str]:
-    """Return a line for each finding."""
-    return [f'data: {each.text}' for each in found]
+class Trust(NamedTuple):
+    """Whether a figure is reliable; if not, whether it is withheld, and the reason."""
+
+    reliable: bool
+    withheld: bool
+    reason: str
+
+    def note(self, figure: str) -> list[str]:
+        """Return what is to be said of a figure; nothing if it is reliable."""
+        return [] if self.reliable else [
+            f'{figure}: {"withheld" if self.withheld else "doubtful"}, because {self.reason}']
+
+
+def trust(found: Sequence[Finding], run: Run, signals: Sequence[str], start_s: float,
+          end_s: float, lost_share: float = 0.0) -> Trust:
+    """
+    Return how far a figure can be trusted that is computed from these signals, start to end (s).
+
+    It is doubtful where samples of that stretch are; it is withheld if more than a share of the
+    stretch is missing, or for any other finding.
+    """
+    those = [each for each in found
+             if each.severity == DOUBTFUL and each.signal in ('time', *signals)
+             and any(start <= end_s and end >= start_s for start, end in each.intervals_s)]
+    lost_s = sum(min(end, end_s) - max(start, start_s) + run.period_s
+                 for each in those if each.kind in LOSSES
+                 for start, end in each.intervals_s if start <= end_s and end >= start_s)
+    withheld = (any(each.kind not in LOSSES for each in those)
+                or lost_s > lost_share * (end_s - start_s))
+    return Trust(not those, bool(those) and withheld, '; '.join(each.text for each in those))
 
 
 def _of_time(run: Run) -> Iterator[Finding]:
@@ -164,12 +195,14 @@ def _of_reference(run: Run) -> Iterator[Finding]:
         return
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
     whole = ((float(time[0]), float(time[-1])),)
-    asked, got = (float(np.quantile(np.abs(each), 0.9)) for each in (reference, values))
+    asked, got = float(np.std(reference)), float(np.std(values))
     if asked > 0.0 and got > 0.0 and not 1.0 / UNIT_FACTOR < got / asked < UNIT_FACTOR:
-        yield Finding('unit', name, DOUBTFUL, whole,
-                      f'the {_words(name)} is {got / asked:.3g} times its reference: is its unit '
-                      'right?')
-        return
+        alike = np.mean((reference - reference.mean()) * (values - values.mean())) / (asked * got)
+        if abs(alike) > ALIKE:
+            yield Finding('unit', name, DOUBTFUL, whole,
+                          f'the {_words(name)} moves {got / asked:.3g} times as far as its '
+                          'reference: is its unit right?')
+            return
     early = _answered_before(time, reference, values)
     if early:
         yield Finding('order', name, DOUBTFUL, early,

@@ -15,6 +15,7 @@ from scipy import signal
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.measures.quality import Finding, findings, trust
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # Share of the plateau after a step, at its end, whose mean is the steady-state force.
@@ -236,6 +237,11 @@ HEADLINE: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'set
                    'steady_state_error_n', 'rise_shape', 'monotone_rise')
 
 
+TRANSIENT: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'settling_time_5_s')
+# Share of the samples of the steady part that may be missing.
+LOST_SHARE: Final = 0.1
+
+
 class StepResponse(Result):
     """
     Step responses of a run: `step_response`.
@@ -288,6 +294,32 @@ def _why_no_step(run: Run) -> str:
     return 'step: the reference has none'
 
 
+def _trusted(step: Step, run: Run, found: Sequence[Finding],
+             reliable: dict[float, dict[str, bool]]) -> Step:
+    """Return a step without the figures whose samples cannot be trusted; note which are."""
+    time, reference = run.time_s, held(run.signal('reference'))
+    first = int(np.searchsorted(time, step.time_s, side='right')) - 1
+    left = np.flatnonzero(np.abs(reference[first:] - step.final_n)
+                          > 0.02 * abs(step.final_n - step.initial_n))
+    end = float(time[first + left[0] - 1] if left.size else time[-1])
+    settled = step.settling_time_2_s or step.settling_time_5_s
+    signals = ('force', 'reference')
+    moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
+                   min(step.time_s + settled, end) if settled else end)
+    steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), end, LOST_SHARE)
+    # Rise, overshoot and settling are shares of the way to the steady force.
+    moving = moving if moving.withheld or not steady.withheld else steady
+    reliable[step.time_s] = dict.fromkeys(TRANSIENT, moving.reliable) | {
+        'steady_state_error_n': steady.reliable}
+    if moving.withheld:
+        step = step._replace(rise_time_s=None, overshoot_percent=None, settling_time_2_s=None,
+                             settling_time_5_s=None, rise_shape=None)
+    if steady.withheld:
+        step = step._replace(steady_state_error_n=None)
+    notes = moving.note('rise, overshoot and settling') + steady.note('steady-state error')
+    return step._replace(notes=(*step.notes, *notes))
+
+
 def step_response(run: Run) -> StepResponse:
     """
     Return rise, overshoot, settling and steady-state error after each step of the reference.
@@ -310,12 +342,16 @@ def step_response(run: Run) -> StepResponse:
     >>> step.steps[0]['final_n']
     100.0
     """
-    steps = step_responses(run)
+    found = findings(run)
+    reliable: dict[float, dict[str, bool]] = {}
+    steps = [_trusted(step, run, found, reliable) for step in step_responses(run)]
     largest = headline(steps)
     return StepResponse({
         'unit': run.unit('force'),
         **{key: getattr(largest, key) if largest else None for key in HEADLINE},
         'steps': [step._asdict() | {'monotone_rise': step.monotone_rise,
                                     'notes': list(step.notes)} for step in steps],
-        'notes': list(largest.notes) if largest else [_why_no_step(run)]},
+        'notes': list(largest.notes) if largest else [_why_no_step(run)],
+        'quality': [each.to_dict() for each in found],
+        'reliable': reliable.get(largest.time_s, {}) if largest else {}},
         run=run, measured=steps)

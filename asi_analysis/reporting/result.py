@@ -92,13 +92,18 @@ class Result(dict[str, Any]):
         from asi_analysis.reporting.report import write_pictures
         return write_pictures(out, self.title, str(self), self.pictures())
 
+    def everything(self) -> Iterator[str | Table]:
+        """Yield the parts, and what is wrong with the samples that they rest on."""
+        yield from self.parts()
+        yield from (f'data: {finding["text"]}' for finding in self.get('quality', ()))
+
     def __str__(self) -> str:
-        return as_text(self.parts())
+        return as_text(self.everything())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return as_html(self.parts())
+        return as_html(self.everything())
 
 
 def frame(data: Any) -> 'pandas.DataFrame':

@@ -15,6 +15,7 @@ from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.diagnose import document, plain
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
+from asi_analysis.measures.quality import quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import ParameterError, Value, completed
 
@@ -92,5 +93,6 @@ def diagnose(runs: Sequence[Run], model: Path | Mapping[str, Value] | None = Non
         if isinstance(model, Path) and following and following['command']:
             for key in ('command', 'advice'):
                 following[key] += f' --actuator {model}'
-    return Gap(answer | {'report': None}, runs=everything, diagnosis=diagnosis,
+    return Gap(answer | {'report': None, 'quality': quality_of(everything)},
+               runs=everything, diagnosis=diagnosis,
                model=values if plant == 'actuator' else None)

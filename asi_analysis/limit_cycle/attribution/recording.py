@@ -13,6 +13,7 @@ from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run, response_of
+from asi_analysis.measures.quality import quality_of
 from asi_analysis.terminal import Progress, silent
 
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
@@ -116,7 +117,8 @@ def attribute_cycle(run: Run, signal: str | None = None, report: Progress = sile
                          f'{segment.why}')
     document: dict[str, Any] = {
         'source': run.source, 'start_s': segment.start_s, 'end_s': segment.end_s,
-        'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None}
+        'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None,
+        'quality': quality_of([run])}
     if np.isfinite(segment.frequency_hz):
         document |= {'frequency_hz': segment.frequency_hz, 'amplitude_n': segment.amplitude}
     configuration = run.information

@@ -7,6 +7,7 @@ from typing import Any
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.isolation import judge
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run
+from asi_analysis.measures.quality import quality_of
 from asi_analysis.reporting.result import Pictures, Result, Table, table_of
 
 
@@ -82,5 +83,5 @@ def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None) ->
     """
     runs = [runs] if isinstance(runs, Run) else list(runs)
     segments = judge([segment for run in runs for segment in judge_run(run, signal)])
-    return LimitCycles({'segments': [segment_as_dict(segment) for segment in segments]},
-                       runs=runs)
+    return LimitCycles({'segments': [segment_as_dict(segment) for segment in segments],
+                        'quality': quality_of(runs)}, runs=runs)

@@ -1,0 +1,109 @@
+"""What is wrong with a recording is said, and no figure that rests on it stands alone."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.measures.analysis import analyze
+from asi_analysis.measures.quality import findings
+
+STEP = 500      # sample of the jump of the reference
+
+
+def a_run() -> Run:
+    """Return a second-order response to a step of 100 N, at 1 kHz, with noise."""
+    time_s = np.arange(2000) / 1000.0
+    t = np.maximum(time_s - time_s[STEP], 0.0)
+    damped = np.exp(-60.0 * t)
+    force = 100.0 * (1.0 - damped * (np.cos(150.0 * t) + 0.4 * np.sin(150.0 * t)))
+    noise = 0.05 * np.random.default_rng(1).normal(size=time_s.size)
+    return Run(time_s, np.where(time_s < time_s[STEP], 0.0, 100.0), None, force + noise)
+
+
+def without(run: Run, places: object) -> Run:
+    kept = np.ones(len(run), bool)
+    kept[places] = False    # type: ignore[index]
+    assert run.reference_n is not None
+    assert run.force_n is not None
+    return Run(run.time_s[kept], run.reference_n[kept], None, run.force_n[kept])
+
+
+def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
+    return replace(run, force_n=change(run.signal('force').copy()))
+
+
+def put(values: np.ndarray, places: slice | int, value: float) -> np.ndarray:
+    values[places] = value
+    return values
+
+
+DAMAGED: dict[str, Callable[[Run], Run]] = {
+    'gap': lambda run: without(run, slice(STEP - 4, STEP + 64)),
+    'missing': lambda run: with_force(run, lambda f: put(f, slice(STEP, STEP + 20), np.nan)),
+    'clipping': lambda run: with_force(run, lambda f: np.minimum(f, 105.0)),
+    'spike': lambda run: with_force(run, lambda f: put(f, STEP + 300, 6.6e5)),
+    'order': lambda run: with_force(run, lambda f: np.append(f[100:], f[-100:])),
+    'unit': lambda run: with_force(run, lambda f: 1000.0 * f),
+    'quantisation': lambda run: with_force(run, lambda f: 10.0 * np.round(f / 10.0)),
+    'time_order': lambda run: replace(run, time_s=np.where(
+        np.arange(len(run)) == STEP, run.time_s[STEP - 1], run.time_s)),
+    'clock_step': lambda run: replace(run, time_s=run.time_s + 3600.0 * (
+        np.arange(len(run)) > STEP)),
+}
+
+
+def test_a_clean_recording_has_nothing_wrong() -> None:
+    document = analyze(a_run())
+    assert document['quality'] == []
+    assert all(document['reliable'].values())
+    assert document['rise_time_s'] == pytest.approx(0.0097, rel=0.1)
+    assert document['overshoot_percent'] > 20.0
+    assert document['bandwidth_hz'] is not None
+
+
+@pytest.mark.parametrize('kind', DAMAGED)
+def test_each_kind_of_damage_is_found_and_its_figures_withheld(kind: str) -> None:
+    document = analyze(DAMAGED[kind](a_run()))
+    assert kind in {each['kind'] for each in document['quality']}
+    for figure in ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'bandwidth_hz'):
+        assert document[figure] is None
+        assert not document['reliable'].get(figure, False)
+    assert any('withheld, because' in note or 'step:' in note for note in document['notes'])
+    assert 'data: ' in str(document)
+
+
+def test_every_second_cell_empty() -> None:
+    run = with_force(a_run(), lambda f: put(f, slice(None, None, 2), np.nan))
+    document = analyze(run)
+    assert document['rise_time_s'] is None
+    assert document['bandwidth_hz'] is None
+    assert document['oscillation']['frequency_hz'] is None
+
+
+def test_many_gaps_are_counted() -> None:
+    lost = np.random.default_rng(2).choice(2000, 300, replace=False)
+    found = next(each for each in findings(without(a_run(), lost)) if each.kind == 'gap')
+    assert len(found.intervals_s) > 200
+    assert 'samples are missing in' in found.text
+
+
+def test_a_gap_far_from_the_step_leaves_its_figures() -> None:
+    clean, document = analyze(a_run()), analyze(without(a_run(), slice(1200, 1203)))
+    assert [each['kind'] for each in document['quality']] == ['gap']
+    for figure in ('rise_time_s', 'overshoot_percent', 'settling_time_2_s'):
+        assert document[figure] == pytest.approx(clean[figure], rel=1e-3)
+        assert document['reliable'][figure]
+
+
+@pytest.mark.parametrize('change', [
+    lambda f: f + 0.5 * np.random.default_rng(3).normal(size=f.size),       # noisy
+    lambda f: 100.0 * np.sin(0.4 * np.arange(f.size)),                      # a limit cycle
+    lambda f: np.round(f, 1),                                               # 1000 levels
+    lambda f: np.repeat(f[::4], 4),                                         # held
+    lambda f: np.zeros_like(f)])                                            # nothing at all
+def test_what_is_only_unusual_is_not_accused(change: Callable[[np.ndarray], np.ndarray]) -> None:
+    assert [each for each in findings(with_force(a_run(), change))
+            if each.severity == 'doubtful'] == []
