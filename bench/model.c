@@ -9,6 +9,8 @@
 
 enum { OFF, LINEAR, FULL };
 enum { LOCKED, SPRING, FREE, PRESCRIBED };
+enum { NEAREST, EDGE, ZERO };
+enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 
 #define ELASTIC_SHARE 0.7
 #define FAR 7.0
@@ -17,8 +19,11 @@ enum { LOCKED, SPRING, FREE, PRESCRIBED };
 
 struct second_order { double keep, pull, half_step; };
 struct delay { long whole; double part; };
+struct first_order { double keep, old, new; };
 struct constants {
-    double half_decay, coil_decay, keep, old, new;
+    double half_decay, coil_decay, supply_keep, delay_substeps;
+    long delay_periods;
+    struct first_order fluid, valve_lag, sensor_lag;
     struct second_order pipe, sensor, card;
     struct delay valve_delay, sensor_delay;
     double h;
@@ -35,6 +40,17 @@ static inline double fast_tanh(double x)
     return 1.0 - 2.0 / (exp(2.0 * x) + 1.0);
 }
 
+static inline struct first_order first_order(double frequency, double h)
+{
+    double x = 2.0 * M_PI * frequency * h, mean = -expm1(-x) / x, keep = exp(-x);
+    return (struct first_order){keep, mean - keep, 1.0 - mean};
+}
+
+static struct first_order lag_of(double time, double h)
+{
+    return time == 0.0 ? (struct first_order){0.0, 0.0, 1.0} : first_order(0.5 / (M_PI * time), h);
+}
+
 static struct second_order second_order(double frequency, double damping_ratio, double h)
 {
     double w = 2.0 * M_PI * frequency, half = 0.5 * h;
@@ -49,9 +65,39 @@ static struct delay delay_steps(double delay, double h)
     return (struct delay){(long)steps, steps - (long)steps};
 }
 
-static struct constants constants(const struct parameters *p, double h)
+static inline double fluid_gain(const struct parameters *p)
+{
+    return p->fluid_dynamics_model == LINEAR ? p->fluid_dynamics_linear_gain : 1.0;
+}
+
+static inline int leaks(const struct parameters *p)
+{
+    return p->fluid_dynamics_leakage > 0.0 || p->fluid_dynamics_leakage_growth > 0.0
+        || p->fluid_dynamics_air_time > 0.0;
+}
+
+static inline struct first_order leaking(double force, const struct parameters *p, double h)
+{
+    double size = fabs(force);
+    double leak = 1.0 + p->fluid_dynamics_leakage + p->fluid_dynamics_leakage_growth * size;
+    double time = p->fluid_dynamics_air_time / (1.0 + size / p->fluid_dynamics_air_force);
+    double gain = fluid_gain(p) / leak;
+    if (p->fluid_dynamics_model == FULL)
+        time += 0.5 / (M_PI * p->fluid_dynamics_frequency);
+    if (time == 0.0)
+        return (struct first_order){0.0, 0.0, gain};
+    struct first_order lag = first_order(0.5 * leak / (M_PI * time), h);
+    return (struct first_order){lag.keep, gain * lag.old, gain * lag.new};
+}
+
+static struct constants constants(const struct parameters *p, double period, double h)
 {
     struct constants c = {.h = h};
+    c.supply_keep = exp(-h / p->valve_characteristic_supply_time);
+    c.delay_periods = (long)fmin(p->command_path_delay / period, RING - 2);
+    c.delay_substeps = fmin((p->command_path_delay - c.delay_periods * period) / h, period / h);
+    c.valve_lag = lag_of(p->valve_flexure_lag_time, h);
+    c.sensor_lag = lag_of(p->force_sensor_lag_time, h);
     c.half_decay = exp(-M_PI * p->valve_hysteresis_rate_filter * h);
     c.coil_decay = exp(-2.0 * M_PI * p->valve_flexure_coil_frequency * h);
     c.pipe = second_order(p->valve_flexure_natural_frequency, p->valve_flexure_damping_ratio, h);
@@ -59,14 +105,8 @@ static struct constants constants(const struct parameters *p, double h)
     c.card = second_order(p->force_sensor_card_frequency, sqrt(0.5), h);
     c.valve_delay = delay_steps(p->valve_flexure_delay, h);
     c.sensor_delay = delay_steps(p->force_sensor_delay, h);
-    if (p->fluid_dynamics_model == FULL) {
-        double x = 2.0 * M_PI * p->fluid_dynamics_frequency * h, mean = -expm1(-x) / x;
-        c.keep = exp(-x);
-        c.old = mean - c.keep;
-        c.new = 1.0 - mean;
-    } else {
-        c.new = p->fluid_dynamics_model == LINEAR ? p->fluid_dynamics_linear_gain : 1.0;
-    }
+    c.fluid = p->fluid_dynamics_model == FULL ? first_order(p->fluid_dynamics_frequency, h)
+                                              : (struct first_order){0.0, 0.0, fluid_gain(p)};
     return c;
 }
 
@@ -110,17 +150,42 @@ static inline double valve_position(double deflection, const struct parameters *
         * p->valve_characteristic_full_opening;
 }
 
+static inline double uncovered(double position, const struct parameters *p)
+{
+    double off = position + p->valve_characteristic_bias, band = p->valve_characteristic_deadband;
+    return band == 0.0 ? off : off - clamp(off, -band, band);
+}
+
+static inline double valve_opening(double position, const struct parameters *p)
+{
+    return clamp(uncovered(position, p) / p->valve_characteristic_full_opening, -1.0, 1.0);
+}
+
 static inline double static_force(double position, const struct parameters *p)
 {
-    double relative = position / p->valve_characteristic_full_opening;
+    double relative = uncovered(position, p) / p->valve_characteristic_full_opening;
     if (p->valve_characteristic_model == FULL)
         relative = clamp(relative, -1.0, 1.0);
     else if (p->valve_characteristic_model == LINEAR)
         relative *= p->valve_characteristic_linear_gain;
-    return relative * p->valve_characteristic_maximum_force;
+    double force = relative * p->valve_characteristic_maximum_force;
+    double limit = p->valve_characteristic_flow_limit;
+    if (limit > 0.0)
+        force = clamp(force, -limit, limit);
+    return force * (1.0 - p->valve_characteristic_supply_drop);
 }
 
-struct curve { double magnitude, extending, retracting, width, at_rest; };
+static inline double deflected(double deflection, const struct parameters *p)
+{
+    double off = deflection + p->valve_flexure_bias;
+    if (p->valve_flexure_travel_limit == 0.0)
+        return off;
+    double stop = p->valve_flexure_travel_limit / p->valve_characteristic_full_opening
+        * p->valve_characteristic_maximum_force / p->valve_characteristic_gain;
+    return clamp(off, -stop, stop);
+}
+
+struct curve { double magnitude, extending, retracting, width, at_rest, size; };
 
 static inline struct curve damping_curve(double opening, const struct parameters *p)
 {
@@ -128,15 +193,15 @@ static inline struct curve damping_curve(double opening, const struct parameters
     double centre = p->hydraulic_damping_saturation_velocity
         - p->hydraulic_damping_saturation_narrowing * size;
     double shift = p->hydraulic_damping_saturation_shift * opening;
-    struct curve c = {.extending = centre + shift, .retracting = centre - shift};
+    struct curve c = {.extending = centre + shift, .retracting = centre - shift, .size = size};
     c.width = p->hydraulic_damping_velocity_width * (1.0 + p->hydraulic_damping_width_growth * size);
     c.magnitude = 0.5 * p->hydraulic_damping_maximum_force * (share + (1.0 - share) * size);
     c.at_rest = fast_tanh(c.retracting / c.width) - fast_tanh(c.extending / c.width);
     return c;
 }
 
-static inline double damping_force(double velocity, struct curve c, const struct parameters *p,
-                                   double *slope)
+static inline double tangents_force(double velocity, struct curve c, const struct parameters *p,
+                                    double *slope)
 {
     double bound = p->hydraulic_damping_maximum_force;
     if (p->hydraulic_damping_model == LINEAR) {
@@ -155,17 +220,36 @@ static inline double damping_force(double velocity, struct curve c, const struct
     return bound * bounded;
 }
 
-static inline double sliding_friction(double velocity, const struct parameters *p)
+static inline double damping_force(double velocity, struct curve c, const struct parameters *p,
+                                   double *slope)
 {
-    double relative = velocity / p->friction_stribeck_velocity;
-    if (fabs(relative) > FAR)
-        return p->friction_coulomb;
-    double stiction = velocity >= 0.0 ? p->friction_stiction_push : p->friction_stiction_pull;
-    return p->friction_coulomb + (stiction - p->friction_coulomb) * exp(-relative * relative);
+    double force = tangents_force(velocity, c, p, slope);
+    double quadratic = p->hydraulic_damping_quadratic;
+    double viscous = p->hydraulic_damping_opening_viscous;
+    if (quadratic > 0.0 || viscous > 0.0) {
+        double grown = viscous * c.size + quadratic * fabs(velocity);
+        force += grown * velocity;
+        *slope += grown + quadratic * fabs(velocity);
+    }
+    return force;
 }
 
-static inline double sliding_share(double deflection, double velocity, double limit)
+static inline double sliding_friction(double velocity, const struct parameters *p)
 {
+    double coulomb = p->friction_coulomb;
+    if (p->friction_asymmetry != 0.0)
+        coulomb *= 1.0 + (velocity >= 0.0 ? p->friction_asymmetry : -p->friction_asymmetry);
+    double relative = velocity / p->friction_stribeck_velocity;
+    if (fabs(relative) > FAR)
+        return coulomb;
+    double stiction = velocity >= 0.0 ? p->friction_stiction_push : p->friction_stiction_pull;
+    return coulomb + (stiction - coulomb) * exp(-relative * relative);
+}
+
+static inline double sliding_share(double deflection, double velocity, double limit, int dahl)
+{
+    if (dahl)
+        return 1.0;
     double elastic = ELASTIC_SHARE * limit, size = fabs(deflection);
     if (deflection * velocity <= 0.0 || size <= elastic)
         return 0.0;
@@ -182,9 +266,9 @@ static inline void deflect(double before, double velocity, const struct paramete
     if (limit <= 0.0)
         return;
     double speed = fabs(velocity);
-    double loss = sliding_share(before, velocity, limit) / limit;
+    double loss = sliding_share(before, velocity, limit, p->friction_presliding) / limit;
     double middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed);
-    loss = sliding_share(middle, velocity, limit) / limit;
+    loss = sliding_share(middle, velocity, limit, p->friction_presliding) / limit;
     double x = h * loss * speed, fall = 1.0 + x + 0.5 * x * x;
     double after = (before + h * velocity * (1.0 + 0.5 * x)) / fall;
     double bound = fmax(limit, fabs(before));
@@ -200,19 +284,22 @@ static inline struct rub friction(double before, double mean_velocity, double ve
                                   const struct parameters *p, double h)
 {
     struct rub r = {0};
-    if (p->friction_model == LINEAR) {
-        r.force_slope = p->friction_linear_gain;
-        r.force = r.force_slope * velocity;
-    }
+    double viscous = p->friction_viscous;
+    if (p->friction_model == LINEAR)
+        viscous += p->friction_linear_gain;
+    r.force_slope = viscous;
+    r.force = viscous * velocity;
     if (p->friction_model != FULL)
         return r;
     double stiffness = p->friction_presliding_stiffness, damping = p->friction_presliding_damping;
     deflect(before, mean_velocity, p, h, &r);
     double limit = sliding_friction(velocity, p) / stiffness, elastic = 0.0;
     if (limit > 0.0)
-        elastic = fmax(0.0, 1.0 - sliding_share(r.seal, velocity, limit) * fabs(r.seal) / limit);
-    r.force = stiffness * r.seal + damping * elastic * velocity;
-    r.force_slope = stiffness * r.seal_slope + damping * elastic;
+        elastic = fmax(0.0, 1.0 - sliding_share(r.seal, velocity, limit, p->friction_presliding)
+                                * fabs(r.seal) / limit);
+    damping = damping * elastic + viscous;
+    r.force = stiffness * r.seal + damping * velocity;
+    r.force_slope = stiffness * r.seal_slope + damping;
     return r;
 }
 
@@ -223,33 +310,121 @@ static double prescribed_velocity(double time, const struct parameters *p)
     return p->load_velocity * sin(2.0 * M_PI * p->load_frequency * time);
 }
 
-static inline void load(struct state *s, double static_before, double static_after,
+static inline double external_force(double time, const struct parameters *p)
+{
+    if ((p->load_external_force_end != 0.0 && time >= p->load_external_force_end - 1e-9)
+        || time < p->load_external_force_start - 1e-9)
+        return 0.0;
+    if (p->load_external_force_frequency == 0.0)
+        return p->load_external_force;
+    return p->load_external_force
+        * sin(2.0 * M_PI * (p->load_external_force_frequency * time
+                            + p->load_external_force_phase));
+}
+
+struct hold { double stiffness, damper, origin; };
+struct touch { double force, damping, push, inertia; };
+
+static inline struct hold load_spring(const struct parameters *p)
+{
+    if (p->load_type == LOCKED)
+        return (struct hold){p->load_locked_stiffness, p->load_locked_damping, 0.0};
+    if (p->load_type == SPRING)
+        return (struct hold){p->load_stiffness, p->load_damping, 0.0};
+    return (struct hold){0.0, 0.0, 0.0};
+}
+
+static inline struct hold behind_gap(double position, struct hold spring,
+                                     const struct parameters *p)
+{
+    if (p->backlash_gap == 0.0 || p->backlash_location == MASS)
+        return spring;
+    double half = 0.5 * p->backlash_gap, off = position - p->backlash_centre;
+    double reach = clamp(off, -half, half);
+    if (off == reach)
+        return (struct hold){0.0, p->backlash_location == SPRING_AND_DAMPER ? 0.0 : spring.damper,
+                             0.0};
+    spring.origin = p->backlash_centre + reach;
+    return spring;
+}
+
+static inline int two_masses(const struct parameters *p)
+{
+    return p->coupling_stiffness > 0.0 || (p->backlash_gap > 0.0 && p->backlash_location == MASS);
+}
+
+static inline double half_gap(const struct parameters *p)
+{
+    return p->backlash_location == MASS ? 0.5 * p->backlash_gap : 0.0;
+}
+
+static inline double contact_stiffness(const struct parameters *p)
+{
+    return p->coupling_stiffness > 0.0 ? p->coupling_stiffness : p->backlash_contact_stiffness;
+}
+
+static inline struct touch contact(const struct state *s, double velocity, double pushed,
+                                   struct hold far, const struct parameters *p, double h)
+{
+    double half = 0.5 * h, inertia = 2.0 * (1.0 - p->coupling_piston_share) * p->load_mass / h;
+    double push = inertia * s->load_velocity + pushed - far.stiffness * s->load_position;
+    inertia += far.damper + half * far.stiffness;
+    double gap = half_gap(p), ahead = s->position - p->backlash_centre - s->load_position;
+    double apart = ahead + half * (velocity - push / inertia);
+    if (gap > 0.0 && fabs(apart) <= gap)
+        return (struct touch){0.0, 0.0, push, inertia};
+    double reach = clamp(apart, -gap, gap), firm = contact_stiffness(p);
+    double link = p->coupling_damping + half * firm, share = inertia / (inertia + link);
+    double force = share * firm * (ahead - reach) - (1.0 - share) * push;
+    if (gap > 0.0 && (force + share * link * velocity) * reach < 0.0)
+        return (struct touch){0.0, 0.0, push, inertia};
+    return (struct touch){force, share * link, push, inertia};
+}
+
+static inline double contact_force(const struct state *s, const struct parameters *p)
+{
+    double gap = half_gap(p), apart = s->position - p->backlash_centre - s->load_position;
+    double reach = clamp(apart, -gap, gap);
+    if (gap > 0.0 && apart == reach)
+        return 0.0;
+    double force = contact_stiffness(p) * (apart - reach)
+        + p->coupling_damping * (s->velocity - s->load_velocity);
+    return gap > 0.0 && force * reach < 0.0 ? 0.0 : force;
+}
+
+static inline void load(struct state *s, double static_before, double opening,
                         const struct parameters *p, const struct constants *k)
 {
-    double opening = clamp(s->valve_position / p->valve_characteristic_full_opening, -1.0, 1.0);
     struct curve curve = damping_curve(opening, p);
-    double h = k->h, stiffness = 0.0, damper = 0.0, inertia = p->load_mass / h;
-    if (p->load_type == LOCKED) {
-        stiffness = p->load_locked_stiffness;
-        damper = p->load_locked_damping;
-    } else if (p->load_type == SPRING) {
-        stiffness = p->load_stiffness;
-        damper = p->load_damping;
-    }
-    double known = k->keep * s->hydraulic_force + k->new * static_after
-        + k->old * (static_before - s->damping_force);
-    double begin = p->load_external_force - stiffness * s->position
-        + 0.5 * (s->hydraulic_force - s->friction_force);
-    int moves = p->load_type != PRESCRIBED;
+    double h = k->h, mass = p->load_mass;
+    struct first_order fluid = leaks(p) ? leaking(s->hydraulic_force, p, h) : k->fluid;
+    int moves = p->load_type != PRESCRIBED, apart = moves && two_masses(p);
+    double pushed = external_force(
+        p->load_external_force_frequency > 0.0 ? s->time + 0.5 * h : s->time, p);
     double velocity = moves ? s->velocity + s->velocity_change
                             : prescribed_velocity(s->time + h, p);
+    struct hold held = load_spring(p);
+    struct touch touch = {0};
+    if (apart) {
+        touch = contact(s, velocity, pushed, held, p, h);
+        mass *= p->coupling_piston_share;
+        held = (struct hold){0.0, touch.damping, 0.0};
+        pushed = -touch.force;
+    } else if (moves) {
+        held = behind_gap(s->position, held, p);
+    }
+    double stiffness = held.stiffness, damper = held.damper, inertia = mass / h;
+    double known = fluid.keep * s->hydraulic_force + fluid.new * s->static_force
+        + fluid.old * (static_before - s->damping_force);
+    double begin = pushed - stiffness * (s->position - held.origin)
+        + 0.5 * (s->hydraulic_force - s->friction_force);
     double low = -INFINITY, high = INFINITY, change = 0.0, damping = 0.0, slope = 0.0;
     double hydraulic = 0.0;
     struct rub rub = {0};
     for (int round = 0; round < MOST_ROUNDS; round++) {
         velocity += change;
         damping = damping_force(velocity, curve, p, &slope);
-        hydraulic = known - k->new * damping;
+        hydraulic = known - fluid.new * damping;
         double mean = 0.5 * (s->velocity + velocity);
         rub = friction(s->seal, mean, velocity, p, h);
         if (!moves)
@@ -257,7 +432,7 @@ static inline void load(struct state *s, double static_before, double static_aft
         double residual = inertia * (velocity - s->velocity) - begin
             - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean;
         change = -residual / (inertia + 0.25 * h * stiffness
-                              + 0.5 * (k->new * slope + rub.force_slope + damper));
+                              + 0.5 * (fluid.new * slope + rub.force_slope + damper));
         if (fabs(change) <= STRAIGHT)
             break;
         if (residual > 0.0)
@@ -268,10 +443,16 @@ static inline void load(struct state *s, double static_before, double static_aft
             change = 0.5 * (low + high) - velocity;
     }
     velocity += change;
+    if (apart) {
+        double force = touch.force + 0.5 * touch.damping * (s->velocity + velocity);
+        double mean = (touch.push + force) / touch.inertia;
+        s->load_position += h * mean;
+        s->load_velocity = 2.0 * mean - s->load_velocity;
+    }
     s->position += 0.5 * h * (s->velocity + velocity);
     s->velocity_change = velocity - s->velocity;
     s->velocity = velocity;
-    s->hydraulic_force = hydraulic - k->new * slope * change;
+    s->hydraulic_force = hydraulic - fluid.new * slope * change;
     s->damping_force = damping + slope * change;
     s->seal = rub.seal + rub.seal_slope * change;
     s->friction_force = rub.force + rub.force_slope * change;
@@ -279,18 +460,19 @@ static inline void load(struct state *s, double static_before, double static_aft
 
 static inline double felt_force(const struct state *s, const struct parameters *p)
 {
-    double transmitted = s->hydraulic_force - s->friction_force, inertia;
+    double net = s->hydraulic_force - s->friction_force, inertia;
+    double transmitted = p->friction_location == 1.0 ? s->hydraulic_force : net;
     if (p->force_sensor_mass_share == 0.0)
         return transmitted;
     if (p->load_type == PRESCRIBED) {
         double w = 2.0 * M_PI * p->load_frequency;
         inertia = p->load_mass * p->load_velocity * w * cos(w * s->time);
+    } else if (two_masses(p)) {
+        inertia = net - contact_force(s, p);
     } else {
-        inertia = transmitted + p->load_external_force;
-        if (p->load_type == LOCKED)
-            inertia -= p->load_locked_stiffness * s->position + p->load_locked_damping * s->velocity;
-        else if (p->load_type == SPRING)
-            inertia -= p->load_stiffness * s->position + p->load_damping * s->velocity;
+        struct hold held = behind_gap(s->position, load_spring(p), p);
+        inertia = net + external_force(s->time, p) - held.stiffness * (s->position - held.origin)
+            - held.damper * s->velocity;
     }
     return transmitted - p->force_sensor_mass_share * inertia;
 }
@@ -300,16 +482,23 @@ static void jump(struct state *s, double command, const struct parameters *p,
 {
     double slope;
     magnetise(s, command, 1.0, p);
-    if (p->valve_flexure_model != FULL)
-        s->valve_position = valve_position(
-            (p->valve_flexure_model == LINEAR ? p->valve_flexure_linear_gain : 1.0) * s->drive, p);
+    if (p->valve_flexure_model != FULL && p->valve_flexure_deadband == 0.0
+        && p->valve_flexure_lag_time == 0.0)
+        s->valve_position = valve_position(deflected(
+            (p->valve_flexure_model == LINEAR ? p->valve_flexure_linear_gain : 1.0) * s->drive, p),
+            p);
+    s->static_force = static_force(s->valve_position, p)
+        * (1.0 - p->valve_characteristic_supply_sag * s->supply_load);
     if (p->load_type == PRESCRIBED)
         s->velocity = prescribed_velocity(s->time, p);
     s->friction_force = friction(s->seal, s->velocity, s->velocity, p, 0.0).force;
-    double opening = clamp(s->valve_position / p->valve_characteristic_full_opening, -1.0, 1.0);
+    double opening = valve_opening(s->valve_position, p);
     s->damping_force = damping_force(s->velocity, damping_curve(opening, p), p, &slope);
-    if (p->fluid_dynamics_model != FULL)
-        s->hydraulic_force = k->new * (static_force(s->valve_position, p) - s->damping_force);
+    if (p->fluid_dynamics_model != FULL && p->fluid_dynamics_air_time == 0.0) {
+        double gain = leaks(p) ? leaking(s->hydraulic_force, p, 0.0).new : fluid_gain(p);
+        s->hydraulic_force = gain * (s->static_force - s->damping_force);
+    }
+    s->felt_force = felt_force(s, p);
 }
 
 static inline void substep(struct state *s, double command, const struct parameters *p,
@@ -320,46 +509,88 @@ static inline void substep(struct state *s, double command, const struct paramet
     double after = magnetise(s, command, k->half_decay, p);
     s->ring_index = (s->ring_index + 1) & (RING - 1);
 
-    double static_before = static_force(s->valve_position, p), deflection;
+    double static_before = s->static_force, deflection;
+    double mean = (before + 4.0 * middle + after) / 6.0, band = p->valve_flexure_deadband;
+    if (band > 0.0) {
+        mean -= clamp(mean, -band, band);
+        after -= clamp(after, -band, band);
+    }
+    if (p->valve_flexure_lag_time > 0.0) {
+        double earlier = s->lagged_drive;
+        after = k->valve_lag.keep * earlier + (1.0 - k->valve_lag.keep) * mean;
+        s->lagged_drive = after;
+        mean = 0.5 * (earlier + after);
+    }
     if (p->valve_flexure_model == FULL) {
-        double mean = (before + 4.0 * middle + after) / 6.0, coil_before = s->coil;
+        double coil_before = s->coil;
         s->coil = mean + (s->coil - mean) * k->coil_decay;
         lag(&s->flexure, &s->flexure_rate, 0.5 * (coil_before + s->coil), k->pipe);
         deflection = delayed(s->flexure_ring, s->ring_index, s->flexure, k->valve_delay);
     } else {
         deflection = (p->valve_flexure_model == LINEAR ? p->valve_flexure_linear_gain : 1.0) * after;
     }
-    s->valve_position = valve_position(deflection, p);
+    s->valve_position = valve_position(deflected(deflection, p), p);
+    s->static_force = static_force(s->valve_position, p);
+    double opening = valve_opening(s->valve_position, p);
+    if (p->valve_characteristic_supply_sag > 0.0) {
+        s->supply_load = fabs(opening) + k->supply_keep * (s->supply_load - fabs(opening));
+        s->static_force *= 1.0 - p->valve_characteristic_supply_sag * s->supply_load;
+    }
 
-    double felt_before = felt_force(s, p);
-    load(s, static_before, static_force(s->valve_position, p), p, k);
+    load(s, static_before, opening, p, k);
     s->time += k->h;
-    double felt = felt_force(s, p);
+    double felt_before = s->felt_force, felt = s->felt_force = felt_force(s, p);
     if (p->force_sensor_model == FULL) {
         double sensor_before = s->sensor;
         lag(&s->sensor, &s->sensor_rate, 0.5 * (felt_before + felt), k->sensor);
         lag(&s->card, &s->card_rate, 0.5 * (sensor_before + s->sensor), k->card);
-        s->sensed = delayed(s->sensor_ring, s->ring_index, s->card, k->sensor_delay);
+        felt = delayed(s->sensor_ring, s->ring_index, s->card, k->sensor_delay);
     } else {
-        s->sensed = felt
-            * (p->force_sensor_model == LINEAR ? p->force_sensor_linear_gain : 1.0);
+        felt *= p->force_sensor_model == LINEAR ? p->force_sensor_linear_gain : 1.0;
+    }
+    if (p->force_sensor_lag_time == 0.0) {
+        s->sensed = felt;
+    } else {
+        s->sensed = k->sensor_lag.keep * s->sensed + k->sensor_lag.old * s->sensor_input
+            + k->sensor_lag.new * felt;
+        s->sensor_input = felt;
     }
 }
 
-/* The same as `simulate` of asi_actuator/model/actuator.py without noise; out: 4 rows of n. */
+static inline double quantised(double command, const struct parameters *p)
+{
+    double quantum = p->command_path_quantum, middle = p->command_path_rounding == EDGE ? 0.5 : 0.0;
+    if (p->command_path_rounding == ZERO)
+        return quantum * trunc(command / quantum);
+    return quantum * (floor(command / quantum + 0.5 - middle) + middle);
+}
+
+static inline double arrived(const struct state *s, long number, const struct constants *k)
+{
+    double newer = s->command_ring[(s->sample - k->delay_periods) & (RING - 1)];
+    double older = s->command_ring[(s->sample - k->delay_periods - 1) & (RING - 1)];
+    return newer + clamp(k->delay_substeps - number, 0.0, 1.0) * (older - newer);
+}
+
+/* `simulate` of asi_actuator/model/actuator.py without noise and lost readings; out: 4 rows of n. */
 void simulate(const struct parameters *p, const double *commands, long n, double period,
               struct state *s, double *out)
 {
     long count = (long)fmax(1.0, ceil(period / p->maximum_substep * (1.0 - 1e-12)));
-    struct constants k = constants(p, period / count);
+    struct constants k = constants(p, period, period / count);
     for (long i = 0; i < n; i++) {
-        out[i] = p->force_sensor_gain * s->sensed + p->force_sensor_offset;
+        double wander = s->time * (p->force_sensor_drift + s->time * p->force_sensor_drift_curve);
+        out[i] = p->force_sensor_gain * s->sensed + (p->force_sensor_offset + wander);
         out[n + i] = s->valve_position;
         out[2 * n + i] = s->position;
         out[3 * n + i] = s->velocity;
         double command = clamp(commands[i], -p->command_limit, p->command_limit);
-        jump(s, command, p, &k);
+        if (p->command_path_quantum > 0.0)
+            command = quantised(command, p);
+        s->command_ring[s->sample & (RING - 1)] = command;
+        jump(s, p->command_path_delay > 0.0 ? arrived(s, 0, &k) : command, p, &k);
         for (long j = 0; j < count; j++)
-            substep(s, command, p, &k);
+            substep(s, p->command_path_delay > 0.0 ? arrived(s, j, &k) : command, p, &k);
+        s->sample++;
     }
 }

@@ -11,18 +11,33 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain
-from asi_actuator.model.force_sensor import SensorStep, force_sensor, reading, sensor_step
+from asi_actuator.model.backlash import two_masses
+from asi_actuator.model.command_path import CommandDelay, arrived, command_delay, sent
+from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain, leaking, leaks
+from asi_actuator.model.force_sensor import (
+    SensorStep,
+    force_sensor,
+    held_reading,
+    keep_reading,
+    sensor_step,
+)
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, felt_force, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
+    supplied,
     valve_characteristic,
     valve_opening,
     valve_position,
 )
-from asi_actuator.model.valve_flexure import FlexureStep, flexure_gain, flexure_step, valve_flexure
+from asi_actuator.model.valve_flexure import (
+    FlexureStep,
+    deflected,
+    flexure_gain,
+    flexure_step,
+    valve_flexure,
+)
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
 from asi_actuator.parameters import RING
 from asi_common.jit import FULL, inlined, jit
@@ -41,6 +56,7 @@ STATE_DTYPE = np.dtype([
     ('flexure', np.float64),            # N
     ('flexure_rate', np.float64),       # N/s
     ('valve_position', np.float64),     # m
+    ('static_force', np.float64),       # N, that the valve opening gives at rest
     ('hydraulic_force', np.float64),    # N
     ('damping_force', np.float64),      # N
     ('position', np.float64),           # m, of the piston
@@ -48,12 +64,20 @@ STATE_DTYPE = np.dtype([
     ('velocity_change', np.float64),    # m/s, over the last sub-step
     ('seal', np.float64),               # m, deflection of the seals
     ('friction_force', np.float64),     # N
+    ('felt_force', np.float64),         # N, where the force sensor is
     ('sensor', np.float64),             # N
     ('sensor_rate', np.float64),        # N/s
     ('card', np.float64),               # N, after the card's filter
     ('card_rate', np.float64),          # N/s
     ('sensed', np.float64),             # N, after the sensor's delay
     ('ring_index', np.int64),
+    ('lagged_drive', np.float64),       # N, after the further lag of the valve
+    ('supply_load', np.float64),        # mean size of the opening that the supply has seen
+    ('load_position', np.float64),      # m, of a load that is not rigidly coupled
+    ('load_velocity', np.float64),      # m/s
+    ('sensor_input', np.float64),       # N, of the further lag of the sensor
+    ('kept_reading', np.float64),       # N, the last reading that was not lost
+    ('command_ring', np.float64, (RING,)),
     ('flexure_ring', np.float64, (RING,)),
     ('sensor_ring', np.float64, (RING,)),
 ])
@@ -84,7 +108,11 @@ class Steady(NamedTuple):
 
     substeps: int
     h: float
+    leaks: bool
+    apart: bool
     half_decay: float
+    command: CommandDelay
+    supply_keep: float
     flexure: FlexureStep
     fluid: FirstOrder
     sensor: SensorStep
@@ -99,8 +127,10 @@ def prepare(p, period):
     """
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
-    return Steady(count, h, rate_decay(p, 0.5 * h), flexure_step(p, h), fluid_dynamics(p, h),
-                  sensor_step(p, h))
+    return Steady(count, h, leaks(p), two_masses(p), rate_decay(p, 0.5 * h),
+                  command_delay(p, period, h),
+                  math.exp(-h / p.valve_characteristic_supply_time), flexure_step(p, h),
+                  fluid_dynamics(p, h), sensor_step(p, h))
 
 
 @jit
@@ -111,16 +141,21 @@ def jump(state, command, p):
     So that the first sub-step begins with the values just after, and stays second order.
     """
     magnetise(state, command, 1.0, p)
-    if p.valve_flexure_model != FULL:
-        state.valve_position = valve_position(flexure_gain(p) * state.drive, p)
+    if (p.valve_flexure_model != FULL and p.valve_flexure_deadband == 0.0
+            and p.valve_flexure_lag_time == 0.0):
+        state.valve_position = valve_position(deflected(flexure_gain(p) * state.drive, p), p)
+    state.static_force = valve_characteristic(state.valve_position, p)
+    if p.valve_characteristic_supply_sag > 0.0:
+        state.static_force *= 1.0 - p.valve_characteristic_supply_sag * state.supply_load
     if p.load_type == PRESCRIBED:
         state.velocity = prescribed_velocity(state.time, p)
     state.friction_force = friction(state.seal, state.velocity, state.velocity, p, 0.0).force
     state.damping_force = hydraulic_damping(
         state.velocity, valve_opening(state.valve_position, p), p)
-    if p.fluid_dynamics_model != FULL:
-        state.hydraulic_force = fluid_gain(p) * (
-            valve_characteristic(state.valve_position, p) - state.damping_force)
+    if p.fluid_dynamics_model != FULL and p.fluid_dynamics_air_time == 0.0:
+        gain = leaking(state.hydraulic_force, p, 0.0).new if leaks(p) else fluid_gain(p)
+        state.hydraulic_force = gain * (state.static_force - state.damping_force)
+    state.felt_force = felt_force(state, two_masses(p), p)
 
 
 @inlined
@@ -133,26 +168,36 @@ def substep(state, command, p, steady):
     drive_mean = (drive_before + 4.0 * drive_middle + drive_after) / 6.0
 
     state.ring_index = (state.ring_index + 1) & (RING - 1)
-    static_before = valve_characteristic(state.valve_position, p)
     deflection = valve_flexure(state, drive_mean, drive_after, p, steady.flexure)
     state.valve_position = valve_position(deflection, p)
-    static_after = valve_characteristic(state.valve_position, p)
+    static_before = state.static_force
+    state.static_force = valve_characteristic(state.valve_position, p)
+    opening = valve_opening(state.valve_position, p)
+    if p.valve_characteristic_supply_sag > 0.0:
+        state.static_force = supplied(state, state.static_force, opening, steady.supply_keep, p)
 
-    felt_before = felt_force(state, p)
-    load(state, static_before, static_after, valve_opening(state.valve_position, p),
-         steady.fluid, p, steady.h)
+    load(state, static_before, opening, steady, p)
     state.time += steady.h
-    state.sensed = force_sensor(state, felt_before, felt_force(state, p), p, steady.sensor)
+    felt_before = state.felt_force
+    state.felt_force = felt_force(state, steady.apart, p)
+    state.sensed = force_sensor(state, felt_before, state.felt_force, p, steady.sensor)
 
 
 @jit
 def advance(state, command, p, steady):
     """Advance `state` by one control period at a constant valve command (N), in place."""
-    limited = min(max(command, -p.command_limit), p.command_limit)
-    jump(state, limited, p)
-    for _ in range(steady.substeps):
-        substep(state, limited, p, steady)
+    limited = sent(state, command, p)
+    if p.command_path_delay == 0.0:
+        jump(state, limited, p)
+        for _ in range(steady.substeps):
+            substep(state, limited, p, steady)
+    else:
+        jump(state, arrived(state, 0, steady.command), p)
+        for number in range(steady.substeps):
+            substep(state, arrived(state, number, steady.command), p, steady)
     state.sample += 1
+    if p.force_sensor_drop_rate > 0.0:
+        keep_reading(state, p)
 
 
 @jit
@@ -168,7 +213,7 @@ def step(state, command, p, period):
 @jit
 def measure(state, p):
     """Return (force N, valve position m, piston position m, velocity m/s) as they are sensed."""
-    return (reading(state.sensed, state.sample, p), state.valve_position, state.position,
+    return (held_reading(state, p), state.valve_position, state.position,
             state.velocity)
 
 

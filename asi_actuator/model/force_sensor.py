@@ -3,7 +3,7 @@ Force sensor: a flexure on the cylinder with a Hall-effect transducer (paper, se
 
 A resonance, the filter of the analogue card that conditions the signal, and the second of the two
 delays; then gain, offset and noise ("this force sensor is a non-zero sensor, thus calibration is
-required").
+required"). Null by default: a further lag, a drift of the offset, and lost readings.
 """
 
 import math
@@ -12,7 +12,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from asi_actuator.model.delay import DelaySteps, delay, delay_steps
-from asi_actuator.model.linear_lag import SecondOrder, second_order, second_order_step
+from asi_actuator.model.linear_lag import (
+    FirstOrder,
+    SecondOrder,
+    first_order_or_none,
+    second_order,
+    second_order_step,
+)
 from asi_common.jit import FULL, LINEAR, jit
 
 CARD_DAMPING: Final = math.sqrt(0.5)
@@ -24,6 +30,7 @@ class SensorStep(NamedTuple):
     flexure: SecondOrder
     card: SecondOrder
     delay: DelaySteps
+    lag: FirstOrder
 
 
 @jit
@@ -32,12 +39,25 @@ def sensor_step(p, h):
     return SensorStep(
         second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h),
         second_order(p.force_sensor_card_frequency, CARD_DAMPING, h),
-        delay_steps(p.force_sensor_delay, h))
+        delay_steps(p.force_sensor_delay, h), first_order_or_none(p.force_sensor_lag_time, h))
 
 
 @jit
 def force_sensor(state, force_before, force_after, p, steady):
     """Return the sensed force (N) after a sub-step, before gain, offset and noise."""
+    conditioned = _conditioned(state, force_before, force_after, p, steady)
+    if p.force_sensor_lag_time == 0.0:
+        return conditioned
+    # `sensor_input` is what the lag was given last.
+    lagged = (steady.lag.keep * state.sensed + steady.lag.old * state.sensor_input
+              + steady.lag.new * conditioned)
+    state.sensor_input = conditioned
+    return lagged
+
+
+@jit
+def _conditioned(state, force_before, force_after, p, steady):
+    """Return the force (N) after flexure, card and delay."""
     if p.force_sensor_model != FULL:
         gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
         return gain * force_after
@@ -69,9 +89,34 @@ def normal(seed, sample):
 
 
 @jit
-def reading(force, sample, p):
-    """Return what the sensor reads (N) at a sensed force (N) as its reading number `sample`."""
+def reading(force, sample, time_s, p):
+    """
+    Return what the sensor reads (N) of a sensed force (N).
+
+    sample: number of the reading; time_s: its time, s.
+    """
     noise = 0.0
     if p.force_sensor_noise > 0.0:
         noise = p.force_sensor_noise * normal(int(p.force_sensor_noise_seed), sample)
-    return p.force_sensor_gain * force + p.force_sensor_offset + noise
+    wander = 0.0
+    if p.force_sensor_drift != 0.0 or p.force_sensor_drift_curve != 0.0:
+        wander = time_s * (p.force_sensor_drift + time_s * p.force_sensor_drift_curve)
+    return p.force_sensor_gain * force + (p.force_sensor_offset + wander) + noise
+
+
+@jit
+def keep_reading(state, p):
+    """Take note of the newest reading that was not lost, for `held_reading`."""
+    number = np.uint64(2 * state.sample + 1) * np.uint64(0x9E3779B97F4A7C15)
+    start = _mix(np.uint64(p.force_sensor_noise_seed) + np.uint64(0x2545F4914F6CDD1D))
+    uniform = (_mix(start + number) >> np.uint64(11)) / 9007199254740992.0
+    if uniform >= p.force_sensor_drop_rate:
+        state.kept_reading = reading(state.sensed, state.sample, state.time, p)
+
+
+@jit
+def held_reading(state, p):
+    """Return what the sensor reads now (N): if readings are lost, the last that was not."""
+    if p.force_sensor_drop_rate > 0.0:
+        return state.kept_reading
+    return reading(state.sensed, state.sample, state.time, p)

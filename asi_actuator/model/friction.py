@@ -5,12 +5,17 @@ An elasto-plastic bristle (Dupont, Hayward, Armstrong, Altpeter, "Single state e
 friction models", IEEE Trans. Automatic Control 47, 2002): below breakaway the seals only deform,
 so that a locked piston neither creeps nor sticks and slips; beyond it they slide, with a friction
 that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends on the direction.
+Null by default: viscous friction, another Coulomb friction each way, sliding that sets in
+gradually (Dahl, "A solid friction model", 1968), and a place behind the force sensor.
 """
 
 import math
 from typing import Final, NamedTuple
 
 from asi_common.jit import FULL, LINEAR, inlined, jit
+
+CYLINDER, BEHIND_SENSOR = 0, 1
+ELASTOPLASTIC, DAHL = 0, 1
 
 # Share of the breakaway deflection below which the seals deform without any sliding.
 ELASTIC_SHARE: Final = 0.7
@@ -34,11 +39,14 @@ class Friction(NamedTuple):
 @jit
 def sliding_friction(velocity, p):
     """Return the steady friction (N, not negative) when sliding at `velocity` (m/s)."""
+    coulomb = p.friction_coulomb
+    if p.friction_asymmetry != 0.0:
+        coulomb *= 1.0 + (p.friction_asymmetry if velocity >= 0.0 else -p.friction_asymmetry)
     relative = velocity / p.friction_stribeck_velocity
     if abs(relative) > FAR:
-        return p.friction_coulomb
+        return coulomb
     stiction = p.friction_stiction_push if velocity >= 0.0 else p.friction_stiction_pull
-    return p.friction_coulomb + (stiction - p.friction_coulomb) * math.exp(-relative * relative)
+    return coulomb + (stiction - coulomb) * math.exp(-relative * relative)
 
 
 @jit
@@ -57,6 +65,14 @@ def sliding_share(deflection, velocity, limit):
 
 
 @jit
+def sliding(deflection, velocity, limit, p):
+    """Return how much of the motion slides, 0 to 1: all of it, after Dahl, or elasto-plastic."""
+    if p.friction_presliding == DAHL:
+        return 1.0
+    return sliding_share(deflection, velocity, limit)
+
+
+@jit
 def deflect(before, velocity, p, h):
     """
     Return the seals' deflection (m) after `h` s at a mean `velocity` (m/s), and its slope (s).
@@ -70,9 +86,9 @@ def deflect(before, velocity, p, h):
         return 0.0, 0.0
     speed = abs(velocity)
     # What slides, with the deflection of the middle of the sub-step.
-    loss = sliding_share(before, velocity, limit) / limit
+    loss = sliding(before, velocity, limit, p) / limit
     middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed)
-    loss = sliding_share(middle, velocity, limit) / limit
+    loss = sliding(middle, velocity, limit, p) / limit
     # d(deflection)/dt = velocity - loss * speed * deflection, with 1 + x + x * x / 2 for exp(x).
     x = h * loss * speed
     fall = 1.0 + x + 0.5 * x * x
@@ -90,10 +106,11 @@ def friction(before, mean_velocity, velocity, p, h):
 
     before: deflection of the seals, m; mean_velocity: mean of the sub-step, m/s.
     """
+    viscous = p.friction_viscous
     if p.friction_model == LINEAR:
-        return Friction(0.0, 0.0, p.friction_linear_gain * velocity, p.friction_linear_gain)
+        viscous += p.friction_linear_gain
     if p.friction_model != FULL:
-        return Friction(0.0, 0.0, 0.0, 0.0)
+        return Friction(0.0, 0.0, viscous * velocity, viscous)
     stiffness, damping = p.friction_presliding_stiffness, p.friction_presliding_damping
     after, slope = deflect(before, mean_velocity, p, h)
     slope *= 0.5  # the velocity at the end counts half in the mean
@@ -102,6 +119,7 @@ def friction(before, mean_velocity, velocity, p, h):
     elastic = 0.0
     limit = sliding_friction(velocity, p) / stiffness
     if limit >= LEAST_LIMIT:
-        elastic = max(0.0, 1.0 - sliding_share(after, velocity, limit) * abs(after) / limit)
-    return Friction(after, slope, stiffness * after + damping * elastic * velocity,
-                    stiffness * slope + damping * elastic)
+        elastic = max(0.0, 1.0 - sliding(after, velocity, limit, p) * abs(after) / limit)
+    damping = damping * elastic + viscous
+    return Friction(after, slope, stiffness * after + damping * velocity,
+                    stiffness * slope + damping)

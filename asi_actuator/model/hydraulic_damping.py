@@ -2,7 +2,9 @@
 Hydraulic damping: oil forced through the valve's orifices (paper, section 2.2, Fig. 3).
 
 A family of hyperbolic tangents in the velocity whose magnitude, scale and position depend on the
-valve opening, as the paper fitted them, plus a viscous part, bounded by 1200 N.
+valve opening, as the paper fitted them, plus a viscous part, bounded by 1200 N. Null by default,
+and beyond that bound: a part with the square of the velocity, and a viscous one that grows with
+the opening.
 """
 
 import math
@@ -22,7 +24,7 @@ def damping_curve(opening, p):
     Return the curve of the family that belongs to a valve opening (-1 to 1).
 
     As (magnitude N, velocity m/s about which it rises extending, the same retracting,
-    width m/s, value of the tangents at rest).
+    width m/s, value of the tangents at rest, size of the opening).
     """
     size = abs(opening)
     centre = (p.hydraulic_damping_saturation_velocity
@@ -33,18 +35,18 @@ def damping_curve(opening, p):
     share = p.hydraulic_damping_centre_share
     magnitude = 0.5 * p.hydraulic_damping_maximum_force * (share + (1.0 - share) * size)
     at_rest = tanh(retracting / width) - tanh(extending / width)
-    return magnitude, extending, retracting, width, at_rest
+    return magnitude, extending, retracting, width, at_rest, size
 
 
 @jit
-def damping_force(velocity, curve, p):
-    """Return the damping force (N) against a velocity (m/s), and its slope (N s/m)."""
+def tangents_force(velocity, curve, p):
+    """Return the force (N) of the curve against a velocity (m/s), and its slope (N s/m)."""
     bound = p.hydraulic_damping_maximum_force
     if p.hydraulic_damping_model == LINEAR:
         return p.hydraulic_damping_linear_gain * velocity, p.hydraulic_damping_linear_gain
     if p.hydraulic_damping_model != FULL or bound == 0.0:
         return 0.0, 0.0
-    magnitude, extending, retracting, width, at_rest = curve
+    magnitude, extending, retracting, width, at_rest, _ = curve
     out = tanh((velocity - extending) / width)
     back = tanh((velocity + retracting) / width)
     force = magnitude * (out + back - at_rest) + p.hydraulic_damping_viscous * velocity
@@ -52,6 +54,18 @@ def damping_force(velocity, curve, p):
              + p.hydraulic_damping_viscous)
     bounded = tanh(force / bound)
     return bound * bounded, slope * (1.0 - bounded * bounded)
+
+
+@jit
+def damping_force(velocity, curve, p):
+    """Return the damping force (N) against a velocity (m/s), and its slope (N s/m)."""
+    force, slope = tangents_force(velocity, curve, p)
+    quadratic, viscous = p.hydraulic_damping_quadratic, p.hydraulic_damping_opening_viscous
+    if quadratic > 0.0 or viscous > 0.0:
+        speed = abs(velocity)
+        grown = viscous * curve[5] + quadratic * speed
+        return force + grown * velocity, slope + grown + quadratic * speed
+    return force, slope
 
 
 @jit

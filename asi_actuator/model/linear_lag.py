@@ -36,6 +36,14 @@ def first_order(frequency_hz, h):
 
 
 @jit
+def first_order_or_none(time_s, h):
+    """Return the lag of a time constant (s); none if it is 0."""
+    if time_s == 0.0:
+        return FirstOrder(0.0, 0.0, 1.0)
+    return first_order(0.5 / (math.pi * time_s), h)
+
+
+@jit
 def second_order(frequency_hz, damping_ratio, h):
     """Return the lag of a natural frequency and damping ratio, by the trapezoidal rule."""
     half = 0.5 * h

@@ -8,7 +8,13 @@ prescribed from outside, so that the actuator can be driven back (Fig. 3).
 import math
 from typing import Final
 
-from asi_actuator.model.friction import friction
+from asi_actuator.model.backlash import (
+    contact,
+    contact_force,
+    spring_and_damper,
+)
+from asi_actuator.model.fluid_dynamics import leaking
+from asi_actuator.model.friction import BEHIND_SENSOR, friction
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_common.jit import inlined, jit
 
@@ -43,51 +49,72 @@ def prescribed_velocity(time_s, p):
 def external_force(time_s, p):
     """Return the push from outside (N) at a time (s)."""
     lasts = p.load_external_force_end == 0.0 or time_s < p.load_external_force_end - 1e-9
-    return p.load_external_force if lasts else 0.0
+    if not lasts or time_s < p.load_external_force_start - 1e-9:
+        return 0.0
+    if p.load_external_force_frequency == 0.0:
+        return p.load_external_force
+    turns = p.load_external_force_frequency * time_s + p.load_external_force_phase
+    return p.load_external_force * math.sin(2.0 * math.pi * turns)
 
 
 @inlined
-def felt_force(state, p):
+def felt_force(state, apart, p):
     """
     Return the force (N) where the sensor is: what is transmitted, less the inertia before it.
 
     In the paper's section 4.1 the damping acts on the rate of the sensed force: there the force is
     that of the spring which holds the mass.
     """
-    transmitted = state.hydraulic_force - state.friction_force
+    net = state.hydraulic_force - state.friction_force
+    transmitted = state.hydraulic_force if p.friction_location == BEHIND_SENSOR else net
     if p.force_sensor_mass_share == 0.0:
         return transmitted
     if p.load_type == PRESCRIBED:
         w = 2.0 * math.pi * p.load_frequency
         inertia = p.load_mass * p.load_velocity * w * math.cos(w * state.time)
+    elif apart:
+        inertia = net - contact_force(state, p)
     else:
-        stiffness, damper = load_spring(p)
-        inertia = (transmitted + external_force(state.time, p) - stiffness * state.position
+        stiffness, damper, origin = spring_and_damper(state.position, *load_spring(p), p)
+        inertia = (net + external_force(state.time, p) - stiffness * (state.position - origin)
                    - damper * state.velocity)
     return transmitted - p.force_sensor_mass_share * inertia
 
 
 @inlined
-def load(state, static_before, static_after, opening, fluid, p, h):
+def load(state, static_before, opening, steady, p):
     """
-    Advance piston, seals and hydraulic force by a sub-step of `h` s.
+    Advance piston, seals, hydraulic force and load by a sub-step.
 
-    static_before, static_after: static valve force at both ends, N; opening: valve opening at the
-    end, -1 to 1; fluid: what `fluid_dynamics` returns.
+    static_before: static valve force at the start, N; opening: valve opening at the end, -1 to 1;
+    steady: what `prepare` returns.
 
     The equation of motion is solved by the trapezoidal rule for the velocity at the end: the slope
     of the damping over the mass reaches 40 000 1/s, too stiff for an explicit rule. Newton's rule
     from the velocity extrapolated, kept within the bracket that the residual's signs give.
     """
     curve = damping_curve(opening, p)
-    known = (fluid.keep * state.hydraulic_force + fluid.new * static_after
+    h, fluid = steady.h, steady.fluid
+    if steady.leaks:
+        fluid = leaking(state.hydraulic_force, p, h)
+    known = (fluid.keep * state.hydraulic_force + fluid.new * state.static_force
              + fluid.old * (static_before - state.damping_force))
     stiffness, damper = load_spring(p)
     moves = p.load_type != PRESCRIBED
     velocity = (state.velocity + state.velocity_change if moves
                 else prescribed_velocity(state.time + h, p))
+    wave = p.load_external_force_frequency > 0.0
+    pushed = external_force(state.time + 0.5 * h if wave else state.time, p)
+    mass, origin = p.load_mass, 0.0
+    apart = steady.apart and moves
+    if apart:
+        touch = contact(state, velocity, pushed, stiffness, damper, p, h)
+        mass, stiffness, damper, pushed = (
+            p.coupling_piston_share * mass, 0.0, touch.damping, -touch.force)
+    elif moves:
+        stiffness, damper, origin = spring_and_damper(state.position, stiffness, damper, p)
     # Half of the forces at the start, and what the spring holds there.
-    begin = (external_force(state.time, p) - stiffness * state.position
+    begin = (pushed - stiffness * (state.position - origin)
              + 0.5 * (state.hydraulic_force - state.friction_force))
     low, high = -math.inf, math.inf
     change = 0.0
@@ -99,9 +126,9 @@ def load(state, static_before, static_after, opening, fluid, p, h):
         rub = friction(state.seal, mean, velocity, p, h)
         if not moves:
             break
-        residual = (p.load_mass / h * (velocity - state.velocity) - begin
+        residual = (mass / h * (velocity - state.velocity) - begin
                     - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean)
-        steepness = (p.load_mass / h + 0.25 * h * stiffness
+        steepness = (mass / h + 0.25 * h * stiffness
                      + 0.5 * (fluid.new * damping_slope + rub.force_slope + damper))
         change = -residual / steepness
         if abs(change) <= STRAIGHT:
@@ -113,6 +140,11 @@ def load(state, static_before, static_after, opening, fluid, p, h):
         if not low <= velocity + change <= high:
             change = 0.5 * (low + high) - velocity
     velocity += change
+    if apart:
+        force = touch.force + 0.5 * touch.damping * (state.velocity + velocity)
+        load_mean = (touch.push + force) / touch.inertia
+        state.load_position += h * load_mean
+        state.load_velocity = 2.0 * load_mean - state.load_velocity
     state.position += 0.5 * h * (state.velocity + velocity)
     state.velocity_change = velocity - state.velocity
     state.velocity = velocity

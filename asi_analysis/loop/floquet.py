@@ -36,6 +36,7 @@ class _Clocked:
         substeps = np.ceil(period_s / self.plant['maximum_substep'] * (1.0 - 1e-12))
         longest = max(self.plant['valve_flexure_delay'], self.plant['force_sensor_delay'])
         self.depth = min(int(longest / (period_s / substeps)) + 3, RING)
+        self.fields: list[str] = []
 
     def run(self, ticks: int) -> npt.NDArray[np.float64]:
         """Advance by so many ticks; return the measured force."""
@@ -43,14 +44,14 @@ class _Clocked:
         close_loop(self.state, self.plant, self.compensator, self.reference, self.period_s, out)
         return out[2]
 
-    def _fields(self) -> list[str]:
-        return [name for name in STATE_DTYPE.names or () if name not in (*RINGS, 'time')
-                and STATE_DTYPE[name] == np.float64]
-
     def vector(self) -> npt.NDArray[np.float64]:
         """Return the state: what the blocks, the delays (by age) and the compensator hold."""
         ages = (int(self.state['ring_index']) - np.arange(self.depth)) % RING
-        parts = [[self.state[name] for name in self._fields()],
+        # The states of effects that are off stay at zero; as directions they would never decay.
+        self.fields = self.fields or [
+            name for name in STATE_DTYPE.names or () if name != 'time'
+            and STATE_DTYPE[name] == np.float64 and self.state[name] != 0.0]
+        parts = [[self.state[name] for name in self.fields],
                  *[self.state[ring][ages] for ring in RINGS],
                  *[np.ravel(self.compensator[name]) for name in MEMORIES]]
         return np.concatenate([np.asarray(part, float) for part in parts])
@@ -58,10 +59,9 @@ class _Clocked:
     def put(self, vector: npt.NDArray[np.float64]) -> None:
         """Set the state."""
         ages = (int(self.state['ring_index']) - np.arange(self.depth)) % RING
-        fields = self._fields()
-        for name, value in zip(fields, vector, strict=False):
+        for name, value in zip(self.fields, vector, strict=False):
             self.state[name] = value
-        place = len(fields)
+        place = len(self.fields)
         for ring in RINGS:
             self.state[ring][ages] = vector[place:place + self.depth]
             place += self.depth
