@@ -167,7 +167,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('friction.linear_gain', 0.0, 'N s/m', 'Gain when the model is linear', 0.0, 1e6),
     Parameter('friction.coulomb', 7.0, 'N', 'Friction when sliding', 0.0, 1e4,
               source='paper, section 2.2'),
-    Parameter('friction.asymmetry', 0.0, '',
+    Parameter('friction.coulomb_asymmetry', 0.0, '',
               'Coulomb friction is larger by this share when extending, smaller when retracting',
               -1.0, 1.0),
     Parameter('friction.viscous', 0.0, 'N s/m', 'Viscous friction', 0.0, 1e6),

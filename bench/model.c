@@ -237,8 +237,8 @@ static inline double damping_force(double velocity, struct curve c, const struct
 static inline double sliding_friction(double velocity, const struct parameters *p)
 {
     double coulomb = p->friction_coulomb;
-    if (p->friction_asymmetry != 0.0)
-        coulomb *= 1.0 + (velocity >= 0.0 ? p->friction_asymmetry : -p->friction_asymmetry);
+    if (p->friction_coulomb_asymmetry != 0.0)
+        coulomb *= 1.0 + copysign(1.0, velocity) * p->friction_coulomb_asymmetry;
     double relative = velocity / p->friction_stribeck_velocity;
     if (fabs(relative) > FAR)
         return coulomb;

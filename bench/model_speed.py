@@ -44,7 +44,7 @@ WITHHELD: Final[dict[str, Value]] = {
     'valve_characteristic.supply_drop': 0.1, 'valve_characteristic.supply_sag': 0.2,
     'hydraulic_damping.quadratic': 50.0, 'hydraulic_damping.opening_viscous': 80.0,
     'fluid_dynamics.leakage': 0.1, 'fluid_dynamics.leakage_growth': 1e-4,
-    'fluid_dynamics.air_time': 0.001, 'friction.asymmetry': 0.3, 'friction.viscous': 40.0,
+    'fluid_dynamics.air_time': 0.001, 'friction.coulomb_asymmetry': 0.3, 'friction.viscous': 40.0,
     'friction.location': 'load', 'friction.presliding': 'dahl',
     'load.external_force': 30.0, 'load.external_force_start': 0.05,
     'load.external_force_frequency': 7.0, 'coupling.stiffness': 2e6, 'coupling.damping': 100.0,

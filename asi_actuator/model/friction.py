@@ -40,8 +40,8 @@ class Friction(NamedTuple):
 def sliding_friction(velocity, p):
     """Return the steady friction (N, not negative) when sliding at `velocity` (m/s)."""
     coulomb = p.friction_coulomb
-    if p.friction_asymmetry != 0.0:
-        coulomb *= 1.0 + (p.friction_asymmetry if velocity >= 0.0 else -p.friction_asymmetry)
+    if p.friction_coulomb_asymmetry != 0.0:
+        coulomb *= 1.0 + math.copysign(1.0, velocity) * p.friction_coulomb_asymmetry
     relative = velocity / p.friction_stribeck_velocity
     if abs(relative) > FAR:
         return coulomb

@@ -75,7 +75,8 @@ def felt_force(state, apart, p):
     elif apart:
         inertia = net - contact_force(state, p)
     else:
-        stiffness, damper, origin = spring_and_damper(state.position, *load_spring(p), p)
+        stiffness, damper = load_spring(p)
+        stiffness, damper, origin = spring_and_damper(state.position, stiffness, damper, p)
         inertia = (net + external_force(state.time, p) - stiffness * (state.position - origin)
                    - damper * state.velocity)
     return transmitted - p.force_sensor_mass_share * inertia

@@ -64,7 +64,7 @@ def test_null_is_the_default() -> None:
             assert null[name] != value
             physical = ('valve_hysteresis.radius', 'hydraulic_damping.viscous',
                         'friction.coulomb', 'friction.stiction_push', 'friction.stiction_pull',
-                        'force_sensor.gain')
+                        'friction.stribeck_velocity', 'force_sensor.gain')
             assert null[name] == 0.0 or name in physical
 
 
@@ -195,7 +195,7 @@ def test_viscous_and_asymmetric_friction() -> None:
     rubbed = force({'load.velocity': 0.2, 'friction.viscous': 100.0}, [0.0])
     assert rubbed[-1] == pytest.approx(-20.0)
     for velocity, level in ((0.2, 7.0 * 1.4), (-0.2, -7.0 * 0.6)):
-        slid = force({'friction.model': 'full', 'friction.asymmetry': 0.4,
+        slid = force({'friction.model': 'full', 'friction.coulomb_asymmetry': 0.4,
                       'load.velocity': velocity}, np.zeros(300))
         assert slid[-1] == pytest.approx(-level, rel=1e-3)
 
