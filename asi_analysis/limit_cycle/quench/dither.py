@@ -5,10 +5,12 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from scipy import signal
 
 from asi_actuator.model.actuator import advance, measure, prepare, rest
 from asi_actuator.parameters import as_record
 from asi_analysis.loop.simulation import Values, loop_of
+from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 from asi_analysis.terminal import Progress, silent
 from asi_common.jit import jit
 from asi_controller.compensator import compensate
@@ -16,8 +18,10 @@ from asi_controller.compensator import compensate
 FREQUENCIES_HZ: Final = (300.0, 500.0, 800.0, 1200.0, 1700.0)
 MOST_N: Final = 4000.0
 WATCHED_S: Final = 0.8
-MEASURED_S: Final = 0.15
-# What is left of the cycle, below which it counts as quenched.
+MEASURED_S: Final = 0.35
+# The cycle is looked for below this, the dither is above.
+CYCLES_BELOW_HZ: Final = 200.0
+# Share of the cycle's amplitude below which it counts as quenched.
 QUENCHED: Final = 0.03
 ACCURACY: Final = 0.05
 
@@ -44,11 +48,10 @@ def _run(actuator: Values, controller: Values, rate_hz: float, amplitude: float,
     return tuple(out[:, -round(MEASURED_S * rate_hz):])
 
 
-def _slow_swing(force: np.ndarray, rate_hz: float) -> float:
-    """Return half the swing of a force below 250 Hz (N): the cycle, without the dither."""
-    spectrum = np.fft.rfft((force - force.mean()) * np.hanning(len(force)))
-    low = np.fft.rfftfreq(len(force), 1.0 / rate_hz) < 250.0
-    return 4.0 * float(np.abs(spectrum[low]).max()) / len(force)
+def _cycle(force: np.ndarray, rate_hz: float, noise_floor: float = FLOOR_N) -> Oscillation:
+    """Return the oscillation of a force without the dither on it."""
+    low_pass = signal.butter(8, CYCLES_BELOW_HZ, fs=rate_hz, output='sos')
+    return of_samples(signal.sosfiltfilt(low_pass, force), rate_hz, noise_floor)
 
 
 def dither(actuator: Values, controller: Values, rate_hz: float,
@@ -61,30 +64,35 @@ def dither(actuator: Values, controller: Values, rate_hz: float,
     amplitude None where none up to MOST_N does. Beside it the least share of the cycle that any
     dither tried leaves, and that dither (N). The controller must cycle without dither.
     """
-    cycling = _slow_swing(_run(actuator, controller, rate_hz, 0.0, 0.0)[0], rate_hz)
+    cycling = _cycle(_run(actuator, controller, rate_hz, 0.0, 0.0)[0], rate_hz).amplitude_n
     rows = []
     for number, frequency in enumerate(frequencies_hz):
         report(f'dither of {frequency:g} Hz', number / len(frequencies_hz))
         if frequency >= 0.45 * rate_hz:
             continue
 
-        def left(amplitude: float, frequency: float = frequency) -> float:
+        def with_dither(amplitude: float, frequency: float = frequency) -> Oscillation:
             force, _ = _run(actuator, controller, rate_hz, amplitude, frequency)
-            return _slow_swing(force, rate_hz) / cycling
+            return _cycle(force, rate_hz, QUENCHED * cycling)
 
         tried = np.geomspace(20.0, MOST_N, 14)
-        shares = [left(float(amplitude)) for amplitude in tried]
-        works = next((float(a) for a, share in zip(tried, shares, strict=True)
-                      if share < QUENCHED), None)
+        remaining = [with_dither(float(amplitude)) for amplitude in tried]
+        works = next((float(a) for a, found in zip(tried, remaining, strict=True)
+                      if not found.sustained), None)
+        shares = np.nan_to_num([found.amplitude_n / cycling for found in remaining])
         least = int(np.argmin(shares))
         row: dict[str, Any] = {'frequency_hz': frequency, 'amplitude_n': None,
-                               'least_left': shares[least], 'least_left_at_n': float(tried[least]),
+                               'least_left': float(shares[least]),
+                               'least_left_at_n': float(tried[least]),
                                'valve_travel_m_s': None, 'force_ripple_n': None}
         if works is not None:
             low = works / (tried[1] / tried[0])
             while works / low > 1.0 + ACCURACY:
                 middle = math.sqrt(works * low)
-                low, works = (low, middle) if left(middle) < QUENCHED else (middle, works)
+                if with_dither(middle).sustained:
+                    low = middle
+                else:
+                    works = middle
             force, valve = _run(actuator, controller, rate_hz, works, frequency)
             row |= {'amplitude_n': works, 'force_ripple_n': float(force.std()),
                     'valve_travel_m_s': float(np.abs(np.diff(valve)).mean() * rate_hz)}
