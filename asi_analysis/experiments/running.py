@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.run import Run
@@ -57,28 +57,25 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
     experiment = checked(experiment)
     bag = out / 'bag'
     with (_environment() as environment,
-          _nodes(experiment, out, environment) as nodes, _watched(environment) as ticks):
+          _nodes(experiment, out, environment) as nodes, _watched(environment) as heard):
         progress('starting the nodes', None)
         while nodes['actuator'].poll() is None:
             _complain_of_dead(nodes, out)
-            done, text = ticks()
-            _complain_of_fault(text, bag)
-            if done:
-                progress(f'{experiment.mode}: {done} of {experiment.ticks} ticks',
-                         done / experiment.ticks)
+            actuator = heard()
+            if actuator.state == 'fault':
+                # From there on the valve was shut.
+                raise RunFailedError(f'the actuator ended in a {actuator.text}; '
+                                     f'the bag so far: {bag}')
+            if actuator.ticks:
+                progress(f'{experiment.mode}: {actuator.ticks} of {experiment.ticks} ticks',
+                         actuator.ticks / experiment.ticks)
             else:
-                progress(text, None)
+                progress(actuator.text, None)
         if nodes['actuator'].returncode:
             raise RunFailedError(_last_words('actuator', nodes['actuator'], out)
                                  + f'; the bag so far: {bag}')
         progress('finishing the bag', 1.0)
     return bag
-
-
-def _complain_of_fault(text: str, bag: Path) -> None:
-    """Raise if the actuator says that it is in fault: from there on the valve was shut."""
-    if text.startswith('fault'):
-        raise RunFailedError(f'the actuator ended in a {text}; the bag so far: {bag}')
 
 
 def _prepare(experiment: Experiment, out: Path) -> None:
@@ -199,10 +196,18 @@ def _last_words(name: str, process: subprocess.Popen, out: Path) -> str:
     return f'the {name} {how}: {lines[-1] if lines else "it said nothing"} (see {path})'
 
 
+class Heard(NamedTuple):
+    """What the actuator last published: its ticks, its state, and how it does in words."""
+
+    ticks: int = 0
+    state: str = ''
+    text: str = 'starting the nodes'
+
+
 @contextmanager
-def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int, str]]]:
+def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], Heard]]:
     """
-    Give a function that waits a moment and returns the actuator's ticks and its state in words.
+    Give a function that waits a moment and returns what the actuator last published of itself.
 
     From /diagnostics, which comes twice a second: the loop does not notice.
     """
@@ -213,14 +218,17 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int,
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    ticks, state = 0, 'starting the nodes'
+    from asi_common.node.diagnostics import LOOP
+
+    heard = Heard()
 
     def hear(message: DiagnosticArray) -> None:
-        nonlocal ticks, state
+        nonlocal heard
         for status in message.status:
-            if status.name == 'asi_actuator: loop':
+            if status.name == f'asi_actuator{LOOP}':
                 values = {value.key: value.value for value in status.values}
-                ticks, state = int(values.get('ticks', 0)), status.message
+                heard = Heard(int(values.get('ticks', 0)), values.get('state', ''),
+                              status.message)
 
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
@@ -231,9 +239,9 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], tuple[int,
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
-    def look() -> tuple[int, str]:
+    def look() -> Heard:
         executor.spin_once(timeout_sec=POLL_S)
-        return ticks, state
+        return heard
 
     try:
         yield look
