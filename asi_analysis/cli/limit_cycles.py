@@ -76,11 +76,10 @@ def predict(
     By the describing function of the hysteresis alone, as the paper, and by the harmonic balance
     of all nonlinearities; the rate and its hold included.
     """
-    values = _configured(set_, compensator, gain, step, rate)
     sizes = numbers('--steps', steps)
     from asi_analysis.limit_cycle.prediction.predict import predict_cycles
     with bar() as progress:
-        result = predict_cycles(values['actuator'], values['controller'], rate, gain, sizes,
+        result = predict_cycles(*_configured(set_, compensator, gain, step), rate, gain, sizes,
                                 progress)
         if report:
             result.write_report(report)
@@ -114,8 +113,7 @@ def attribute(
             result = attribute_cycle(read_bag(bag), signal, progress)
         else:
             from asi_analysis.limit_cycle.attribution.ablation import attribute_model
-            values = _configured(set_, compensator, gain, step, rate)
-            result = attribute_model(values['actuator'], values['controller'], rate, gain,
+            result = attribute_model(*_configured(set_, compensator, gain, step), rate, gain,
                                      progress)
         if report:
             result.write_report(report)
@@ -150,11 +148,10 @@ def quench(
     Exit status 1 if a sustained oscillation was found.
     """
     rates_hz = numbers('--rates', rates)
-    values = _configured(set_, compensator, gain, step, *rates_hz)
     from asi_analysis.limit_cycle.quench.answer import quench_cycles
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as progress:
-        result = quench_cycles(values['actuator'], values['controller'], rates_hz, conditions,
+        result = quench_cycles(*_configured(set_, compensator, gain, step), rates_hz, conditions,
                                seed, designs, (replay, out) if replay else None, progress)
         if report:
             result.write_report(report)
@@ -164,15 +161,10 @@ def quench(
 
 
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
-                step: float, *rates_hz: float) -> dict[str, dict[str, Any]]:
-    """Return parameters of actuator and controller for a step, checked at each rate."""
-    from asi_analysis.experiments import experiment as ex
-    values = ex.gather({}, settings or [],
-                       {'controller': {'compensator': compensator, 'gain': gain,
-                                       'reference.shape': 'step', 'reference.amplitude': step}},
-                       1.0)
-    if not rates_hz or 0.0 in rates_hz:
-        raise InputError('a control rate is needed, above 0 Hz')
-    for rate in rates_hz:
-        ex.checked(ex.Experiment(values['actuator'], values['controller'], 1.0, 'lockstep', rate))
-    return values
+                step: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the parameters of actuator and controller, with a step as reference."""
+    from asi_analysis.experiments.experiment import gather
+    values = gather({}, settings or [], {'controller': {
+        'compensator': compensator, 'gain': gain, 'reference.shape': 'step',
+        'reference.amplitude': step}}, 1.0)
+    return values['actuator'], values['controller']

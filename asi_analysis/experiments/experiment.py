@@ -78,6 +78,21 @@ def planned(actuator: Mapping[str, Value], controller: Mapping[str, Value], dura
     return checked(Experiment(values['actuator'], values['controller'], duration_s, mode, rate_hz))
 
 
+def stepping(actuator: Mapping[str, Value], controller: Mapping[str, Value], *rates_hz: float
+             ) -> dict[str, Value]:
+    """
+    Return the controller's parameters, with a step as reference if none is given.
+
+    Raises InputError for a parameter of either that is not allowed at one of the rates.
+    """
+    if not rates_hz or 0.0 in rates_hz:
+        raise InputError('a control rate is needed, above 0 Hz')
+    controller = {'reference.shape': 'step', **controller}
+    for rate in rates_hz:
+        checked(Experiment(actuator, controller, 1.0, 'lockstep', rate))
+    return controller
+
+
 def read_parameters(path: Path, which: str) -> dict[str, Value]:
     """
     Return the parameters of a ROS parameter file for 'actuator' or 'controller', by dotted name.

@@ -168,6 +168,10 @@ def test_run_slices_prints_and_draws(cycling: asi.Run) -> None:
     (lambda run: asi.detect_limit_cycles(run, 'colour'), 'colour'),
     (lambda run: asi.step_response(asi.simulate({}, CHIRP, 0.2)).plot(), 'reference has none'),
     (lambda run: asi.predict_cycles({}, {}, first_gain=0.0), 'gain'),
+    (lambda run: asi.predict_cycles({'load.mas': 1.0}, {}), 'load.mas'),
+    (lambda run: asi.quench_cycles({}, {}, [0.0]), 'rate'),
+    (lambda run: asi.attribute_model({}, {'gain': 'much'}), 'gain'),
+    (lambda run: asi.diagnose([run], {'load.mass': -1.0}), 'model: load.mass'),
     (lambda run: asi.diagnose([run], plant='robot'), 'plant')])
 def test_what_cannot_be_used_is_an_input_error(call: Any, said: str, cycling: asi.Run) -> None:
     with pytest.raises(asi.InputError, match=said):

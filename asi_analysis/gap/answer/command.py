@@ -24,17 +24,21 @@ LEAST_TOLERANCE = 1e-3
 DRIVES = (None, 'force', 'position')
 
 
-def nominal_model(path: Path | None, plant: str = 'actuator') -> dict[str, Value]:
-    """
-    Return the actuator's parameters of a model file, in their ranges; {} without one.
+Model = str | Path | Mapping[str, Value]
 
-    Mass and damping of a joint may be of any size.
-    Warns of what is none; under /** there may be the controller's. Raises InputError.
+
+def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Value]:
     """
-    if path is None:
+    Return the actuator's parameters of a model, by name or in a file; {} without one.
+
+    Mass and damping of a joint may be of any size. Warns of a name that is no parameter; under
+    /** a file may have the controller's. Raises InputError for a value out of its range.
+    """
+    if model is None:
         return {}
     known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
-    found = read_parameters(path, 'actuator')
+    path = 'model' if isinstance(model, Mapping) else Path(model)
+    found = model if isinstance(model, Mapping) else read_parameters(Path(model), 'actuator')
     for name in found.keys() - known - {parameter.name for parameter in TABLES['controller']}:
         near = get_close_matches(name, known, 1)
         warnings.warn(f'{path}: {name} is no parameter of the actuator, and left out'
@@ -54,10 +58,9 @@ def nominal_model(path: Path | None, plant: str = 'actuator') -> dict[str, Value
     return values
 
 
-def diagnose(runs: Sequence[Run], model: Path | Mapping[str, Value] | None = None,
-                 plant: str = 'actuator', held_out: Sequence[Run] = (),
-                 tolerance: float = TOLERANCE, drive: str | None = None,
-                 told: Progress = silent) -> Gap:
+def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actuator',
+             held_out: Sequence[Run] = (), tolerance: float = TOLERANCE, drive: str | None = None,
+             progress: Progress = silent) -> Gap:
     """
     Return where recordings of the real machine differ from their model, why, and how far.
 
@@ -79,18 +82,18 @@ def diagnose(runs: Sequence[Run], model: Path | Mapping[str, Value] | None = Non
     if not LEAST_TOLERANCE <= tolerance < 1.0:
         raise InputError(f'--tolerance {tolerance:g} is not allowed: from {LEAST_TOLERANCE:g}, '
                          'below 1')
-    values = dict(model) if isinstance(model, Mapping) else nominal_model(model, plant)
+    values = nominal_model(model, plant)
     everything = [*runs, *held_out]
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
-                             [False] * len(runs) + [True] * len(held_out), drive, told)
+                             [False] * len(runs) + [True] * len(held_out), drive, progress)
     answer = plain(document(diagnosis))
     if plant == 'actuator':
         from asi_analysis.gap.answer.consequences import consequences
-        told('in the loop', None)
+        progress('in the loop', None)
         answer['consequences'] = plain([each._asdict() for each
                                         in consequences(diagnosis, values, runs[0])])
         following = answer['next_experiment']
-        if isinstance(model, Path) and following and following['command']:
+        if isinstance(model, str | Path) and following and following['command']:
             for key in ('command', 'advice'):
                 following[key] += f' --actuator {model}'
     return Gap(answer | {'report': None, 'quality': quality_of(everything)},

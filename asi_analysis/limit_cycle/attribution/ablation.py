@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import as_record
+from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.onset import Onset, balanced_cycle, onset, with_gain
@@ -86,7 +87,7 @@ def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: f
 
 
 def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.0,
-                    gain: float | None = None, report: Progress = silent) -> Attribution:
+                    gain: float | None = None, progress: Progress = silent) -> Attribution:
     """
     Return what each nonlinearity of a model contributes to its limit cycle.
 
@@ -95,10 +96,10 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     of the compensator, where the cycles are compared, by default a little above the onset.
 
     >>> import asi_analysis as asi
-    >>> found = asi.attribute_model({}, {'reference.shape': 'step',
-    ...                                  'reference.amplitude': 100.0})   # doctest: +SKIP
+    >>> found = asi.attribute_model({}, {'reference.amplitude': 100.0})   # doctest: +SKIP
     """
-    report('onset', 0.0)
+    controller = stepping(actuator, controller, rate_hz)
+    progress('onset', 0.0)
     first = onset(actuator, controller, rate_hz, 0.7 * gain if gain else 4.0)
     at = gain or (ABOVE_ONSET * first.gain if first else 0.0)
     whole = _cycle(actuator, with_gain(controller, at), rate_hz) if at else None
@@ -110,7 +111,7 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     if whole is None:
         return Attribution(document | {
             'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'})
-    report('shares', 0.1)
+    progress('shares', 0.1)
     subsets = _all_subsets()
     runs = step_runs([only(subset, actuator) for subset in subsets],
                      [with_gain(controller, at)] * len(subsets), rate_hz)
@@ -121,7 +122,7 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     total = sum(max(value, 0.0) for value in shares.values()) or 1.0
     causes = []
     for number, name in enumerate(NONLINEARITIES):
-        report(name.replace('_', ' '), 0.4 + 0.15 * number)
+        progress(name.replace('_', ' '), 0.4 + 0.15 * number)
         others = tuple(each for each in NONLINEARITIES if each != name)
         alone = _study((name,), actuator, controller, rate_hz, at)
         without = _study(others, actuator, controller, rate_hz, at)

@@ -95,7 +95,7 @@ def shape_probabilities(found: Shape) -> dict[str, float]:
     return dict(sorted(chances.items(), key=lambda item: -item[1]))
 
 
-def attribute_cycle(run: Run, signal: str | None = None, report: Progress = silent
+def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = silent
                     ) -> Attribution:
     """
     Return the probable causes of an oscillation in a recording.
@@ -110,7 +110,7 @@ def attribute_cycle(run: Run, signal: str | None = None, report: Progress = sile
     >>> run = asi.read_bag('runs/limit_cycle/bag')                        # doctest: +SKIP
     >>> print(asi.attribute_cycle(run))                                   # doctest: +SKIP
     """
-    report('judging', 0.0)
+    progress('judging', 0.0)
     segment = _cut(run, signal)
     if segment.verdict == 'forced':
         raise InputError(f'{run.source or "the run"}: no oscillation of its own to attribute: '
@@ -124,8 +124,8 @@ def attribute_cycle(run: Run, signal: str | None = None, report: Progress = sile
     configuration = run.information
     if 'actuator' in configuration and 'controller' in configuration and (
             segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
-        return Attribution(document | _by_model(run, segment, report), run=run, signal=signal)
-    report('shape', 0.3)
+        return Attribution(document | _by_model(run, segment, progress), run=run, signal=signal)
+    progress('shape', 0.3)
     found = shape_of(run, document, signal)
     document['frequency_hz'] = found.frequency_hz
     chances = shape_probabilities(found)
@@ -164,7 +164,7 @@ def _words(cause: str) -> str:
         cause, cause)
 
 
-def _by_model(run: Run, segment: Segment, report: Progress) -> dict[str, Any]:
+def _by_model(run: Run, segment: Segment, progress: Progress) -> dict[str, Any]:
     """Return the causes of a cycle of this package's actuator, each with its predicted cycle."""
     information = run.information
     controller = information['controller']
@@ -172,7 +172,7 @@ def _by_model(run: Run, segment: Segment, report: Progress) -> dict[str, Any]:
     gain = float(controller.get('gain') or 0.0)
     from asi_controller.compensator import OWN_GAIN
     gain = gain or OWN_GAIN[str(controller.get('compensator', 'proportional'))]
-    table = attribute_model(information['actuator'], controller, rate, gain, report)
+    table = attribute_model(information['actuator'], controller, rate, gain, progress)
     weights = []
     for cause in table['causes']:
         frequency, amplitude = cause['alone_frequency_hz'], cause['alone_amplitude_n']

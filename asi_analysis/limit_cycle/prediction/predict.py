@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from asi_analysis.errors import InputError
+from asi_analysis.experiments.experiment import stepping
 from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.closed_loop import LoopRun
 from asi_analysis.loop.floquet import multipliers
@@ -81,7 +82,7 @@ class Prediction(Result):
 
 def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0,
                    first_gain: float = 5.0, steps_n: Sequence[float] = (),
-                   report: Progress = silent) -> Prediction:
+                   progress: Progress = silent) -> Prediction:
     """
     Predict the limit cycles of a loop from its model, and simulate them for comparison.
 
@@ -94,18 +95,18 @@ def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0
     Describing Functions, 1968), and by harmonic balance of all nonlinearities.
 
     >>> import asi_analysis as asi
-    >>> found = asi.predict_cycles({}, {'reference.shape': 'step',
-    ...                                 'reference.amplitude': 100.0})    # doctest: +SKIP
+    >>> found = asi.predict_cycles({}, {'reference.amplitude': 100.0})    # doctest: +SKIP
     """
     if not first_gain > 0.0:
         raise InputError(f'gain = {first_gain:g} is not allowed: the search begins there, above 0')
-    report('describing function of the hysteresis', 0.0)
+    controller = stepping(actuator, controller, rate_hz)
+    progress('describing function of the hysteresis', 0.0)
     loop = loop_of(actuator, with_gain(controller, first_gain), rate_hz)
     unit = user_gain(controller, loop)
     one = OneHarmonic(loop, held=True)
     rows = locus(one)
     first = first_intersection(one, rows) if rows else None
-    report('harmonic balance', 0.1)
+    progress('harmonic balance', 0.1)
     points = branch(actuator, controller, rate_hz, first_gain)
     cycles = _from_locus(one, rows, unit, points)
     document: dict[str, Any] = {
@@ -127,8 +128,8 @@ def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0
         gain, frequency, amplitude = hb.fold(points)
         document |= {'onset_gain': gain, 'onset_frequency_hz': frequency,
                      'onset_amplitude_n': amplitude}
-        cycles += _compared(actuator, controller, rate_hz, points, report, document)
-    onsets = onset_by_step(actuator, controller, rate_hz, first_gain, steps_n, report)
+        cycles += _compared(actuator, controller, rate_hz, points, progress, document)
+    onsets = onset_by_step(actuator, controller, rate_hz, first_gain, steps_n, progress)
     return Prediction(document | {'cycles': cycles, 'onset_by_step': onsets}, actuator=actuator,
                       controller=controller, first_gain=first_gain)
 
@@ -151,7 +152,7 @@ def _from_locus(one: OneHarmonic, rows: list[Intersection], unit: float,
 
 
 def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_gain: float,
-                  steps_n: Sequence[float], report: Progress = silent
+                  steps_n: Sequence[float], progress: Progress = silent
                   ) -> list[dict[str, float | None]]:
     """
     Return onset gain and frequency by the size of the step, predicted and simulated (Fig. 7).
@@ -161,7 +162,7 @@ def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_ga
     """
     rows: list[dict[str, float | None]] = []
     for k, step in enumerate(steps_n):
-        report(f'onset for a step of {step:g} N', k / len(steps_n))
+        progress(f'onset for a step of {step:g} N', k / len(steps_n))
         settings = {**controller, 'reference.amplitude': float(step)}
         row: dict[str, float | None] = dict.fromkeys(
             ('predicted_gain', 'predicted_frequency_hz', 'simulated_gain',
@@ -179,12 +180,12 @@ def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_ga
 
 
 def _compared(actuator: Values, controller: Values, rate_hz: float, points: list[hb.Balance],
-              report: Progress, document: dict[str, Any]) -> list[dict[str, Any]]:
+              progress: Progress, document: dict[str, Any]) -> list[dict[str, Any]]:
     """Return balanced and simulated cycles; the largest errors go into the document."""
     lowest = int(np.argmin([point.gain for point in points]))
     cycles, errors = [], []
     for k, point in enumerate(points):
-        report('simulation and Floquet multipliers', 0.3 + 0.7 * k / len(points))
+        progress('simulation and Floquet multipliers', 0.3 + 0.7 * k / len(points))
         stable = k < lowest
         second = None
         if stable:

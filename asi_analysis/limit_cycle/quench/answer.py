@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.quench.attack import Trial, search
 from asi_analysis.limit_cycle.quench.design import design
 from asi_analysis.limit_cycle.quench.dither import dither
@@ -71,7 +72,7 @@ class Quench(Result):
 
 def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float] = (5000.0,),
                   count: int = 200, seed: int = 1, designs: int = 0,
-                  replayed: tuple[int, Path] | None = None, report: Progress = silent) -> Quench:
+                  replayed: tuple[int, Path] | None = None, progress: Progress = silent) -> Quench:
     """
     Measure the margin of a compensator to a limit cycle, and search for conditions that cycle.
 
@@ -83,10 +84,11 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
     >>> import asi_analysis as asi
     >>> found = asi.quench_cycles({}, {'compensator': 'lead4'}, count=50)  # doctest: +SKIP
     """
+    controller = stepping(actuator, controller, *rates_hz)
     rate = rates_hz[0]
-    report('margin', None)
+    progress('margin', None)
     found = margin(actuator, controller, rate)
-    trials = search(actuator, controller, tuple(rates_hz), count, seed, report)
+    trials = search(actuator, controller, tuple(rates_hz), count, seed, progress)
     lasting = [trial for trial in trials if trial.sustained]
     document: dict[str, Any] = {
         'compensator': str(controller.get('compensator', 'proportional')),
@@ -100,13 +102,13 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
     if replayed:
         from asi_analysis.limit_cycle.quench.replay import replay
         document['replayed'] = replay(trials[:replayed[0]], controller, actuator,
-                                      tuple(rates_hz), replayed[1], report)
+                                      tuple(rates_hz), replayed[1], progress)
     swing = sustained(step_run(actuator, controller, rate))
     if swing is not None:
         # Only what cycles can be quenched by dither.
-        document['dither'] = dither(actuator, controller, rate, report=report)
+        document['dither'] = dither(actuator, controller, rate, report=progress)
     if designs:
-        document['design'] = design(actuator, controller, rate, designs, seed, report)
+        document['design'] = design(actuator, controller, rate, designs, seed, progress)
     return Quench(document, actuator=actuator, controller=controller)
 
 
