@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 from matplotlib.figure import Figure
 
 from asi_analysis.bags.run import Run
-from asi_analysis.paper.demo import (
+from asi_analysis.paper.demo_runs import (
     Cycle,
     Loop,
     Published,

@@ -9,8 +9,14 @@ from asi_analysis.bags.run import Run
 from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.analysis import analyze
-from asi_analysis.paper.demo import RUNS, Published, Recorded, hysteresis_loop, limit_cycle
 from asi_analysis.paper.demo_report import compare, write_demo_report
+from asi_analysis.paper.demo_runs import (
+    RUNS,
+    Published,
+    Recorded,
+    hysteresis_loop,
+    limit_cycle,
+)
 
 
 def recorded(plan, **changes):

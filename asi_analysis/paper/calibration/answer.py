@@ -3,10 +3,12 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from asi_analysis.paper.calibration.cost import AIMS, cost, misses
+from asi_analysis.paper.calibration.cost import cost, misses
 from asi_analysis.paper.calibration.quantities import STRUCTURES, Candidate, read_best, write_best
-from asi_analysis.paper.calibration.search import calibrate, load, new_search, result, stages
+from asi_analysis.paper.calibration.search import calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
+from asi_analysis.paper.facts.fact import Stage
+from asi_analysis.paper.facts.table import AIMS
 from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress
 
@@ -42,11 +44,11 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
     calibrate(search, evaluations, rounds, state, report)
     write_best(result(search), out / 'best.json')
     measured = search.problem.measure(search.best)
-    names = stages(result(search), {})
     return Calibration({
         'evaluations': search.evaluations,
-        'stages': dict(zip(names, search.counts, strict=True)),
+        'stages': {str(stage): count for stage, count
+                   in zip(Stage, search.counts, strict=True)},
         'polish_evaluations': search.polished, 'cost': cost(misses(measured)),
         'best': str(out / 'best.json'),
-        'met': sum(fact.met(measured[fact.value]) for fact in AIMS), 'total': len(AIMS),
-        'not_met': [fact.value for fact in AIMS if not fact.met(measured[fact.value])]})
+        'met': sum(row.met(measured[row.name]) for row in AIMS), 'total': len(AIMS),
+        'not_met': [row.name for row in AIMS if not row.met(measured[row.name])]})

@@ -1,5 +1,5 @@
 """
-What a search aims at, and what it costs to miss it: the rows of `facts.table` that are fitted.
+What it costs a search to miss the rows that it aims at: those of `facts.table` that are fitted.
 
 A row costs nothing inside the inner part of its limits, so that no row is bettered at the expense
 of another that is met; far outside the cost grows more slowly, so that a row that cannot be met
@@ -11,10 +11,9 @@ import math
 from collections.abc import Iterable
 from typing import Final
 
-from asi_analysis.paper.facts.measures import Measured
-from asi_analysis.paper.facts.table import FACTS, FITTED, Fact
+from asi_analysis.paper.facts.fact import Measured, Row
+from asi_analysis.paper.facts.table import AIMS
 
-AIMS: Final = tuple(fact for fact in FACTS if fact.role == FITTED)
 # Share of a row's half width, from the middle, that costs nothing.
 INNER: Final = 0.85
 # Half widths beyond which a row only costs this share more: it shall not bend all the others.
@@ -26,38 +25,33 @@ WORST: Final = 9.0
 WRONG_SHAPE: Final = 1.5
 
 
-def one_sided(fact: Fact) -> bool:
-    """Return whether a fact only has a limit: at least, or at most from a published 0."""
-    return math.isinf(fact.high) or fact.low == 0.0
-
-
-def position(fact: Fact, value: float) -> float:
+def position(row: Row, value: float) -> float:
     """
-    Return where a value is: beyond -1 to 1 it misses the fact; above 1 if the limit is one-sided.
+    Return where a value is: beyond -1 to 1 it misses the row; above 1 if the limit is one-sided.
 
     In half widths of the limits from their middle; of a single limit, in fifths of it (as it is,
     if it is 0), 1 at the limit.
     """
-    if not one_sided(fact):
-        return (value - 0.5 * (fact.low + fact.high)) / (0.5 * (fact.high - fact.low))
-    limit = fact.low if math.isinf(fact.high) else fact.high
-    beyond = limit - value if math.isinf(fact.high) else value - limit
+    if not row.one_sided:
+        return (value - 0.5 * (row.low + row.high)) / (0.5 * (row.high - row.low))
+    limit = row.low if math.isinf(row.high) else row.high
+    beyond = limit - value if math.isinf(row.high) else value - limit
     return 1.0 + beyond / (0.2 * abs(limit) or 1.0)
 
 
-def miss(fact: Fact, value: float) -> float:
-    """Return how far a value is outside the inner part of a fact's limits, in half widths."""
-    if fact.low == fact.high:
-        return 0.0 if value == fact.low else WRONG_SHAPE
-    where = bounded(fact, value)
-    return max(0.0, (where if one_sided(fact) else abs(where)) - INNER)
+def miss(row: Row, value: float) -> float:
+    """Return how far a value is outside the inner part of a row's limits, in half widths."""
+    if row.low == row.high:
+        return 0.0 if value == row.low else WRONG_SHAPE
+    where = bounded(row, value)
+    return max(0.0, (where if row.one_sided else abs(where)) - INNER)
 
 
-def bounded(fact: Fact, value: float) -> float:
+def bounded(row: Row, value: float) -> float:
     """Return the position of a value, WORST at most; WORST if it does not exist."""
     if not math.isfinite(value):
         return WORST
-    return min(max(position(fact, value), -WORST), WORST)
+    return min(max(position(row, value), -WORST), WORST)
 
 
 def cost(misses: Iterable[float]) -> float:
@@ -67,4 +61,4 @@ def cost(misses: Iterable[float]) -> float:
 
 def misses(measured: Measured) -> list[float]:
     """Return the misses of the rows that have been measured so far."""
-    return [miss(fact, measured[fact.value]) for fact in AIMS if fact.value in measured]
+    return [miss(row, measured[row.name]) for row in AIMS if row.name in measured]

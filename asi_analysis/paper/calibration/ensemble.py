@@ -16,12 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.errors import InputError
-from asi_analysis.paper.calibration.cost import AIMS, one_sided, position
-from asi_analysis.paper.calibration.quantities import FREE, Candidate, decode, encode, quantities
+from asi_analysis.free_parameter import Scale, to_values, to_vector
+from asi_analysis.paper.calibration import ensemble_figures
+from asi_analysis.paper.calibration.cost import position
+from asi_analysis.paper.calibration.quantities import FREE, PHYSICAL, Candidate, quantities
 from asi_analysis.paper.calibration.search import SEARCH, Problem
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.measures import Measured
+from asi_analysis.paper.facts.fact import Measured
+from asi_analysis.paper.facts.table import AIMS
 from asi_analysis.parallel import each
+from asi_analysis.reporting import figures
 from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import write_text
@@ -39,9 +43,6 @@ FIRST_REACH: Final = 0.1
 GENERATION: Final = 8
 # Points that are drawn for each of these, most of which the slopes rule out.
 DRAWS: Final = 4096
-# The actuator's parameters: the conditions of the experiments stay.
-PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
-                        if not free.name.startswith('conditions'))
 
 
 class Sensitivity(NamedTuple):
@@ -63,13 +64,13 @@ def problem_of(best: Candidate) -> Problem:
     """Return the problem whose start is a candidate and whose physical parameters are free."""
     known = quantities(best)
     fixed = {name: value for name, value in best.actuator.items() if name not in known}
-    return Problem({**fixed, **SEARCH}, best.conditions, PHYSICAL, encode(known))
+    return Problem({**fixed, **SEARCH}, best.conditions, PHYSICAL, to_vector(FREE, known))
 
 
 def _positions(measured: Measured) -> Array:
-    return np.array([np.clip(position(fact, measured[fact.value]), -10.0, 10.0)
-                     if fact.low != fact.high and math.isfinite(measured[fact.value]) else 0.0
-                     for fact in AIMS])
+    return np.array([np.clip(position(row, measured[row.name]), -10.0, 10.0)
+                     if row.low != row.high and math.isfinite(measured[row.name]) else 0.0
+                     for row in AIMS])
 
 
 def _measured(problem: Problem, point: Array) -> Measured:
@@ -77,7 +78,7 @@ def _measured(problem: Problem, point: Array) -> Measured:
 
 
 def _met(measured: Measured) -> int:
-    return sum(fact.met(measured[fact.value]) for fact in AIMS)
+    return sum(row.met(measured[row.name]) for row in AIMS)
 
 
 def slopes(problem: Problem, report: Progress = silent) -> Array:
@@ -98,10 +99,10 @@ def sensitivity(problem: Problem, found: Array) -> Sensitivity:
     scale = []
     for k in problem.free:
         free = FREE[k]
-        value = decode(problem.start)[free.name]
-        scale.append(math.log(1.1) / math.log(free.high / free.low) if free.logarithmic
+        value = free.value(problem.start[k])
+        scale.append(math.log(1.1) / math.log(free.high / free.low) if free.scale is Scale.LOG
                      else 0.1 * abs(value) / (free.high - free.low))
-    return Sensitivity(tuple(fact.value for fact in AIMS),
+    return Sensitivity(tuple(row.name for row in AIMS),
                        tuple(FREE[k].name for k in problem.free), found * np.array(scale))
 
 
@@ -119,7 +120,7 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     stiffness[:sizes.size] = sizes
     at_best = problem.measure(point)
     needed, here = _met(at_best), _positions(at_best)
-    two_sided = np.array([not one_sided(fact) for fact in AIMS])
+    two_sided = np.array([not row.one_sided for row in AIMS])
     kept: list[tuple[Array, Member]] = []
     reach, tried = FIRST_REACH, 0
     while len(kept) < count and tried < most:
@@ -145,7 +146,7 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
             elif near:
                 reach *= 1.1
             elif len(kept) < count:
-                whole = decode(problem.whole(one))
+                whole = to_values(FREE, problem.whole(one))
                 kept.append((one, Member({FREE[k].name: whole[FREE[k].name]
                                           for k in problem.free}, met)))
     return [member for _, member in kept], tried
@@ -173,14 +174,6 @@ def sensitivity_table(found: Sensitivity) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def best_as_member(best: Candidate) -> Member:
-    """Return the best set as a member, for pictures."""
-    problem = problem_of(best)
-    measured = problem.measure(problem.start[list(problem.free)])
-    known = quantities(best)
-    return Member({FREE[k].name: known[FREE[k].name] for k in PHYSICAL}, _met(measured))
-
-
 class Ensemble(Result):
     """The members of an ensemble, by the keys of `asi ensemble --json`."""
 
@@ -197,8 +190,6 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Pro
     out: directory of the members; pictures: directory of the pictures and the sensitivity table.
     Raises InputError if there is no member.
     """
-    from asi_analysis.paper.calibration import ensemble_figures
-    from asi_analysis.reporting import figures
     best = Candidate({}, Conditions())
     problem = problem_of(best)
     found = slopes(problem, report)
@@ -210,6 +201,7 @@ def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Pro
     write_text(pictures / 'sensitivity.md', sensitivity_table(sensitivity(problem, found)))
     for name, draw in (('ensemble_spread', ensemble_figures.spread),
                        ('ensemble_pairs', ensemble_figures.pairs)):
-        figures.save(draw(kept, best_as_member(best)), pictures / f'{name}.png', 110.0)
+        figures.save(draw([member.quantities for member in kept], quantities(best)),
+                     pictures / f'{name}.png', 110.0)
     return Ensemble({'members': len(kept), 'evaluations': tried, 'out': str(out),
                      'met': [member.met for member in kept], 'total': len(AIMS)})

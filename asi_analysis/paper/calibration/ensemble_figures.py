@@ -1,24 +1,21 @@
 """The spread of the ensemble, per parameter and pairwise."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from asi_analysis.paper.calibration.ensemble import PHYSICAL, Member
-from asi_analysis.paper.calibration.quantities import FREE
+from asi_analysis.paper.calibration.quantities import FREE, PHYSICAL
 from asi_analysis.reporting.figures import BLUE, ORANGE, WIDTH_IN, style
 
 MOST_PAIRED = 8
 
 
-def _share(member: Member, k: int) -> float:
-    free, value = FREE[k], member.quantities[FREE[k].name]
-    return float(np.log(value / free.low) / np.log(free.high / free.low) if free.logarithmic
-                 else (value - free.low) / (free.high - free.low))
+def _share(member: Mapping[str, float], k: int) -> float:
+    return FREE[k].share(member[FREE[k].name])
 
 
-def spread(found: Sequence[Member], best: Member) -> Figure:
+def spread(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> Figure:
     """Draw where the members lie in the range of each parameter, 0 to 1."""
     with style():
         figure = Figure(figsize=(WIDTH_IN, 0.24 * len(PHYSICAL) + 0.8), layout='constrained')
@@ -34,7 +31,7 @@ def spread(found: Sequence[Member], best: Member) -> Figure:
     return figure
 
 
-def pairs(found: Sequence[Member], best: Member) -> Figure:
+def pairs(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> Figure:
     """Draw the parameters that spread most against each other."""
     shares = np.array([[_share(member, k) for k in PHYSICAL] for member in found])
     widest = np.argsort(-shares.std(axis=0))[:MOST_PAIRED]

@@ -12,12 +12,12 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 
 from asi_analysis.errors import InputError
-from asi_analysis.paper.calibration.cost import AIMS, cost, misses
+from asi_analysis.paper.calibration.cost import cost, misses
 from asi_analysis.paper.calibration.quantities import Candidate, Structure, read_best
 from asi_analysis.paper.calibration.search import new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.measures import Measured
-from asi_analysis.paper.facts.table import Fact
+from asi_analysis.paper.facts.fact import Measured, Row
+from asi_analysis.paper.facts.table import AIMS, FACTS
 from asi_analysis.reporting.figures import BLUE, WIDTH_IN, save, style
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
@@ -33,8 +33,8 @@ class Held(NamedTuple):
     measured: Measured
 
     @property
-    def not_met(self) -> list[Fact]:
-        return [fact for fact in AIMS if not fact.met(self.measured[fact.value])]
+    def not_met(self) -> list[Row]:
+        return [row for row in AIMS if not row.met(self.measured[row.name])]
 
 
 def parsed(text: str) -> tuple[str, list[float]]:
@@ -65,8 +65,8 @@ def table(name: str, held: Sequence[Held]) -> str:
     """Return the front as a table in Markdown."""
     lines = [f'| `{name}` | cost | rows not met | evaluations |', '|---|---|---|---|']
     for each in held:
-        rows = ', '.join(f'{fact.id} {fact.value} {each.measured[fact.value]:.4g}'
-                         for fact in each.not_met) or 'none'
+        rows = ', '.join(f'{fact.id} {row.name} {each.measured[row.name]:.4g}'
+                         for fact in FACTS for row in fact.rows if row in each.not_met) or 'none'
         lines.append(f'| {each.value:g} | {each.cost:.2f} | {rows} | {each.evaluations} |')
     return '\n'.join(lines) + '\n'
 
@@ -112,4 +112,4 @@ def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress)
     return Front({
         'quantity': name, 'out': str(out),
         'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,
-                   'not_met': [fact.value for fact in each.not_met]} for each in held]})
+                   'not_met': [row.name for row in each.not_met]} for each in held]})

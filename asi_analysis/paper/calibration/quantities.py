@@ -1,16 +1,13 @@
 """What a search may vary: parameters of the actuator, and the conditions of Table 1."""
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.errors import InputError
+from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.loop.bench import Values
 from asi_analysis.paper.facts.conditions import Conditions, StepTest
 from asi_common.files import write_text
@@ -18,57 +15,72 @@ from asi_common.parameter import Value, completed, defaults
 from asi_controller.compensator import OWN_GAIN
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
-Array = npt.NDArray[np.float64]
+
+class Candidate(NamedTuple):
+    """A point of the search as what it stands for."""
+
+    actuator: Values
+    conditions: Conditions
 
 
-class Free(NamedTuple):
-    """A free quantity: a parameter of the actuator, or 'conditions.TEST.NAME' of Table 1."""
+def _value(one: Candidate, name: str) -> float:
+    """Return a quantity of a candidate: an actuator's parameter or 'conditions.TEST.NAME'."""
+    actuator = completed(one.actuator, ACTUATOR_PARAMETERS)
+    kind, _, rest = name.partition('.')
+    if kind != 'conditions':
+        return float(actuator[name])
+    which, _, parameter = rest.partition('.')
+    test: StepTest = getattr(one.conditions, which)
+    return float({**actuator, **defaults(COMPENSATOR_PARAMETERS), 'gain': OWN_GAIN[which],
+                  **test.controller, **test.load, 'amplitude_n': test.amplitude_n}[parameter])
 
-    name: str
-    low: float
-    high: float
-    logarithmic: bool = True
+
+def _free(name: str, low: float, high: float, scale: Scale = Scale.LOG) -> FreeParameter:
+    return FreeParameter(name, _value(Candidate({}, Conditions()), name), low, high, scale)
 
 
 FREE: Final = (
-    Free('valve_flexure.coil_frequency', 14.0, 40.0),
-    Free('valve_flexure.natural_frequency', 150.0, 2500.0),
-    Free('valve_flexure.damping_ratio', 0.2, 2.0, False),
-    Free('valve_flexure.delay', 5e-5, 2.5e-3),
-    Free('force_sensor.natural_frequency', 200.0, 2500.0),
-    Free('force_sensor.card_frequency', 200.0, 5000.0),
-    Free('force_sensor.delay', 5e-5, 1.5e-3),
-    Free('force_sensor.mass_share', 0.0, 1.0, False),
-    Free('valve_hysteresis.radius', 8.0, 30.0, False),
-    Free('valve_hysteresis.lag_time', 2e-4, 4e-3),
-    Free('valve_hysteresis.rate_exponent', 0.0, 1.0, False),
-    Free('valve_hysteresis.rate_filter', 60.0, 10000.0),
-    Free('valve_hysteresis.saturation', 900.0, 8000.0),
-    Free('hydraulic_damping.centre_share', 0.02, 1.0),
-    Free('hydraulic_damping.saturation_velocity', 0.01, 0.8),
-    Free('hydraulic_damping.saturation_shift', -0.7, 0.7, False),
-    Free('hydraulic_damping.saturation_narrowing', -0.7, 0.7, False),
-    Free('hydraulic_damping.velocity_width', 0.01, 0.4),
-    Free('hydraulic_damping.width_growth', 0.0, 3.0, False),
-    Free('hydraulic_damping.viscous', 5.0, 5000.0),
-    Free('friction.presliding_stiffness', 3e4, 2e6),
-    Free('friction.presliding_damping', 5.0, 3000.0),
-    Free('load.mass', 0.2, 5.0),
-    Free('load.locked_stiffness', 1e5, 2e7),
-    Free('load.locked_damping', 10.0, 10000.0),
-    Free('conditions.proportional.amplitude_n', 100.0, 850.0),
-    Free('conditions.proportional.load.mass', 0.2, 6.0),
-    Free('conditions.proportional.load.stiffness', 4e3, 5e5),
-    Free('conditions.proportional.load.damping', 1.0, 1500.0),
-    Free('conditions.lead_lag.gain', 3.0, 45.0),
-    Free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, False),
-    Free('conditions.lead_lag.amplitude_n', 50.0, 750.0),
-    Free('conditions.lead4.gain', 0.5, 30.0),
-    Free('conditions.lead4.lead4.zero_frequency', 60.0, 800.0),
-    Free('conditions.lead4.lead4.ratio', 1.2, 14.0),
-    Free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0),
-    Free('conditions.lead4.amplitude_n', 50.0, 750.0),
+    _free('valve_flexure.coil_frequency', 14.0, 40.0),
+    _free('valve_flexure.natural_frequency', 150.0, 2500.0),
+    _free('valve_flexure.damping_ratio', 0.2, 2.0, Scale.LINEAR),
+    _free('valve_flexure.delay', 5e-5, 2.5e-3),
+    _free('force_sensor.natural_frequency', 200.0, 2500.0),
+    _free('force_sensor.card_frequency', 200.0, 5000.0),
+    _free('force_sensor.delay', 5e-5, 1.5e-3),
+    _free('force_sensor.mass_share', 0.0, 1.0, Scale.LINEAR),
+    _free('valve_hysteresis.radius', 8.0, 30.0, Scale.LINEAR),
+    _free('valve_hysteresis.lag_time', 2e-4, 4e-3),
+    _free('valve_hysteresis.rate_exponent', 0.0, 1.0, Scale.LINEAR),
+    _free('valve_hysteresis.rate_filter', 60.0, 10000.0),
+    _free('valve_hysteresis.saturation', 900.0, 8000.0),
+    _free('hydraulic_damping.centre_share', 0.02, 1.0),
+    _free('hydraulic_damping.saturation_velocity', 0.01, 0.8),
+    _free('hydraulic_damping.saturation_shift', -0.7, 0.7, Scale.LINEAR),
+    _free('hydraulic_damping.saturation_narrowing', -0.7, 0.7, Scale.LINEAR),
+    _free('hydraulic_damping.velocity_width', 0.01, 0.4),
+    _free('hydraulic_damping.width_growth', 0.0, 3.0, Scale.LINEAR),
+    _free('hydraulic_damping.viscous', 5.0, 5000.0),
+    _free('friction.presliding_stiffness', 3e4, 2e6),
+    _free('friction.presliding_damping', 5.0, 3000.0),
+    _free('load.mass', 0.2, 5.0),
+    _free('load.locked_stiffness', 1e5, 2e7),
+    _free('load.locked_damping', 10.0, 10000.0),
+    _free('conditions.proportional.amplitude_n', 100.0, 850.0),
+    _free('conditions.proportional.load.mass', 0.2, 6.0),
+    _free('conditions.proportional.load.stiffness', 4e3, 5e5),
+    _free('conditions.proportional.load.damping', 1.0, 1500.0),
+    _free('conditions.lead_lag.gain', 3.0, 45.0),
+    _free('conditions.lead_lag.lead_lag.centre_frequency', 60.0, 100.0, Scale.LINEAR),
+    _free('conditions.lead_lag.amplitude_n', 50.0, 750.0),
+    _free('conditions.lead4.gain', 0.5, 30.0),
+    _free('conditions.lead4.lead4.zero_frequency', 60.0, 800.0),
+    _free('conditions.lead4.lead4.ratio', 1.2, 14.0),
+    _free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0),
+    _free('conditions.lead4.amplitude_n', 50.0, 750.0),
 )
+# The actuator's parameters; the others are conditions of Table 1.
+PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
+                        if not free.name.startswith('conditions'))
 
 
 class Structure(NamedTuple):
@@ -86,30 +98,6 @@ STRUCTURES: Final[Mapping[str, Structure]] = {
     'one-load': Structure('as side, with one load for all of Table 1', one_load=True),
 }
 TESTS: Final = ('proportional', 'lead_lag', 'lead4')
-
-
-class Candidate(NamedTuple):
-    """A point of the search as what it stands for."""
-
-    actuator: Values
-    conditions: Conditions
-
-
-def decode(point: Array) -> dict[str, float]:
-    """Return the quantities that belong to a point of the unit cube."""
-    found = {}
-    for free, share in zip(FREE, np.clip(point, 0.0, 1.0), strict=True):
-        found[free.name] = float(free.low * (free.high / free.low) ** share if free.logarithmic
-                                 else free.low + (free.high - free.low) * share)
-    return found
-
-
-def encode(quantities: Mapping[str, float]) -> Array:
-    """Return the point of the unit cube that belongs to quantities, limited to the cube."""
-    return np.clip([
-        math.log(quantities[free.name] / free.low) / math.log(free.high / free.low)
-        if free.logarithmic else (quantities[free.name] - free.low) / (free.high - free.low)
-        for free in FREE], 0.0, 1.0)
 
 
 def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions,
@@ -139,20 +127,7 @@ def candidate(quantities: Mapping[str, float], fixed: Values, base: Conditions,
 
 def quantities(one: Candidate) -> dict[str, float]:
     """Return the quantities of FREE that belong to a candidate, by name."""
-    actuator = completed(one.actuator, ACTUATOR_PARAMETERS)
-    controller = defaults(COMPENSATOR_PARAMETERS)
-    found = {}
-    for free in FREE:
-        kind, _, rest = free.name.partition('.')
-        if kind != 'conditions':
-            found[free.name] = float(actuator[free.name])
-            continue
-        which, _, parameter = rest.partition('.')
-        test: StepTest = getattr(one.conditions, which)
-        own = {**actuator, **controller, 'gain': OWN_GAIN[which], **test.controller, **test.load,
-               'amplitude_n': test.amplitude_n}
-        found[free.name] = float(own[parameter])
-    return found
+    return {free.name: _value(one, free.name) for free in FREE}
 
 
 def write_best(one: Candidate, path: Path) -> None:

@@ -8,7 +8,7 @@ its best.
 
 import math
 import pickle
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -16,21 +16,19 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.errors import InputError
+from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.loop.bench import Values
-from asi_analysis.paper.calibration.cost import AIMS, INNER, bounded, cost, misses, one_sided
+from asi_analysis.paper.calibration.cost import INNER, bounded, cost, misses
 from asi_analysis.paper.calibration.quantities import (
     FREE,
-    TESTS,
     Candidate,
     Structure,
     candidate,
-    decode,
-    encode,
     quantities,
 )
-from asi_analysis.paper.facts import measures
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.measures import Measured
+from asi_analysis.paper.facts.fact import Measured, Setup, Stage
+from asi_analysis.paper.facts.table import AIMS, FACTS
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import replacing
@@ -41,6 +39,8 @@ Array = npt.NDArray[np.float64]
 SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.0015
+SEARCH_RATIO_ACCURACY: Final = 0.004
+SEARCH_WATCHED_S: Final = 4.0
 # So many of the points of a generation are measured in each stage: a race.
 RACE: Final = (64, 16, 8, 6, 4)
 # Sorts a point that left the race behind every point that went on.
@@ -53,42 +53,16 @@ SHARES: Final = (2.0, 1.0, 0.4, 0.15)
 STEEPEST: Final = 80.0
 
 
-def stages(one: Candidate, measured: Measured) -> Mapping[str, Callable[[], Measured]]:
-    """Return the measurements of a search, in order: what costs least for what it tells first."""
-    actuator = one.actuator
-    conditions = one.conditions._replace(onset_steps_n=SEARCH_STEPS_N,
-                                         onset_accuracy=SEARCH_ACCURACY)
-    first = conditions._replace(onset_steps_n=(conditions.cycle_step_n,))
-    name = measures.onset_name(conditions.cycle_step_n, 'gain')
-
-    def steps() -> Measured:
-        return {key: value for test in TESTS for key, value in measures.step_test(
-            actuator, conditions, getattr(conditions, test), test).items()}
-
-    def cycle() -> Measured:
-        found = measures.onsets(actuator, first)
-        gain = found[name]
-        return {**found,
-                **measures.high_gain_cycle(actuator, conditions, gain),
-                'linear_onset_ratio': measures.free_onset(
-                    actuator, conditions, measures.HYSTERESIS_AS_GAIN, gain, 2.5, 0.004),
-                **measures.prediction_error(actuator, conditions, gain)}
-
-    def all_onsets() -> Measured:
-        gains = measures.onsets(actuator, conditions, {name: measured[name]})
-        return {**gains, **measures.onset_rise(gains, conditions),
-                **measures.onset_frequencies(actuator, conditions, gains)}
-
-    return {
-        'describing function, damping': lambda: {
-            **measures.describing(actuator), **measures.damping_exponent(actuator)},
-        'Table 1': steps,
-        'cycle': cycle,
-        'bandwidths, loop': lambda: {
-            **measures.bandwidths(actuator, conditions),
-            **measures.error_within_loop(actuator, conditions)},
-        'onsets': all_onsets,
-    }
+def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
+    """Return the values of the fitted rows of a stage, with what was measured before."""
+    setup = Setup(one.actuator, one.conditions._replace(
+        onset_steps_n=SEARCH_STEPS_N, onset_accuracy=SEARCH_ACCURACY,
+        onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY),
+        dict(measured), fitted_only=True)
+    for fact in FACTS:
+        if fact.stage is stage:
+            setup.measured.update(fact.measure(setup))
+    return setup.measured
 
 
 class Problem(NamedTuple):
@@ -108,13 +82,14 @@ class Problem(NamedTuple):
 
     def candidate(self, point: Array) -> Candidate:
         """Return what a point of the free quantities stands for."""
-        return candidate(decode(self.whole(point)), self.fixed, self.conditions, self.one_load)
+        return candidate(to_values(FREE, self.whole(point)), self.fixed, self.conditions,
+                         self.one_load)
 
     def measure(self, point: Array) -> Measured:
         """Return all that the rows need."""
         measured: Measured = {}
-        for stage in stages(self.candidate(point), measured).values():
-            measured.update(stage())
+        for stage in Stage:
+            measured = measure_stage(self.candidate(point), stage, measured)
         return measured
 
 
@@ -226,13 +201,13 @@ def _outside(point: Array) -> float:
     return 10.0 * float(np.sum((point - np.clip(point, 0.0, 1.0))**2))
 
 
-LINES: Final = tuple(fact for fact in AIMS if fact.low != fact.high)
-TWO_SIDED: Final = np.array([not one_sided(fact) for fact in LINES])
+LINES: Final = tuple(row for row in AIMS if row.low != row.high)
+TWO_SIDED: Final = np.array([not row.one_sided for row in LINES])
 
 
 def _bounds(measured: Measured) -> Array:
     """Return where each row that has limits is, in half widths."""
-    return np.array([bounded(fact, measured[fact.value]) for fact in LINES])
+    return np.array([bounded(row, measured[row.name]) for row in LINES])
 
 
 def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
@@ -250,7 +225,7 @@ def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
 
 def _measure_stage(job: tuple[Problem, Array, int, Measured]) -> Measured:
     problem, point, stage, measured = job
-    return list(stages(problem.candidate(point), measured).values())[stage]()
+    return measure_stage(problem.candidate(point), list(Stage)[stage], measured)
 
 
 def _measure_whole(job: tuple[Problem, Array]) -> Measured:
@@ -287,7 +262,7 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     free = tuple(k for k, name in enumerate(names)
                  if name not in structure.fixed and (not only or name in only))
     known = {**quantities(start), **structure.fixed}
-    problem = Problem({**start.actuator, **SEARCH}, start.conditions, free, encode(known),
+    problem = Problem({**start.actuator, **SEARCH}, start.conditions, free, to_vector(FREE, known),
                       structure.one_load)
     return Search(problem, seed, spread)
 

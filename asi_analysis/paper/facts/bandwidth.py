@@ -13,11 +13,11 @@ SETTLING_S: Final = 0.1
 WHOLE_PERIODS: Final = 4
 
 
-def _periods(frequency_hz: float) -> tuple[int, int]:
+def _periods(frequency_hz: float, refinement: int) -> tuple[int, int]:
     """Return how many samples settle and how many are projected, both whole periods."""
     period = RATE_HZ / frequency_hz
-    settling = math.ceil(SETTLING_S * frequency_hz) * period
-    return round(settling), round(WHOLE_PERIODS * period)
+    settling = math.ceil(refinement * SETTLING_S * frequency_hz) * period
+    return round(settling), round(refinement * WHOLE_PERIODS * period)
 
 
 def _amplitude(force: Array, frequency_hz: float, samples: int) -> float:
@@ -27,33 +27,37 @@ def _amplitude(force: Array, frequency_hz: float, samples: int) -> float:
     return float(2.0 / samples * abs(np.sum((force[first:] - force[first:].mean()) * turn)))
 
 
-def open_loop_gain(plant: np.void, amplitude_n: float, frequency_hz: float) -> float:
+def open_loop_gain(plant: np.void, amplitude_n: float, frequency_hz: float, refinement: int = 1
+                   ) -> float:
     """Return the force per valve command, N/N, at an amplitude (N) and a frequency (Hz)."""
-    settling, samples = _periods(frequency_hz)
+    settling, samples = _periods(frequency_hz, refinement)
     time = np.arange(settling + samples) / RATE_HZ
     run = open_loop(plant, amplitude_n * np.sin(2.0 * np.pi * frequency_hz * time))
     return _amplitude(run.force_n, frequency_hz, samples) / amplitude_n
 
 
-def closed_loop_gain(plant: np.void, controller: Values, amplitude_n: float, frequency_hz: float
-                     ) -> float:
+def closed_loop_gain(plant: np.void, controller: Values, amplitude_n: float, frequency_hz: float,
+                     refinement: int = 1) -> float:
     """Return the force per desired force, N/N, at an amplitude (N) and a frequency (Hz)."""
-    settling, samples = _periods(frequency_hz)
+    settling, samples = _periods(frequency_hz, refinement)
     bench = Bench(plant, controller)
     force = bench.run((settling + samples) / RATE_HZ, amplitude_n, frequency_hz).force_n
     return _amplitude(force, frequency_hz, samples) / amplitude_n
 
 
 def bandwidth_hz(gain: Callable[[float], float], low_hz: float,
-                 frequencies_hz: Sequence[float]) -> float:
+                 frequencies_hz: Sequence[float], refinement: int = 1) -> float:
     """
     Return where `gain` has fallen by 3 dB from that at `low_hz`; infinite if it does not.
 
-    frequencies_hz: rising; between two of them the gain is a power of the frequency.
+    frequencies_hz: rising; between two of them the gain is a power of the frequency. refinement:
+    so many times as many of them are used.
     """
+    places = np.arange((len(frequencies_hz) - 1) * refinement + 1) / refinement
+    finer = np.exp(np.interp(places, np.arange(len(frequencies_hz)), np.log(frequencies_hz)))
     level = gain(low_hz) / math.sqrt(2.0)
     before_hz, before = low_hz, level * math.sqrt(2.0)
-    for frequency in frequencies_hz:
+    for frequency in finer if refinement > 1 else frequencies_hz:
         after = gain(frequency)
         if after < level:
             share = math.log(before / level) / math.log(before / max(after, 1e-9))

@@ -5,7 +5,7 @@ What it does not give (loads, steps, gains of the lead compensators) is chosen h
 stated with each row.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from asi_analysis.experiments.step_tests import (
     LEAD4,
@@ -18,7 +18,10 @@ from asi_analysis.experiments.step_tests import (
 from asi_common.parameter import defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
-__all__ = ['LOCKED', 'SPRING', 'Conditions', 'StepTest']
+__all__ = ['LOCKED', 'PROPORTIONAL_GAIN', 'SPRING', 'Conditions', 'StepTest']
+
+# Of Table 1 and of the closed-loop bandwidth.
+PROPORTIONAL_GAIN: Final = 3.0
 
 
 class Conditions(NamedTuple):
@@ -32,6 +35,8 @@ class Conditions(NamedTuple):
     start_n: float = 100.0
     onset_steps_n: tuple[float, ...] = (0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
     onset_accuracy: float = 0.0005
+    # Of an onset without one of the nonlinearities, over the onset with all of them.
+    ratio_accuracy: float = 0.01
     # How long a loop is watched to decide whether its oscillation is sustained.
     onset_watched_s: float = 32.0
     # Fig. 6: a step of this size, at this multiple of the onset gain.

@@ -9,6 +9,9 @@ from asi_actuator.parameters import as_record
 from asi_analysis.loop.bench import RATE_HZ, Array, Values, open_loop
 from asi_analysis.paper.facts.conditions import LOCKED
 
+# The family of Fig. 3: valve positions as shares of full opening, up to a speed.
+OPENINGS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
+FASTEST_M_S: Final = 1.0
 RAMP_S: Final = 3.0
 TRIANGLE_S: Final = 2.0
 # Slow against the Stribeck velocity; and fast against it, where only Coulomb friction is left.
@@ -24,24 +27,25 @@ class Curve(NamedTuple):
     y: Array
 
 
-def static_characteristic(actuator: Values) -> Curve:
+def static_characteristic(actuator: Values, refinement: int = 1) -> Curve:
     """Return the thrust against the valve position (m), piston locked, by a slow ramp (Fig. 4)."""
     plant = as_record({**actuator, **LOCKED, **NO_FRICTION})
     full = plant['valve_characteristic_maximum_force'] / plant['valve_characteristic_gain']
-    up = np.linspace(0.0, 1.3 * full, int(RAMP_S * RATE_HZ))
+    up = np.linspace(0.0, 1.3 * full, int(refinement * RAMP_S * RATE_HZ))
     sides = [open_loop(plant, sign * up) for sign in (-1.0, 1.0)]
     return Curve(np.concatenate([sides[0].valve_position_m[::-1], sides[1].valve_position_m]),
                  np.concatenate([sides[0].force_n[::-1], sides[1].force_n]))
 
 
-def hysteresis_loop(actuator: Values, amplitude_n: float, sine_hz: float = 0.0) -> Curve:
+def hysteresis_loop(actuator: Values, amplitude_n: float, sine_hz: float = 0.0,
+                    refinement: int = 1) -> Curve:
     """
     Return force against valve command over a period of a triangle, or of a sine (Fig. 5).
 
     Piston locked, open loop; the second of two periods.
     """
     plant = as_record({**actuator, **LOCKED})
-    period = 1.0 / sine_hz if sine_hz else TRIANGLE_S
+    period = 1.0 / sine_hz if sine_hz else refinement * TRIANGLE_S
     turns = np.arange(round(2 * period * RATE_HZ)) / (period * RATE_HZ)
     wave = np.sin(2.0 * np.pi * turns) if sine_hz else 1.0 - 4.0 * np.abs(
         (turns + 0.25) % 1.0 - 0.5)
@@ -66,16 +70,16 @@ def _moved(plant: np.void, velocity: float, duration_s: float) -> Array:
     return simulate(plant, np.zeros(int(duration_s * RATE_HZ)), 1.0 / RATE_HZ).force_n
 
 
-def breakaway(actuator: Values, direction: int) -> float:
+def breakaway(actuator: Values, direction: int, refinement: int = 1) -> float:
     """Return the largest force (N) of a slow motion of the piston: +1 extends, -1 retracts."""
     plant = as_record({**actuator, 'load.type': 'prescribed'})
-    velocity = SLOW * plant['friction_stribeck_velocity']
+    velocity = SLOW / refinement * plant['friction_stribeck_velocity']
     limit = max(plant['friction_stiction_push'], plant['friction_stiction_pull']) / plant[
         'friction_presliding_stiffness']
     return float(np.abs(_moved(plant, direction * velocity, 2.0 * limit / velocity)).max())
 
 
-def coulomb(actuator: Values) -> float:
+def coulomb(actuator: Values, refinement: int = 1) -> float:
     """
     Return the friction when sliding (N): mean of both directions.
 
@@ -85,7 +89,7 @@ def coulomb(actuator: Values) -> float:
     bare = as_record({**actuator, **NO_FRICTION, 'load.type': 'prescribed'})
     velocity = FAST * plant['friction_stribeck_velocity']
     limit = plant['friction_stiction_push'] / plant['friction_presliding_stiffness']
-    duration = 4.0 * limit / velocity + 0.02
+    duration = refinement * (4.0 * limit / velocity + 0.02)
     return float(np.mean([abs(_moved(plant, v, duration)[-1] - _moved(bare, v, duration)[-1])
                           for v in (velocity, -velocity)]))
 

@@ -11,8 +11,9 @@ from asi_analysis.experiments.experiment import Experiment
 from asi_analysis.experiments.running import RunFailedError, run_experiment
 from asi_analysis.loop.closed_loop import LoopRun
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.stated import stated
-from asi_analysis.paper.facts.table import FACTS, Measured, closed_loop_groups, measure
+from asi_analysis.paper.facts.converged import Converged
+from asi_analysis.paper.facts.fact import Fact, Measured, Row, Setup
+from asi_analysis.paper.facts.table import FACTS, measure, met
 from asi_analysis.reporting.result import Pictures, Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
@@ -25,20 +26,20 @@ class Reproduction(Result):
     Every published fact and what the simulator gives: `reproduce_paper`.
 
     The keys are those of `asi reproduce --json`; `actuator` and `conditions` are what was
-    simulated, `measured` every measured value by name.
+    simulated, `measured` every measured value by name, with its change.
     """
 
     title = 'Reproduction of the paper'
     rows = 'facts'
     actuator: Values
     conditions: Conditions
-    measured: Measured
+    measured: Mapping[str, Converged]
 
     def parts(self) -> Iterator[str | Table]:
         yield table_of(self.facts, {
             'fact': '{id}', 'quantity': '{quantity}', 'paper': '{section}',
             'published': '{published:.4g}', 'simulated': '{simulated:.4g}', 'unit': '{unit}',
-            'tolerance': '{tolerance}', 'met': '{met}'})
+            'change %': '{change_percent:.2g}', 'tolerance': '{tolerance}', 'met': '{met}'})
         yield (f'{self["met"]} of {self.total} rows met; all rows of {len(self.ids_met)} of '
                f'{self.ids_total} facts met')
         if self.over_ros:
@@ -78,20 +79,26 @@ def reproduce_paper(actuator: Values | None = None, conditions: Conditions | Non
     >>> print(result.met, 'of', result.total)                             # doctest: +SKIP
     """
     actuator, conditions = actuator or {}, conditions or Conditions()
-    measured = measure(actuator, conditions, report)
-    texts = stated(actuator, conditions)
-    facts = [{
-        'id': fact.id, 'quantity': fact.quantity, 'published': fact.published,
-        'simulated': _finite(measured[fact.value]), 'unit': fact.unit,
-        'tolerance': fact.tolerance, 'met': fact.met(measured[fact.value]),
-        'section': fact.section, 'conditions': texts[fact.id][0], 'method': texts[fact.id][1],
-        'role': fact.role} for fact in FACTS]
-    ids = dict.fromkeys(fact.id for fact in FACTS)
-    whole = [id_ for id_ in ids if all(fact['met'] for fact in facts if fact['id'] == id_)]
+    setup = Setup(actuator, conditions, {})
+    measured = measure(setup, report)
+    facts = [_as_document(fact, row, setup, measured) for fact in FACTS for row in fact.rows]
+    whole = [fact.id for fact in FACTS if all(met(row, measured) for row in fact.rows)]
     return Reproduction(
         {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
-         'ids_met': whole, 'ids_total': len(ids), 'over_ros': [], 'report': None},
+         'ids_met': whole, 'ids_total': len(FACTS), 'over_ros': [], 'report': None},
         actuator=actuator, conditions=conditions, measured=measured)
+
+
+def _as_document(fact: Fact, row: Row, setup: Setup, measured: Mapping[str, Converged]
+                 ) -> dict[str, Any]:
+    figure = measured[row.name]
+    return {
+        'id': fact.id, 'quantity': row.quantity, 'published': row.published,
+        'simulated': _finite(figure.value), 'refined': _finite(figure.refined),
+        'change_percent': _finite(100.0 * figure.relative_change), 'note': figure.note,
+        'unit': row.unit, 'tolerance': row.tolerance, 'met': met(row, measured),
+        'section': row.section, 'conditions': fact.conditions(setup), 'method': fact.method,
+        'role': str(row.role)}
 
 
 class Comparison(NamedTuple):
@@ -123,11 +130,13 @@ def over_ros(result: Reproduction, out: Path,
         return LoopRun(run.time_s, **{signal.field: run.signal(signal.name)
                                       for signal in SIGNALS})
 
+    setup = Setup(result.actuator, result.conditions,
+                  {name: figure.value for name, figure in result.measured.items()}, runner)
     again: Measured = {}
-    for group in closed_loop_groups(result.actuator, result.conditions, result.measured,
-                                    runner).values():
-        again.update(group())
-    return [Comparison(name, result.measured[name], float(value))
+    for fact in FACTS:
+        if fact.over_ros:
+            again.update(fact.over_ros(setup))
+    return [Comparison(name, result.measured[name].value, float(value))
             for name, value in again.items()]
 
 

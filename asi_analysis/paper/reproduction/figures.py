@@ -11,14 +11,15 @@ from asi_actuator.parameters import as_record
 from asi_analysis.loop.bench import Values, in_process, step_experiment
 from asi_analysis.loop.one_harmonic import at_gain, first_intersection
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions
-from asi_analysis.paper.facts.measures import (
+from asi_analysis.paper.facts.converged import Converged
+from asi_analysis.paper.facts.measures import onset_name, paper_prediction
+from asi_analysis.paper.facts.static import (
     FASTEST_M_S,
     OPENINGS,
-    Measured,
-    onset_name,
-    paper_prediction,
+    damping_sweep,
+    hysteresis_loop,
+    static_characteristic,
 )
-from asi_analysis.paper.facts.static import damping_sweep, hysteresis_loop, static_characteristic
 from asi_analysis.reporting.figures import BLUE, COLOURS, GREY, ORANGE, WIDTH_IN, style
 
 FIG_9_GAIN: Final = 15.0
@@ -79,14 +80,14 @@ def high_gain_step(actuator: Values, conditions: Conditions, onset_gain: float) 
     return figure
 
 
-def onset_against_input(conditions: Conditions, measured: Measured) -> Figure:
+def onset_against_input(conditions: Conditions, measured: Mapping[str, Converged]) -> Figure:
     """Draw Fig. 7: gain and frequency at which the cycle begins, against the step."""
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout='constrained')
     steps = np.array(conditions.onset_steps_n)
     above, below = figure.subplots(2, 1, sharex=True)
     for axes, quantity, label in ((above, 'gain', 'onset gain (N/N)'),
                                   (below, 'frequency_hz', 'frequency (Hz)')):
-        axes.plot(steps, [measured[onset_name(step, quantity)]
+        axes.plot(steps, [measured[onset_name(step, quantity)].value
                           for step in conditions.onset_steps_n], 'o-', color=BLUE,
                   label='simulated')
         axes.set_ylabel(label)
@@ -146,10 +147,10 @@ def table_1_step(actuator: Values, conditions: Conditions, name: str, title: str
     return figure
 
 
-def paper_figures(actuator: Values, conditions: Conditions, measured: Measured
+def paper_figures(actuator: Values, conditions: Conditions, measured: Mapping[str, Converged]
                   ) -> dict[str, Figure]:
     """Return every figure by its number in the paper."""
-    onset = measured[onset_name(conditions.cycle_step_n, 'gain')]
+    onset = measured[onset_name(conditions.cycle_step_n, 'gain')].value
     drawn: Mapping[str, Callable[[], Figure]] = {
         'figure_03': lambda: hydraulic_damping(actuator),
         'figure_04': lambda: static_force(actuator),

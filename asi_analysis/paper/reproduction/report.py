@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from asi_analysis.loop.linear_model import linear_model
-from asi_analysis.paper.facts.stated import stated
 from asi_analysis.paper.reproduction.answer import Reproduction
 from asi_analysis.reporting.report import write_report
 from asi_common.files import write_text
@@ -18,7 +17,8 @@ def write_reproduction_report(result: Reproduction, out: Path) -> Path:
     held_out = [fact for fact in result.facts if fact['role'] == 'held out']
     page = write_report(
         out, 'reproduction.html', result.pictures(),
-        document=result, stated=stated(result.actuator, result.conditions),
+        document=result, stated={fact['id']: (fact['conditions'], fact['method'])
+                                  for fact in result.facts},
         held_out=len(held_out), held_out_met=sum(fact['met'] for fact in held_out),
         linear=linear_model(result.actuator), roots=_roots)
     write_text(out / 'table.md', _table(result))
@@ -33,14 +33,17 @@ def _roots(values: np.ndarray) -> str:
 
 def _table(document: Mapping[str, Any]) -> str:
     """Return the table in Markdown, for doc/explanation/reproduction."""
-    lines = ['| fact | quantity | paper | published | simulated | met if | | role |',
-             '|---|---|---|---|---|---|---|---|']
+    lines = ['| fact | quantity | paper | published | simulated | change | met if | | role |',
+             '|---|---|---|---|---|---|---|---|---|']
     for fact in document['facts']:
         simulated = '-' if fact['simulated'] is None else f'{fact["simulated"]:.4g}'
+        change = '-' if fact['change_percent'] is None else f'{fact["change_percent"]:.2g} %'
         lines.append(f'| {fact["id"]} | {fact["quantity"]} | {fact["section"]} | '
-                     f'{fact["published"]:.4g} | {simulated} {fact["unit"]} | '
+                     f'{fact["published"]:.4g} | {simulated} {fact["unit"]} | {change} | '
                      f'{fact["tolerance"]} | {"met" if fact["met"] else "**not met**"} | '
                      f'{fact["role"]} |')
     lines += ['', f'{document["met"]} of {document["total"]} rows met; '
               f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole.']
+    lines += [f'\n{fact["quantity"]}: {fact["note"]}.' for fact in document['facts']
+              if fact['note']]
     return '\n'.join(lines) + '\n'

@@ -7,23 +7,24 @@ import pytest
 from study import STUDY
 
 from asi_analysis.errors import InputError
+from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.paper.calibration import search
-from asi_analysis.paper.calibration.cost import AIMS, INNER, cost, misses
+from asi_analysis.paper.calibration.cost import INNER, cost, misses
 from asi_analysis.paper.calibration.front import front
 from asi_analysis.paper.calibration.quantities import (
     FREE,
     STRUCTURES,
     Candidate,
     candidate,
-    decode,
-    encode,
     quantities,
     read_best,
     write_best,
 )
 from asi_analysis.paper.calibration.search import LINES, calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import SPRING, Conditions, StepTest
-from asi_analysis.paper.facts.measures import step_test
+from asi_analysis.paper.facts.fact import Setup
+from asi_analysis.paper.facts.table import AIMS
+from asi_analysis.paper.facts.table_1 import step_test
 
 SOME = ('valve_flexure.coil_frequency', 'conditions.lead_lag.gain')
 
@@ -35,9 +36,9 @@ def small_search():
 
 def test_points_of_the_cube_are_their_quantities():
     point = np.linspace(0.05, 0.95, len(FREE))
-    assert encode(decode(point)) == pytest.approx(point)
-    one = candidate(decode(point), {}, Conditions())
-    assert quantities(one) == pytest.approx(decode(point))
+    assert to_vector(FREE, to_values(FREE, point)) == pytest.approx(point)
+    one = candidate(to_values(FREE, point), {}, Conditions())
+    assert quantities(one) == pytest.approx(to_values(FREE, point))
 
 
 def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
@@ -83,10 +84,10 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
     seen = []
 
     def measured(problem, point):
-        found = decode(problem.whole(point))
+        found = to_values(FREE, problem.whole(point))
         seen.append(found['valve_hysteresis.radius'])
-        middle = {fact.value: 0.5 * (fact.low + fact.high) if math.isfinite(fact.high)
-                  else 2.0 * fact.low + 1.0 for fact in AIMS}
+        middle = {row.name: 0.5 * (row.low + row.high) if math.isfinite(row.high)
+                  else 2.0 * row.low + 1.0 for row in AIMS}
         return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
 
     monkeypatch.setattr(search.Problem, 'measure', measured)
@@ -99,18 +100,18 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
 
 def test_a_chattering_command_is_no_one_rise():
     """The setting that settled in Table 1's 0.04 s by chattering between the limits."""
-    actuator = {}
+    setup = Setup({}, Conditions(), {})
     test = Conditions().lead4
     wild = test._replace(controller={**test.controller, 'gain': 60.0, 'lead4.ratio': 13.8})
-    assert step_test(actuator, Conditions(), test, 'lead4')['lead4_monotone'] == 1.0
-    assert step_test(actuator, Conditions(), wild, 'lead4')['lead4_monotone'] == 0.0
+    assert step_test(setup, test, 'lead4')['lead4_monotone'] == 1.0
+    assert step_test(setup, wild, 'lead4')['lead4_monotone'] == 0.0
 
 
 def test_a_spike_does_not_win_the_row():
     """A mass and spring of the first study that hit Kp = 3's figures by a spike and a dip."""
     values = STUDY | {'load.mass': 6.1, 'load.stiffness': 33.7e3, 'load.damping': 20.0}
     test = StepTest({'compensator': 'proportional', 'gain': 3.0}, 146.0, SPRING)
-    measured = step_test(values, Conditions(feedforward=1.869), test, 'proportional')
+    measured = step_test(Setup(values, Conditions(feedforward=1.869), {}), test, 'proportional')
     assert measured['proportional_monotone'] == 0.0
     others = {name: value for name, value in measured.items() if not name.endswith('monotone')}
     assert cost(misses(measured)) > cost(misses(others))

@@ -8,13 +8,14 @@ from asi_analysis.limit_cycle.prediction.predict import onset_by_step
 from asi_analysis.loop.bench import RATE_HZ, in_process, step_experiment
 from asi_analysis.measures.oscillation import oscillation
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions
+from asi_analysis.paper.facts.fact import Setup
 from asi_analysis.paper.facts.measures import (
     describing,
     onset_frequencies,
     onset_name,
+    onset_notes,
     onsets,
 )
-from asi_analysis.paper.facts.refined import onset_notes, refined
 
 CONDITIONS = Conditions()
 
@@ -59,8 +60,8 @@ def test_just_below_the_onset_every_step_dies_out(facts):
 
 
 def test_onset_and_prediction_do_not_move_at_twice_the_resolution(facts):
-    actuator, conditions = refined({}, CONDITIONS._replace(onset_steps_n=(300.0, 600.0)), 2)
-    for name, gain in onsets(actuator, conditions).items():
+    fine = Setup({}, CONDITIONS._replace(onset_steps_n=(300.0, 600.0)), {}).refined(2)
+    for name, gain in onsets(fine.actuator, fine.conditions).items():
         assert gain == pytest.approx(facts[name], rel=1e-3)
     coarse, fine = describing({}), describing({}, 1440)
     for name, value in fine.items():

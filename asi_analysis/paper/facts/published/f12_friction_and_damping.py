@@ -1,0 +1,26 @@
+"""F12: friction and damping alone make no cycle but at extreme gains."""
+
+from typing import Final
+
+from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Row, Setup, Stage
+from asi_analysis.paper.facts.measures import MOST_RATIO, free_onset, onset_gain
+from asi_analysis.paper.facts.words import locked_loop
+
+HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
+                             'valve_characteristic.model': 'linear'}
+
+
+def measure(setup: Setup) -> Measured:
+    return {'linear_onset_ratio': free_onset(
+        setup.actuator, setup.conditions, HYSTERESIS_AS_GAIN, onset_gain(setup), MOST_RATIO,
+        setup.conditions.ratio_accuracy)}
+
+
+FACT = Fact(
+    'F12',
+    (Row('linear_onset_ratio', 'onset with friction and damping alone, over onset', '4.1, Fig. 8',
+         2.0, '', 2.0, INFINITE),),
+    measure,
+    lambda setup: (f'{locked_loop(setup)}; hysteresis and static characteristic as gains, step '
+                   f'of {setup.conditions.cycle_step_n:g} N'),
+    f'least gain with a sustained cycle, up to {MOST_RATIO:g} times', Stage.CYCLE)

@@ -1,0 +1,21 @@
+"""F13: the cycle is due to the hysteresis: without it, there is none near the onset."""
+
+from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Role, Row, Setup
+from asi_analysis.paper.facts.measures import MOST_RATIO, free_onset, onset_gain
+from asi_analysis.paper.facts.words import locked_loop
+
+
+def measure(setup: Setup) -> Measured:
+    return {'no_hysteresis_onset_ratio': free_onset(
+        setup.actuator, setup.conditions, {'valve_hysteresis.model': 'off'}, onset_gain(setup),
+        MOST_RATIO, setup.conditions.ratio_accuracy)}
+
+
+FACT = Fact(
+    'F13',
+    (Row('no_hysteresis_onset_ratio', 'onset without hysteresis, over onset', '4.2', 1.5, '', 1.5,
+         INFINITE, Role.HELD_OUT),),
+    measure,
+    lambda setup: f'{locked_loop(setup)}; hysteresis off, step of '
+                  f'{setup.conditions.cycle_step_n:g} N',
+    f'least gain with a sustained cycle, up to {MOST_RATIO:g} times')
