@@ -2,19 +2,16 @@
 
 import math
 import sys
-import time
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from asi_actuator import calibration
+from asi_actuator.actuator_loop import LockStep, Loop, RealTime
 from asi_actuator.calibration import Rest
 from asi_actuator.driver import Health, make_driver
 from asi_actuator.driver.simulated import physical
@@ -27,21 +24,15 @@ from asi_common.node import messages as wire
 from asi_common.node.diagnostics import (
     ERROR,
     OK,
-    SILENT_S,
     WARN,
     Diagnostics,
     LoopStatistics,
     StateChanges,
 )
 from asi_common.node.discovery import AwaitedRecorder
-from asi_common.node.executor import RunError, RunFinished, Unhurried, run_node
+from asi_common.node.executor import RunError, RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
-from asi_common.node.topics import CONTROL_QOS, STREAM_QOS, SteadyClock
-
-# How often the lock-step looks whether it must send again, s.
-WATCH_PERIOD_S: Final = 0.005
-# Real time: at most so many periods are caught up at once; the rest is lost time.
-MOST_CATCH_UP: Final = 10
+from asi_common.node.topics import CONTROL_QOS, STREAM_QOS
 
 
 class ActuatorNode(Node):
@@ -167,6 +158,7 @@ class ActuatorNode(Node):
     def _configure(self, _: set[str]) -> None:
         self.driver.configure(self.parameters.values)
         self.safety.configure(self.parameters.values)
+        self.loop.on_parameters()
 
     def _safety_changed(self) -> None:
         """Tell a change of state at once, in the log and on /diagnostics, so in the bag."""
@@ -199,7 +191,9 @@ class ActuatorNode(Node):
         """Zero the force sensor: the mean of the last readings becomes 0."""
         values = self.parameters.values
         problem = self.rest.problem(float(values['calibration_noise']))
-        if self.driver.hardware and self.safety.state is State.ENABLED:
+        if not self.driver.hardware:
+            problem = problem or self._load()
+        elif self.safety.state is State.ENABLED:
             problem = 'the actuator is enabled, disable it first'
         if problem:
             answer.message = f'refused: {problem}'
@@ -218,8 +212,23 @@ class ActuatorNode(Node):
         self.get_logger().info(answer.message)
         return answer
 
+    def _load(self) -> str:
+        """Return what loads the simulated force sensor, '' for nothing."""
+        values = self.parameters.values
+        thrust_n = self.rest.mean_valve_m() * (
+            float(values['valve_characteristic.maximum_force'])
+            / float(values['valve_characteristic.full_opening']))
+        push_n = float(values['load.external_force'])
+        if abs(thrust_n) > calibration.CHANGE_N:
+            return (f'the valve is open and presses with about {thrust_n:.3g} N: disable the '
+                    'controller; ~/reset closes a valve that its hysteresis holds open')
+        return f'load.external_force = {push_n:g} N presses on the piston' if push_n else ''
+
     def _reset(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         self.driver.reset()
+        if not self.driver.hardware:
+            self.calibration = calibration.load(str(self.parameters.values['calibration_file']))
+            self.rest = Rest(self.rate_hz)
         self.safety.reset()
         self.loop.on_reset()
         answer.success, answer.message = True, f'reset: {self.safety.state}'
@@ -256,232 +265,6 @@ class ActuatorNode(Node):
             **self.statistics.values(), 'commands ignored': self.ignored,
             'states lost': self.health.lost_states, 'bad frames': self.health.bad_frames,
             **self.loop.counts()}
-
-
-class Loop(Protocol):
-    """What runs the actuator: lock-step or real time."""
-
-    def __init__(self, node: ActuatorNode): ...
-
-    def on_command(self, stamp_ns: int, command_n: float) -> None:
-        """Take a valve command that answers the state of `stamp_ns`."""
-
-    def on_pause(self) -> None:
-        """Follow node.paused, which has changed."""
-
-    def on_reset(self) -> None:
-        """Forget what was asked for before the reset."""
-
-    def next_stamp_ns(self) -> int:
-        """Return the stamp of the state that comes next, or, in real time, now."""
-
-    def health(self) -> tuple[bytes, str]:
-        """Return diagnostic level and message."""
-
-    def counts(self) -> dict[str, object]:
-        """Return what was counted, by name."""
-
-
-class LockStep:
-    """The actuator owns time (doc/explanation/lock_step.md)."""
-
-    def __init__(self, node: ActuatorNode):
-        self.node = node
-        self.tick = 0
-        self.stamp_ns = 0
-        # The bytes of the newest state, and of its stamp.
-        self.state = self.clock = b''
-        # While the node is paused: what is to be done then.
-        self.command_n: float | None = None
-        # The newest state that was answered, and how.
-        self.answered = (0, 0.0)
-        self.resent = 0
-        self.silent_since_ns = self.sent_ns = time.monotonic_ns()
-        self.clocks = node.create_publisher(ClockMessage, 'clock', STREAM_QOS)
-        node.topics.append(self.clocks)
-        node.create_timer(WATCH_PERIOD_S, self._watch, Unhurried(),
-                          Clock(clock_type=ClockType.STEADY_TIME))
-
-    def on_command(self, stamp_ns: int, command_n: float) -> None:
-        node = self.node
-        if stamp_ns != self.stamp_ns or self.command_n is not None:
-            node.ignored += 1
-            # A lost answer is asked for again, and is the same.
-            if (stamp_ns, command_n) != self.answered and stamp_ns == self.answered[0]:
-                node.safety.trip(
-                    f'valve_command = {self.answered[1]:g} N and {command_n:g} N answer the same '
-                    'state: do two controllers run?')
-            return
-        self.answered = stamp_ns, command_n
-        node.statistics.latency(time.monotonic_ns() - self.silent_since_ns)
-        if node.paused:
-            self.command_n = command_n
-        else:
-            self._advance(command_n, 1)
-
-    def on_pause(self) -> None:
-        self.silent_since_ns = self.sent_ns = time.monotonic_ns()
-        if not self.node.paused and self.command_n is not None:
-            command_n, self.command_n = self.command_n, None
-            self._advance(command_n, 1)
-
-    def on_reset(self) -> None:
-        pass
-
-    def next_stamp_ns(self) -> int:
-        return round((self.tick + 1) * 1e9 / self.node.rate_hz)
-
-    def health(self) -> tuple[bytes, str]:
-        if self.tick == 0:
-            return WARN, 'waiting for ' + ', '.join(self._missing())
-        silence = self._silence(time.monotonic_ns())
-        if silence > float(self.node.parameters.values['resend_after']):
-            return WARN, f'no answer to state {self.tick} for {silence:.1f} s'
-        return OK, 'running'
-
-    def counts(self) -> dict[str, object]:
-        return {'resent': self.resent}
-
-    def _silence(self, now_ns: int) -> float:
-        """Return for how long (s) no answer has come."""
-        return (now_ns - self.silent_since_ns) * 1e-9
-
-    def _advance(self, command_n: float, periods: int) -> None:
-        """Go on to the next state, which comes `periods` periods later: 1, and the first 0."""
-        node = self.node
-        if self.tick == node.last_tick:
-            node.finish()
-        node.exchange(command_n, periods)
-        self.stamp_ns = stamp_ns = self.next_stamp_ns()
-        if self.tick == 0:
-            node.tell_state(stamp_ns)
-        self.tick += 1
-        self.silent_since_ns = self.sent_ns = now_ns = time.monotonic_ns()
-        self.state, self.clock, force, valve, velocity = node.sense(stamp_ns, now_ns)
-        self._publish()
-        # After what the controller waits for: it computes meanwhile.
-        node.publish_rest(force, valve, velocity)
-
-    def _missing(self) -> list[str]:
-        controller = (self.node.commands.get_publisher_count()
-                      and self.node.states.get_subscription_count()
-                      and self.clocks.get_subscription_count())
-        return ([] if controller else ['a controller in lock-step']) + self.node.missing()
-
-    def _publish(self) -> None:
-        self.node.states.publish(self.state)
-        self.clocks.publish(self.clock)
-
-    def _watch(self) -> None:
-        """Publish the first state when all are there; later, see to it that it is answered."""
-        if self.node.paused:
-            return
-        if self.tick == 0:
-            if missing := self._missing():
-                self.node.get_logger().info('waiting for ' + ', '.join(missing),
-                                            throttle_duration_sec=5.0)
-            else:
-                self._advance(0.0, 0)
-            return
-        values, now_ns = self.node.parameters.values, time.monotonic_ns()
-        silence = self._silence(now_ns)
-        give_up_after_s = float(values['give_up_after'])
-        if self.answered[0] and 0.0 < give_up_after_s < silence:
-            raise RunError(f'no valve_command answers state {self.tick} '
-                           f'({self.stamp_ns * 1e-9:.6f} s) for {silence:.1f} s: '
-                           'has the controller ended?')
-        if (now_ns - self.sent_ns) * 1e-9 > float(values['resend_after']):
-            self.sent_ns = now_ns
-            self.resent += 1
-            self._publish()
-
-
-class RealTime:
-    """The wall clock owns time: the actuator follows it."""
-
-    def __init__(self, node: ActuatorNode):
-        self.node = node
-        self.command_n = 0.0
-        self.commanded_at: float | None = None
-        self.clock = SteadyClock()
-        # In the second that goes on.
-        self.commands = self.periods = 0
-        self.start: float | None = None
-        self.done = 0
-        self.overruns = 0
-        self.timer = node.create_timer(node.period_s, self._tick,
-                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def on_command(self, stamp_ns: int, command_n: float) -> None:
-        latency_ns = self.clock.now_ns() - stamp_ns
-        if abs(latency_ns) * 1e-9 > float(self.node.parameters.values['command_timeout']):
-            self.node.ignored += 1
-            return
-        self.node.statistics.latency(latency_ns)
-        self.commands += 1
-        self.command_n = command_n
-        self.commanded_at = time.monotonic()
-
-    def on_pause(self) -> None:
-        self.start = None
-        if self.commanded_at is not None:
-            self.commanded_at = time.monotonic()
-
-    def on_reset(self) -> None:
-        self.command_n = 0.0
-        self.commanded_at = None
-        self.commands = self.periods = 0
-
-    def next_stamp_ns(self) -> int:
-        return self.clock.now_ns()
-
-    def health(self) -> tuple[bytes, str]:
-        if self.node.measured is None:
-            problem = self.node.health.problem
-            return WARN, 'waiting for ' + ', '.join(self.node.missing() or [
-                'a state of the actuator' + (f'; {problem}' if problem else '')])
-        if self.commanded_at is None:
-            return WARN, 'no valve_command yet, the valve command is 0' + (
-                f' ({self.node.ignored} were stamped too far from now)' if self.node.ignored
-                else '')
-        silence_s = time.monotonic() - self.commanded_at
-        if silence_s > SILENT_S:
-            return WARN, f'no valve_command for {silence_s:.1f} s: has the controller ended?'
-        return OK, 'running'
-
-    def counts(self) -> dict[str, object]:
-        return {'overruns': self.overruns}
-
-    def _tick(self) -> None:
-        node = self.node
-        if node.paused or (node.statistics.ticks == 0 and node.missing()):
-            return
-        now = time.monotonic()
-        if self.start is None:
-            self.start, self.done = now, 0
-        if self.commanded_at is not None:
-            node.safety.watch_command(now - self.commanded_at)
-        # At least one: where jitter rounds a tick down and the next one up, nothing is lost.
-        due = max(1, round((now - self.start) * node.rate_hz) - self.done)
-        self.done += due
-        self.periods += due
-        if self.periods >= node.rate_hz:
-            node.safety.watch_number_of_commands(self.commands, self.periods)
-            self.commands = self.periods = 0
-        # A timer that fires late has missed samples; the actuator catches up within bounds.
-        self.overruns += due > 1
-        node.statistics.lose(due - 1)
-        if node.exchange(self.command_n, min(due, MOST_CATCH_UP)):
-            stamp_ns = self.clock.now_ns()
-            if not node.statistics.ticks:
-                node.tell_state(stamp_ns)
-            state, _, force, valve, velocity = node.sense(stamp_ns, time.monotonic_ns())
-            node.states.publish(state)
-            node.publish_rest(force, valve, velocity)
-            if node.statistics.ticks == node.last_tick:
-                node.finish()
-        elif node.measured is None:
-            node.get_logger().warning(self.health()[1], throttle_duration_sec=5.0)
 
 
 def main() -> int:

@@ -78,6 +78,10 @@ class Rest:
         """Return the mean of the readings of the force sensor, N."""
         return float(np.mean([reading[0] for reading, _ in self._readings]))
 
+    def mean_valve_m(self) -> float:
+        """Return the mean of the readings of the valve position, m."""
+        return float(np.mean([reading[1] for reading, _ in self._readings]))
+
     def problem(self, most_noise_n: float) -> str:
         """Return why the mean is not that of a sensor at rest; '' if it is."""
         if len(self._readings) != self._readings.maxlen:

@@ -42,6 +42,9 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
     Parameter('give_up_after', 5.0, 's',
               'Lock-step: end the run with an error if a controller that has answered before '
               'is silent for so long; 0: wait for ever', 0.0, 3600.0),
+    Parameter('real_time_factor', 0.0, '',
+              'Lock-step: largest ratio of simulated to wall time; 0: as fast as possible',
+              0.0, 1000.0),
     Parameter('command_timeout', 0.1, 's',
               'Real time: a command older than this is a fault, and the valve command 0',
               1e-3, 60.0),

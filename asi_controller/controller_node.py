@@ -20,7 +20,7 @@ from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
 from asi_common.node.diagnostics import ERROR, OK, SILENT_S, WARN, Diagnostics, LoopStatistics
 from asi_common.node.discovery import AwaitedRecorder
-from asi_common.node.executor import RunError, run_node
+from asi_common.node.executor import RunError, Unhurried, run_node
 from asi_common.node.ros_parameters import RosParameters
 from asi_common.node.topics import CONTROL_QOS, PISTON, STREAM_QOS, SteadyClock
 from asi_controller.controller import Controller
@@ -45,7 +45,7 @@ AFTER_STATE_S: Final = 0.0002
 IN_STEP: Final = 0.05
 # Looked up once.
 ROS_TIME, TimePoint = ClockType.ROS_TIME, rclpy_implementation.rcl_time_point_t
-# How often a controller that waits for a recorder looks for it, s.
+# How often it is looked for a recorder that is awaited, and at the age of the reference, s.
 WATCH_PERIOD_S: Final = 0.02
 
 
@@ -68,6 +68,9 @@ class ControllerNode(Node):
         self.recorded = not values['await_recorder']
 
         self.command = b''
+        # The stamp of the newest state that was answered, also when the newest reference came.
+        self.answered_ns = 0
+        self.referenced_ns: int | None = None
         self.commands = self.create_publisher(WrenchStamped, 'valve_command', STREAM_QOS)
         self.references = self.create_publisher(WrenchStamped, 'force_reference', STREAM_QOS)
         self.loop: Loop = (LockStep if lockstep else RealTime)(self)
@@ -76,6 +79,8 @@ class ControllerNode(Node):
         self.wanted: Subscription | None = None
         self._listen()
         self.create_service(SetBool, '~/enable', self._enable)
+        self.create_timer(WATCH_PERIOD_S, self._watch_reference, Unhurried(),
+                          Clock(clock_type=ClockType.STEADY_TIME))
         Diagnostics(self, self._describe)
         self.get_logger().info(
             f'{values["compensator"]}, {values["mode"]} at {self.rate_hz:g} Hz')
@@ -83,6 +88,7 @@ class ControllerNode(Node):
     def answer(self, stamp_ns: int, force_n: float) -> None:
         """Publish the answer to the state of a stamp."""
         reference_n, command_n, saturated = self.controller.answer(stamp_ns, force_n)
+        self.answered_ns = stamp_ns
         self.statistics.tick(time.monotonic_ns(), saturated)
         self.command, reference = wire.answer(stamp_ns, command_n, reference_n)
         # First what the actuator waits for.
@@ -110,10 +116,25 @@ class ControllerNode(Node):
         _, force_n = wire.force(message)
         if math.isfinite(force_n):
             self.controller.topic_n = force_n
+            self.referenced_ns = self.answered_ns
         else:
             self.ignored += 1
             self.get_logger().error(f'force_reference: {force_n} N is not a force: ignored',
                                     throttle_duration_sec=1.0)
+
+    def _watch_reference(self) -> None:
+        """Let go of a reference whose publisher is silent."""
+        timeout_s = float(self.parameters.values['reference_timeout'])
+        if self.referenced_ns is None or not self.answered_ns or not timeout_s:
+            return
+        # One that came before the first state counts from there; so does one of an earlier run.
+        self.referenced_ns = min(self.referenced_ns or self.answered_ns, self.answered_ns)
+        if (self.answered_ns - self.referenced_ns) * 1e-9 > timeout_s:
+            self.get_logger().warning(
+                f'no force_reference for {timeout_s:g} s (reference_timeout): the desired force '
+                f'is 0 N, it was {self.controller.topic_n:g} N')
+            self.controller.topic_n = 0.0
+            self.referenced_ns = None
 
     def _change(self, changed: set[str]) -> None:
         self.controller.change(self.parameters.values, changed)
@@ -126,6 +147,7 @@ class ControllerNode(Node):
             self.wanted = None
         elif not self.controller.generates and self.wanted is None:
             self.controller.topic_n = 0.0
+            self.referenced_ns = None
             self.wanted = self.create_subscription(
                 WrenchStamped, 'force_reference', self._on_reference, CONTROL_QOS, raw=True)
 
@@ -139,6 +161,8 @@ class ControllerNode(Node):
     def _describe(self) -> tuple[bytes, str, dict[str, object]]:
         values = self.parameters.values
         level, text = self.loop.health()
+        if level == OK and self.wanted is not None and self.referenced_ns is None:
+            text += ', without a force_reference: the desired force is 0 N'
         if level == OK and not self.controller.enabled:
             level, text = WARN, 'disabled: the valve command is 0'
         if problems := self.statistics.problems():

@@ -50,4 +50,8 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
 CONTROLLER_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
     Parameter('state_timeout', 0.1, 's',
               'Real time: without a new state for so long no command is given', 1e-3, 60.0),
+    Parameter('reference_timeout', 2.0, 's',
+              'Without a force_reference for so long (time of the loop) the desired force is 0; '
+              '0: the last one holds for ever', 0.0, 3600.0,
+              source='twice the period of ros2 topic pub'),
 )

@@ -89,10 +89,23 @@ class RosParameters:
 
     def _pre_set(self, given: list[RosParameter]) -> list[RosParameter]:
         unknown = [p.name for p in given if not self._node.has_parameter(p.name)]
+        given = [self._typed(parameter) for parameter in given]
+        for reason in filter(None, map(self._problem, given)):
+            self._refused(reason)
         if unknown:
             # rclpy would raise the same but forget the names.
             raise ParameterNotDeclaredException(unknown)
-        return [self._typed(parameter) for parameter in given]
+        return given
+
+    def _problem(self, given: RosParameter) -> str | None:
+        """Return why a single value is refused, by us or before that by rclpy; None if not."""
+        wanted = self._table.get(given.name)
+        if wanted is None:
+            return None if self._node.has_parameter(given.name) else (
+                f'{given.name} is not a parameter')
+        if wanted.read_only:
+            return f'{given.name} = {given.value!r}: it is fixed while the node runs'
+        return wanted.problem(given.value)
 
     def _on_set(self, given: list[RosParameter]) -> SetParametersResult:
         new = {p.name: p.value for p in given if p.name in self._table}
@@ -102,6 +115,8 @@ class RosParameters:
         try:
             self._check(completed(self.values | new, tuple(self._table.values())))
         except ParameterError as error:
+            if not any(map(self._problem, given)):
+                self._refused(str(error))
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
@@ -109,4 +124,9 @@ class RosParameters:
         new = {p.name: p.value for p in given if p.name in self._table}
         if new:
             self.values = self.values | new
+            for name, value in new.items():
+                self._node.get_logger().info(f'{name} = {value!r}')
             self._apply(set(new))
+
+    def _refused(self, reason: str) -> None:
+        self._node.get_logger().warning(f'refused: {reason}')

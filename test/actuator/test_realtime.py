@@ -232,7 +232,7 @@ def test_reference_comes_from_the_topic_and_live_parameters_act(
     from geometry_msgs.msg import WrenchStamped
 
     start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
-    start_node(CONTROLLER, **PATIENT, gain=0.5, feedforward=0.0)
+    start_node(CONTROLLER, **PATIENT, gain=0.5, feedforward=0.0, reference_timeout=0.0)
     reference = WrenchStamped()
     reference.wrench.force.x = 100.0
     publisher = ros_node.create_publisher(WrenchStamped, 'force_reference', 10)
@@ -275,7 +275,7 @@ def test_services(start_node: Callable, states: Listener, call: Callable) -> Non
         return '' if answer.success else answer.message
 
     # While the controller stands still, the actuator may come to rest.
-    assert re.match('refused: .* moved ', wait_until(refusal, 'a refusal'))
+    assert re.match('refused: (.* moved |the valve is open)', wait_until(refusal, 'a refusal'))
 
     assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=False)).success
     states.wait_until(lambda state: state.effort[1] == 0.0, 'the command to be 0')
@@ -291,6 +291,55 @@ def test_services(start_node: Callable, states: Listener, call: Callable) -> Non
     assert states.messages[-1].position[0] != 0.0
     assert call(Trigger, '/asi_actuator/reset', Trigger.Request()).success
     states.wait_until(lambda state: state.position[0] == 0.0, 'the reset')
+
+
+@pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
+def test_a_reference_whose_publisher_is_silent_is_let_go(
+        mode: str, start_node: Callable, ros_node: Any, states: Listener) -> None:
+    from geometry_msgs.msg import WrenchStamped
+
+    start_node(ACTUATOR, mode=mode, rate_hz=200.0, command_timeout=60.0)
+    controller = start_node(CONTROLLER, **PATIENT | {'mode': mode}, gain=0.5,
+                            reference_timeout=0.5)
+    publisher = ros_node.create_publisher(WrenchStamped, 'force_reference', 10)
+    wait_until(publisher.get_subscription_count, 'the controller')
+    reference = WrenchStamped()
+    reference.wrench.force.x = 100.0
+    publisher.publish(reference)
+    controller.wait_for('no force_reference for 0.5 s (reference_timeout): the desired force is '
+                        '0 N, it was 100 N')
+    assert max(state.effort[1] for state in states.messages) > 50.0
+    # With the proportional compensator what is left is the gain times the measured force.
+    states.wait_until(lambda state: abs(state.effort[1]) < 30.0, 'the reference at 0 N')
+    publisher.publish(reference)
+    states.wait_until(lambda state: state.effort[1] > 50.0, 'the next reference')
+
+
+def test_calibration_of_the_simulated_sensor_under_load_is_refused_and_a_reset_undoes_one(
+        start_node: Callable, states: Listener, call: Callable, set_parameters: Callable) -> None:
+    from std_srvs.srv import SetBool, Trigger
+
+    def answer(name: str) -> Any:
+        return call(Trigger, f'/asi_actuator/{name}', Trigger.Request())
+
+    start_node(ACTUATOR, mode='realtime', rate_hz=200.0, command_timeout=60.0)
+    start_node(CONTROLLER, **PATIENT, gain=0.5, **{
+        'reference.shape': 'step', 'reference.amplitude': 150.0, 'reference.start': 0.0})
+    states.wait_until(lambda state: force(state) > 100.0, 'the step')
+    wait_until(lambda: 'the valve is open and presses with about 1' in answer('calibrate').message,
+               'a refusal at rest under load')
+    # Closed, the valve is held a little open by its hysteresis.
+    assert call(SetBool, '/asi_controller/enable', SetBool.Request(data=False)).success
+    states.wait_until(lambda state: abs(force(state)) < 50.0, 'the valve closed')
+    wait_until(lambda: 'the valve is open' in answer('calibrate').message, 'a refusal')
+    assert answer('reset').success
+    set_parameters('asi_actuator', {'load.external_force': 30.0})
+    wait_until(lambda: 'load.external_force = 30 N' in answer('calibrate').message, 'a refusal')
+    set_parameters('asi_actuator', {'load.external_force': 0.0, 'force_sensor.offset': 40.0})
+    wait_until(lambda: answer('calibrate').success, 'the calibration')
+    states.wait_until(lambda state: abs(force(state)) < 5.0, 'a calibrated state')
+    assert answer('reset').success
+    states.wait_until(lambda state: abs(force(state) - 40.0) < 5.0, 'the sensor as it was')
 
 
 def test_diagnostics_say_how_the_loop_does(

@@ -48,13 +48,14 @@ def test_bad_value_is_refused_with_a_reason_and_changes_nothing(
     from rcl_interfaces.srv import DescribeParameters, SetParametersAtomically
     from rclpy.parameter import Parameter as RosParameter
 
-    start_node(ACTUATOR if node == 'asi_actuator' else CONTROLLER)
+    process = start_node(ACTUATOR if node == 'asi_actuator' else CONTROLLER)
     names = sorted({name for name, _, _ in REFUSED[node] if name != 'load.mess'})
     before = get_parameters(node, names)
     for name, value, word in REFUSED[node]:
         result, = set_parameters(node, {name: value})
         assert not result.successful
         assert name in result.reason and word in result.reason
+        process.wait_for(f'refused: {name}')
     # A good value in the same set does not get in either.
     good = ('friction.coulomb', 3.0) if node == 'asi_actuator' else ('feedforward', 2.0)
     bad = REFUSED[node][0]
@@ -74,10 +75,11 @@ def test_bad_value_is_refused_with_a_reason_and_changes_nothing(
 def test_what_is_typed_is_taken(
         start_node: Callable, set_parameters: Callable, get_parameters: Callable) -> None:
     """`ros2 param set /asi_controller gain 8` sends an integer."""
-    start_node(CONTROLLER, gain=5)
+    controller = start_node(CONTROLLER, gain=5)
     assert get_parameters('asi_controller', ['gain']) == {'gain': 5.0}
     result, = set_parameters('asi_controller', {'gain': 8})
     assert result.successful, result.reason
+    controller.wait_for('[asi_controller]: gain = 8.0')
     value = get_parameters('asi_controller', ['gain'])['gain']
     assert value == 8.0 and isinstance(value, float)
 
