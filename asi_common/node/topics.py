@@ -1,7 +1,8 @@
 """What both ends of a topic must agree on (design: names, frame, quality of service, time)."""
 
 import time
-from typing import Final
+from importlib import import_module
+from typing import Any, Final
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import QoSProfile
@@ -31,6 +32,16 @@ class SteadyClock:
     def now_ns(self) -> int:
         """Return the time, ns."""
         return time.monotonic_ns() + self._offset_ns
+
+
+def message_class(type_: str) -> Any:
+    """
+    Return the class of a message type, as std_msgs/msg/Float64, found by ROS's convention.
+
+    Raises ImportError, AttributeError or ValueError if there is none.
+    """
+    package, _, kind = type_.split('/')
+    return getattr(import_module(f'{package}.msg'), kind)
 
 
 def nanoseconds(stamp: Time) -> int:

@@ -14,7 +14,6 @@ import sys
 import time
 from datetime import datetime
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,7 +44,7 @@ from asi_analysis.bags.qos import as_dictionary
 from asi_analysis.errors import InputError
 from asi_common.node.diagnostics import STATE
 from asi_common.node.executor import RunError, run_node
-from asi_common.node.topics import SteadyClock
+from asi_common.node.topics import SteadyClock, message_class
 from asi_common.parameter import ParameterError
 
 TYPES: Final = {
@@ -90,8 +89,7 @@ class _Recorded:
     """One topic: its subscription, the place of the stamp, what was lost."""
 
     def __init__(self, node: Node, group: CallbackGroup, name: str, type_: str) -> None:
-        package, _, kind = type_.split('/')
-        self.message = getattr(import_module(f'{package}.msg'), kind)
+        self.message = message_class(type_)
         first = next(iter(self.message.get_fields_and_field_types().values()))
         self.stamped = first in ('std_msgs/Header', 'builtin_interfaces/Time')
         self.type = type_

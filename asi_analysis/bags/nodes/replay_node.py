@@ -6,7 +6,6 @@ The bytes are those of the bag, and so is the QoS. It ends with the bag, unless 
 
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -23,7 +22,7 @@ from asi_analysis.errors import InputError
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
-from asi_common.node.topics import STREAM_QOS, set_time
+from asi_common.node.topics import STREAM_QOS, message_class, set_time
 from asi_common.parameter import Parameter, ParameterError
 
 REPLAY_PARAMETERS: tuple[Parameter, ...] = (
@@ -93,10 +92,9 @@ class Replay(Node):
         return sorted(entries, key=lambda entry: entry.log_ns)
 
     def _publisher(self, topic: Topic) -> Publisher | None:
-        package, _, kind = topic.type.split('/')
         try:
-            message = getattr(import_module(f'{package}.msg'), kind)
-        except (ImportError, AttributeError):
+            message = message_class(topic.type)
+        except (ImportError, AttributeError, ValueError):
             self.get_logger().warning(f'{topic.name} is left out: its type {topic.type} is not '
                                       'installed')
             return None
