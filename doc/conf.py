@@ -33,7 +33,7 @@ copyright = 'the asi_actuator maintainers'  # noqa: A001 (Sphinx names it so)
 extensions = ['myst_nb', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon', 'sphinx.ext.mathjax',
               'sphinx.ext.viewcode', 'sphinxcontrib.mermaid']
 # Tables that commands write, each part of a page.
-exclude_patterns = ['explanation/reproduction/*', 'reference/generated/model_blocks.md']
+exclude_patterns = ['explanation/reproduction/*', 'reference/generated/[am]*']
 html_theme = 'furo'
 html_title = 'asi_actuator'
 html_theme_options = {'source_directory': 'doc/'}

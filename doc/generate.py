@@ -135,10 +135,22 @@ def blocks_page() -> str:
         for block in ['actuator', *blocks])
 
 
+def api_page() -> str:
+    """Return the public names of asi_analysis, for autodoc: recordings and results, functions."""
+    import asi_analysis
+    classes = [name for name in asi_analysis.__all__ if name[0].isupper()]
+    functions = [name for name in asi_analysis.__all__ if name not in classes]
+    return '\n'.join(['```{eval-rst}',
+                      *(f'.. autofunction:: asi_analysis.{name}' for name in functions),
+                      *(f'.. autoclass:: asi_analysis.{name}\n   :members:' for name in classes),
+                      '```\n'])
+
+
 def write_reference() -> None:
     """Write the pages that are made anew for each build of the documents."""
     folder = ROOT / 'doc/reference/generated'
     folder.mkdir(exist_ok=True)
+    (folder / 'api_functions.md').write_text(api_page())
     (folder / 'commands.md').write_text(commands_page())
     (folder / 'model_blocks.md').write_text(blocks_page())
 

@@ -32,11 +32,10 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     Return someone else's recording as a run; written as the bag `out` too, if that is given.
 
     path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet or a bag; mapping: texts
-    SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]], none for the columns that `asi export` writes; rate_hz:
-    samples a second, where no column is mapped to time (a bag has times of its own); skip_lines:
-    lines before the header;
-    columns: names for a file without a header; zero_s: take off each signal its mean over so many
-    seconds from the start. Raises InputError.
+    `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for the columns that `asi export` writes;
+    rate_hz: samples a second, where no column is mapped to time (a bag has times of its own);
+    skip_lines: lines before the header; columns: names for a file without a header; zero_s:
+    subtract from each signal its mean over so many seconds from the start. Raises InputError.
 
     >>> import pathlib, tempfile
     >>> import asi_analysis as asi
