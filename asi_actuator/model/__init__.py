@@ -1,1 +1,1 @@
-"""The physics: one file per block of the paper's Fig. 2, joined in `actuator.py`."""
+"""The physics: one block of the paper's Fig. 2 a file, joined in `actuator.py`."""

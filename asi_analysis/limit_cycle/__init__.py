@@ -1,1 +1,1 @@
-"""Is there a limit cycle in a recording: found, measured, told from what only looks like one."""
+"""Limit cycles: detected in recordings, predicted, attributed to a nonlinearity, quenched."""

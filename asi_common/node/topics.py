@@ -1,4 +1,4 @@
-"""What both ends of a topic must agree on (design: names, frame, quality of service, time)."""
+"""Topics: what both ends must agree on: frame, joints, quality of service, time stamps."""
 
 import time
 from importlib import import_module
