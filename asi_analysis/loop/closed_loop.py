@@ -159,15 +159,6 @@ def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value]
     return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
 
 
-def simulate_loops(actuators: Sequence[Mapping[str, Value]],
-                   controllers: Sequence[Mapping[str, Value]], duration_s: float,
-                   rate_hz: float = 5000.0) -> list[LoopRun]:
-    """Return `simulate_loop` of each actuator with its controller, on all cores."""
-    signals = close_many(loops_of(actuators, controllers, rate_hz), duration_s)
-    time_s = np.arange(signals.shape[2]) / rate_hz
-    return [LoopRun(time_s, *each) for each in signals]
-
-
 if __name__ == '__main__':
     # `make setup` runs this once, so that no first run has to wait for the compiler.
     simulate_loop({}, {'reference.shape': 'step'}, 0.01)

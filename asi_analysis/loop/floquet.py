@@ -1,5 +1,5 @@
 """
-Floquet multipliers of a simulated cycle: what is left of a small push after one period.
+Floquet multipliers of a simulated cycle: how much of a small push remains after one period.
 
 By finite differences of the sampled state map, delays and compensator included. A cycle and the
 control clock have no common period, so the map differs from turn to turn; the multipliers are
@@ -82,11 +82,11 @@ def multipliers(actuator: Values, controller: Values, rate_hz: float, frequency_
     loop = _Clocked(actuator, controller, 1.0 / rate_hz)
     loop.run(round(SETTLING_S * rate_hz))
     ticks = round(rate_hz / frequency_hz)
-    seen = np.empty((ticks, len(loop.vector())))
+    states = np.empty((ticks, len(loop.vector())))
     for k in range(ticks):
         loop.run(1)
-        seen[k] = loop.vector()
-    swing = np.ptp(seen, axis=0)
+        states[k] = loop.vector()
+    swing = np.ptp(states, axis=0)
     moves = np.flatnonzero(swing > 0.0)
     basis = np.linalg.qr(np.random.default_rng(1).standard_normal((len(moves), FOLLOWED)))[0]
     logarithms = np.zeros(FOLLOWED)

@@ -135,7 +135,7 @@ def valve_forces(position: Array, velocity: Array, p: np.void) -> tuple[Array, A
 
 
 @jit
-def _rub(velocity, seal, period, p, out):
+def _friction(velocity, seal, period, p, out):
     """Fill in the friction of a period that leaves the seals where it found them."""
     step = period / velocity.size
     before = change_before = 0.0
@@ -143,9 +143,9 @@ def _rub(velocity, seal, period, p, out):
         begin = seal
         for k in range(velocity.size):
             mean = 0.5 * (velocity[k - 1] + velocity[k])
-            rub = friction(seal, mean, velocity[k], p, step)
-            seal = rub.seal
-            out[k] = rub.force
+            after = friction(seal, mean, velocity[k], p, step)
+            seal = after.seal
+            out[k] = after.force
         change = seal - begin
         if abs(change) * p.friction_presliding_stiffness < SETTLED_N:
             break
@@ -195,9 +195,9 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
         bound = max(p['friction_stiction_push'], p['friction_stiction_pull'])
         bound /= p['friction_presliding_stiffness']
         seal = float(np.clip(mean + swing[-1], -bound, bound))
-    rub = np.empty(GRID)
-    _rub(speed, seal, 1.0 / frequency_hz, p, rub)
-    transmitted = hydraulic - _harmonics(rub, count)
+    seal_force = np.empty(GRID)
+    _friction(speed, seal, 1.0 / frequency_hz, p, seal_force)
+    transmitted = hydraulic - _harmonics(seal_force, count)
     excess = transmitted[1:] - velocity[1:] * linear.impedance(f[1:], p)
     felt = transmitted - velocity * linear.inertia(f, p)
     force = felt * linear.sensor(p)(f) * linear.card(p)(f)

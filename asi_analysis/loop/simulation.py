@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.closed_loop import LoopRun, close_many, loops_of, records
+from asi_analysis.loop.closed_loop import LoopRun, Loops, close_many, loops_of, records
 from asi_analysis.loop.harmonic_balance import HARMONICS, Balance, Loop, valve_forces
 from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 from asi_common.parameter import Value
@@ -39,14 +39,23 @@ def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_h
     """
     Return the last MEASURED_S of the loops' answers to a step, on all cores.
 
-    The step is that of the controllers' reference (from its offset, by its amplitude). Each loop
-    runs on until its oscillation has settled or died out, for `watched_s` s at most.
+    The step is that of the controllers' reference (from its offset, by its amplitude).
     """
     stepped = [{'reference.start': 0.01, **each, 'reference.shape': 'step'}
                for each in controllers]
-    loops = loops_of(actuators, stepped, rate_hz)
+    return run_until_settled(loops_of(actuators, stepped, rate_hz), watched_s)
+
+
+def run_until_settled(loops: Loops, watched_s: float = WATCHED_S) -> list[LoopRun]:
+    """
+    Return the last MEASURED_S of loops that run on until they have settled, on all cores.
+
+    Each runs until its oscillation has settled or died out, for `watched_s` s at most. A step of
+    the reference must have been made within the first FIRST_WATCHED_S.
+    """
+    rate_hz = 1.0 / loops.period_s
     found: dict[int, LoopRun] = {}
-    moving = np.arange(len(actuators))
+    moving = np.arange(len(loops.states))
     piece_s, elapsed_s = min(FIRST_WATCHED_S, watched_s), 0.0
     while len(moving):
         signals = close_many(loops, piece_s, MEASURED_S)
@@ -60,7 +69,7 @@ def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_h
             break
         unsettled = np.flatnonzero([not _settled(each[2], rate_hz) for each in signals])
         moving, loops = moving[unsettled], loops.some(unsettled)
-    return [found[k] for k in range(len(actuators))]
+    return [found[k] for k in range(len(found))]
 
 
 def _settled(force: np.ndarray, rate_hz: float) -> bool:

@@ -57,10 +57,10 @@ def autoregression(values: Array, parameters: int = 0) -> Autoregression:
     if shared is None:
         shared = triangle(rows[most:])
     for order in [order for order in ORDERS if order <= most]:
-        few = np.vstack([rows[order:most], shared])[:, :order + 1]
-        coefficients = np.linalg.lstsq(few[:, 1:], few[:, 0],
+        stacked = np.vstack([rows[order:most], shared])[:, :order + 1]
+        coefficients = np.linalg.lstsq(stacked[:, 1:], stacked[:, 0],
                                        rcond=n * np.finfo(float).eps)[0]
-        innovation = few[:, 0] - few[:, 1:] @ coefficients
+        innovation = stacked[:, 0] - stacked[:, 1:] @ coefficients
         variance = float(innovation @ innovation) / max(n - 2 * order, 1)
         # As if each of the n samples had been predicted, so that orders can be compared.
         description = (n * np.log(max(variance, 1e-300))

@@ -166,8 +166,8 @@ def of_samples(values: Array, rate_hz: float, noise_floor: float = FLOOR_N) -> O
     level = np.log(np.maximum(sizes[:count], 1e-300))
     moment = float(time @ time)
     growth = float(time @ level) / moment
-    left = level - level.mean() - growth * time
-    deviation = math.sqrt(float(left @ left) / (count - 2) / moment)
+    residual = level - level.mean() - growth * time
+    deviation = math.sqrt(float(residual @ residual) / (count - 2) / moment)
     frequency = float(rate_hz / period)
     return Oscillation(
         is_sustained(growth, deviation, count - 2, frequency, amplitude, noise_floor), frequency,

@@ -178,7 +178,7 @@ def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows
     span = record.span_s
     most = np.array([0.2 / span, 2.0 / span, 1.0 / span**2])
     best: _Solution | None = None
-    trial, damping, step, promise = nonlinear, 1.0, np.zeros(3), 0.0
+    trial, damping, step, expected_gain = nonlinear, 1.0, np.zeros(3), 0.0
     for _ in range(STEPS):
         waves = _waves(record.t, trial, harmonics)
         columns = _columns(record, drift, waves)
@@ -188,12 +188,12 @@ def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows
         squares = record.beyond + float(residual @ residual)
         if best is None or squares < best.squares:
             best = _Solution(trial, waves, coefficients, columns, gram, residual, squares)
-            step, promise = _step(record, best, drift.shape[1], grows)
+            step, expected_gain = _step(record, best, drift.shape[1], grows)
             damping = min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))
         else:
             damping *= 0.3
         trial = best.nonlinear + damping * step
-        if (damping * (2.0 - damping) * promise <= CLOSE / record.samples * best.squares
+        if (damping * (2.0 - damping) * expected_gain <= CLOSE / record.samples * best.squares
                 or trial[0] <= 0.0):
             break
     assert best is not None
@@ -260,18 +260,18 @@ def _choose_drift(record: Record, start: Array, grows: bool, most: int) -> int:
     return order
 
 
-def _told_apart(t: Array, frequency: float) -> int:
-    """Return how many harmonics can be told apart, from each other and the mean, as sampled."""
+def _distinguishable(t: Array, frequency: float) -> int:
+    """Return how many harmonics can be distinguished from each other and the mean, as sampled."""
     rate = 1.0 / float(np.median(np.diff(t)))
     apart = 3.0 / (t[-1] - t[0])
     shown = [0.0]
     for harmonic in range(1, MOST_HARMONICS + 1):
-        seen = abs(harmonic * frequency - rate * round(harmonic * frequency / rate))
+        apparent = abs(harmonic * frequency - rate * round(harmonic * frequency / rate))
         # At half the rate its own image, as far beyond, must not be too near either.
-        image = 2.0 * abs(0.5 * rate - seen)
-        if min(image, *(abs(seen - other) for other in shown)) < apart:
+        image = 2.0 * abs(0.5 * rate - apparent)
+        if min(image, *(abs(apparent - other) for other in shown)) < apart:
             return max(harmonic - 1, 1)
-        shown.append(seen)
+        shown.append(apparent)
     return MOST_HARMONICS
 
 
@@ -283,8 +283,8 @@ def _most_harmonics(t: Array, frequency: float) -> int:
     """
     below_half = int(0.49 / (frequency * float(np.median(np.diff(t)))))
     # Not so the many high ones: some of them would always fall near the first.
-    return max(min(max(below_half, min(_told_apart(t, frequency), MOST_FOLDED)), MOST_HARMONICS,
-                   (len(t) - 5) // 6), 1)
+    folded = min(_distinguishable(t, frequency), MOST_FOLDED)
+    return max(min(max(below_half, folded), MOST_HARMONICS, (len(t) - 5) // 6), 1)
 
 
 def _choose_harmonics(record: Record, drift: Array, start: Array, grows: bool, most: int) -> int:

@@ -143,9 +143,9 @@ def main() -> None:
     """Learn, judge, write."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     learnt = learn(*examples('learn', count, 1))
-    few = max(count // 5, 10)
-    learnt['temperature'] = temperature(*examples('judge', few, 2), learnt)
-    learnt['judged_on_others'] = judged(*examples('judge', few, 3), learnt)
+    judged_count = max(count // 5, 10)
+    learnt['temperature'] = temperature(*examples('judge', judged_count, 2), learnt)
+    learnt['judged_on_others'] = judged(*examples('judge', judged_count, 3), learnt)
     WEIGHTS.write_text(json.dumps(learnt, indent=1) + '\n')
     print(json.dumps(learnt['judged_on_others'], indent=1))
 

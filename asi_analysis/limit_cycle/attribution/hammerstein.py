@@ -117,9 +117,9 @@ class _Fit:
         target = around(output, cycle)
         # Every delay is the same stretch of the valve seen against a later stretch of the output.
         self.length = len(target) - self.skip - int(self.shifts[-1])
-        self.seen = np.array([target[self.skip + shift:self.skip + shift + self.length]
+        self.shifted = np.array([target[self.skip + shift:self.skip + shift + self.length]
                               for shift in self.shifts])
-        self.total = (self.seen * self.seen).sum(1)
+        self.total = (self.shifted * self.shifted).sum(1)
         self.best: dict[str, Explanation] = {}
 
     def try_out(self, candidates: list[_Candidate]) -> None:
@@ -135,7 +135,7 @@ class _Fit:
         driven = np.array([_lag(position, lag * self.cycle) for lag in LAGS])
         driven = driven[:, self.skip:self.skip + self.length]
         power = np.maximum((driven * driven).sum(1), 1e-300)[:, None]
-        product = driven @ self.seen.T
+        product = driven @ self.shifted.T
         unexplained = 1.0 - product * product / power / self.total
         i, j = np.unravel_index(np.argmin(unexplained), unexplained.shape)
         kind = candidate.kind
@@ -143,7 +143,7 @@ class _Fit:
             gain = float(product[i, j] / power[i, 0])
             self.best[kind] = Explanation(
                 *candidate[:1], float(unexplained[i, j]), *candidate[1:], LAGS[i],
-                self.shifts[j] / self.cycle, gain, self.seen[j] - gain * driven[i],
+                self.shifts[j] / self.cycle, gain, self.shifted[j] - gain * driven[i],
                 self.skip + int(self.shifts[j]))
 
 
@@ -156,7 +156,7 @@ class _Fit:
         """
         position = around(_position(self.command, _Candidate(best.kind, best.width, best.leap),
                                     self.skip), self.cycle)
-        last, target = int(self.shifts[-1]), self.seen[-1]
+        last, target = int(self.shifts[-1]), self.shifted[-1]
         columns = []
         for lag in LAGS:
             driven = math.copysign(1.0, best.gain) * _lag(position, lag * self.cycle)

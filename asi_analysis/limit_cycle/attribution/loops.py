@@ -309,10 +309,12 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
     by_reference = random.random() < 0.3
     load = 10.0 ** random.uniform(-3.0, -0.4) * _drift(
         total, period * 10.0 ** random.uniform(-0.7, 1.0), random) + random.uniform(-0.7, 0.7)
-    # What the master is asked for, or what flows into its tank, moves a slave's set point.
-    asked = np.zeros(total) if plant.tank == 0.0 else 10.0 ** random.uniform(-1.5, 0.0) * _drift(
-        total, period * 10.0 ** random.uniform(-0.3, 1.0), random)
-    weather = Weather(outside * by_reference + asked, load + outside * (not by_reference),
+    # The master's set point, or what flows into its tank, moves a slave's set point.
+    set_point = np.zeros(total)
+    if plant.tank != 0.0:
+        set_point = 10.0 ** random.uniform(-1.5, 0.0) * _drift(
+            total, period * 10.0 ** random.uniform(-0.3, 1.0), random)
+    weather = Weather(outside * by_reference + set_point, load + outside * (not by_reference),
                       np.zeros(total), random.standard_normal(total))
     # What has to cycle by itself begins well off its set point; what noise shakes, at rest.
     start = 0.0 if cause in ('tight_tuning', 'disturbance') else 3.0
@@ -343,8 +345,8 @@ def _recorded(command: Array, output: Array, period: float, random: Random, caus
                for step in [np.ptp(values) * 10.0 ** random.uniform(-3.5, -1.4)
                             * (random.random() < 0.5)]]
     t = np.arange(len(output), dtype=np.float64)[::every]
-    seen = standing_frequency(t, rounded[1][::every]) * period
+    visible = standing_frequency(t, rounded[1][::every]) * period
     # Nobody asks for the cause of a swing that cannot be seen.
-    if not 1.0 / VISIBLE < seen < VISIBLE:
+    if not 1.0 / VISIBLE < visible < VISIBLE:
         return None
     return Run(t, command_n=rounded[0][::every], force_n=rounded[1][::every], source=cause)

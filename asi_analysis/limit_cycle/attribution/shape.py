@@ -224,8 +224,9 @@ def _law(command: Array, output: Array) -> float:
     """Return how much of the command's steps a PI law of the output leaves unexplained (log)."""
     columns = np.column_stack([np.diff(output), output[1:]])
     steps = np.diff(command)
-    left = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
-    return float(np.log10(max(float(left @ left) / max(float(steps @ steps), 1e-300), 1e-4)))
+    residual = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
+    share = float(residual @ residual) / max(float(steps @ steps), 1e-300)
+    return float(np.log10(max(share, 1e-4)))
 
 
 def _kurtosis(values: Array) -> float:

@@ -66,8 +66,8 @@ def explained_by_reference(run: Run, time_s: Array, values: Array, frequency_hz:
                                for delay in delays])
     # A sine has copies that are all alike: the least of the solutions.
     gram = columns.conj().T @ columns
-    left = motion - columns @ np.linalg.lstsq(gram, columns.conj().T @ motion, rcond=1e-9)[0]
-    share = 1.0 - float(np.vdot(left, left).real / np.vdot(motion, motion).real)
+    residual = motion - columns @ np.linalg.lstsq(gram, columns.conj().T @ motion, rcond=1e-9)[0]
+    share = 1.0 - float(np.vdot(residual, residual).real / np.vdot(motion, motion).real)
     return 1.0 - (1.0 - share) * max(free - 1.0, 0.0) / max(free - 1.0 - len(delays), 1.0)
 
 

@@ -52,13 +52,13 @@ def envelope_cuts(found: Envelope) -> list[float]:
     count = len(found.amplitude)
     if count < 2 * SHORTEST_PIECE:
         return []
-    floor = np.maximum(found.deviation, 1e-3 * found.amplitude.max())
-    level = np.log(np.maximum(found.amplitude, floor))
+    noise_floor = np.maximum(found.deviation, 1e-3 * found.amplitude.max())
+    level = np.log(np.maximum(found.amplitude, noise_floor))
     # What the eye sees from window to window counts as noise too: neighbours share half their
     # samples, so second differences of white noise have 2.5 instead of 6 times its variance.
     rough = np.diff(level, 2)
-    seen = (np.median(np.abs(rough)) / 0.6745) ** 2 / 2.5 if count > 6 else 0.0
-    weight = 1.0 / ((floor / np.maximum(found.amplitude, floor)) ** 2 + seen + 1e-6)
+    scatter = (np.median(np.abs(rough)) / 0.6745) ** 2 / 2.5 if count > 6 else 0.0
+    weight = 1.0 / ((noise_floor / np.maximum(found.amplitude, noise_floor)) ** 2 + scatter + 1e-6)
     cost = _line_costs(level, weight)
 
     price = 2.0 * PRICE * np.log(count)   # twice: neighbouring windows are not independent

@@ -14,7 +14,7 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.loop.closed_loop import close_many, loops_of
-from asi_analysis.loop.simulation import Values
+from asi_analysis.loop.simulation import Values, run_until_settled
 from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
@@ -23,7 +23,6 @@ from asi_common.parameter import Value
 EXCITED_S: Final = 0.25
 LEFT_ALONE_S: Final = 0.45
 WATCHED_S: Final = 0.12
-CONFIRMED_S: Final = 2.5
 VARIED: Final = (
     'valve_hysteresis.radius', 'valve_hysteresis.lag_time', 'valve_flexure.coil_frequency',
     'valve_flexure.natural_frequency', 'valve_flexure.damping_ratio', 'valve_flexure.delay',
@@ -129,13 +128,11 @@ def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Val
     growth = [_growth(of_samples(force[:watched], rate)) for force in forces]
     # The next run counts its time from 0 again: the reference must not begin once more.
     loops.references['reference_amplitude'] = 0.0
-    # A slow decay could look like it for so short a time: watched for long.
+    # A slow decay could look like it for so short a time: watched until it has settled.
     doubtful = np.array([k for k, each in enumerate(found)
                          if each.sustained and math.isfinite(each.amplitude_n)], np.intp)
-    kept = int(0.6 * CONFIRMED_S * rate) / rate
-    for k, force in zip(doubtful, close_many(loops.some(doubtful), CONFIRMED_S, kept)[:, 2],
-                        strict=True):
-        found[k] = of_samples(force, rate)
+    for k, run in zip(doubtful, run_until_settled(loops.some(doubtful)), strict=True):
+        found[k] = of_samples(run.force_n, rate)
     return list(zip(found, growth, strict=True))
 
 
