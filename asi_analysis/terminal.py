@@ -34,13 +34,12 @@ def bar() -> Iterator[Progress]:
         yield progress
 
 
-def table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str = '',
-          right: Sequence[str] = ()) -> str:
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()
+          ) -> str:
     """Return a table as text no wider than the terminal; right: the right-aligned columns."""
     from rich.console import Console
     from rich.table import Table
-    made = Table(title=title or None, title_justify='left', box=None, pad_edge=False,
-                 show_header=any(columns))
+    made = Table(box=None, pad_edge=False, show_header=any(columns))
     for column in columns:
         made.add_column(column, justify='right' if column in right else 'left')
     for row in rows:

@@ -125,7 +125,14 @@ def shown(figure: 'Figure') -> 'list[Axes]':
 def as_text(parts: Iterator[str | Table]) -> str:
     """Return paragraphs and tables as text; tables are no wider than the terminal."""
     from asi_analysis.terminal import table
-    return '\n'.join(part if isinstance(part, str) else table(*part) for part in parts)
+    lines: list[str] = []
+    for part in parts:
+        if isinstance(part, str):
+            lines.append(part)
+        else:
+            lines += ['', part.title] if part.title else []
+            lines.append(table(part.columns, part.rows, part.right))
+    return '\n'.join(lines).lstrip('\n')
 
 
 def as_html(parts: Iterator[str | Table]) -> str:
@@ -153,7 +160,8 @@ class _Cell(Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         if value is None or isinstance(value, bool):
             return {None: '-', True: 'yes', False: 'no'}[value]
-        return format(value, format_spec).replace('%', ' %')
+        text = format(value, format_spec)
+        return text.replace('%', ' %') if format_spec.endswith('%') else text
 
 
 def filled(template: str, row: Mapping[str, Any]) -> str:

@@ -146,9 +146,9 @@ def test_html_is_escaped() -> None:
 
 def test_text_keeps_brackets_and_rows_show_what_is_missing() -> None:
     assert '[green]' in str(Small({'text': '[green]'}))
-    table = table_of([{'a': None, 'b': 0.25, 'c': True}],
-                     {'A': '{a:.3g}', 'B': '{b:.0%}', 'C': '{c}'})
-    assert table.rows == [['-', '25 %', 'yes']] and table.right == ['A', 'B']
+    table = table_of([{'a': None, 'b': 0.25, 'c': True, 'd': '90 %'}],
+                     {'A': '{a:.3g}', 'B': '{b:.0%}', 'C': '{c}', 'D': '{d}'})
+    assert table.rows == [['-', '25 %', 'yes', '90 %']] and table.right == ['A', 'B']
 
 
 def test_run_slices_prints_and_draws(cycling: asi.Run) -> None:

@@ -37,7 +37,8 @@ class Attribution(Result):
                 'onset gain': '{all_but_onset_gain:.3g}'}, 'all but this one')
         if self.run is not None:
             yield table_of(self.causes, {'nonlinearity': '{nonlinearity}',
-                                         'probability': '{probability:.1%}'})
+                                         'probability': '{probability:.1%}'},
+                           'how probable, from the recording')
         yield self.verdict
 
     @property

@@ -56,7 +56,7 @@ class LimitCycles(Result):
         yield table_of(self.segments, {
             'from s': '{start_s:.4g}', 'to s': '{end_s:.4g}', 'verdict': '{verdict}',
             'confidence': '{confidence:.0%}', 'Hz': '{frequency_hz:.5g}',
-            'amplitude': '{amplitude_n:.4g}', 'unit': '{unit}', 'THD': '{thd:.2g}'})
+            'amplitude': '{amplitude_n:.4g}', 'unit': '{unit}', 'THD': '{thd:.1%}'})
         yield from (f'{s["start_s"]:.4g} to {s["end_s"]:.4g} s: {s["why"]}'
                     for s in self.segments)
 

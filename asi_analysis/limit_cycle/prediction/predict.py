@@ -64,9 +64,9 @@ class Prediction(Result):
                 'Hz': '{onset_frequency_hz:.4g}'},
                 'onset with one nonlinearity alone, one harmonic')
         if self.largest_frequency_error is not None:
-            yield filled('largest difference of harmonic balance and simulation: '
-                         '{largest_frequency_error:.2%} in frequency, '
-                         '{largest_amplitude_error:.2%} in amplitude', self)
+            yield ('largest difference of harmonic balance and simulation: '
+                   f'{100.0 * self.largest_frequency_error:.2g} % in frequency, '
+                   f'{100.0 * self.largest_amplitude_error:.2g} % in amplitude')
         if self.onset_by_step:
             yield table_of(self.onset_by_step, {
                 'step N': '{step_n:g}', 'predicted gain': '{predicted_gain:.4g}',
