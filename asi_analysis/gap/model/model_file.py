@@ -1,36 +1,93 @@
 """The nominal model with what was found put in, as a ROS parameter file for the actuator node."""
 
-import math
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
 from asi_common.jit import FULL
-from asi_common.parameter import Value
+from asi_common.parameter import Value, completed
 from asi_common.record import as_number, field_name
 
-# Fields of an effect that the actuator's parameters can hold, with what holds them.
-HELD = ('command_delay', 'loop_width', 'valve_lag', 'damping_viscous', 'supply_drop', 'air_time',
-        'friction_level', 'friction_asymmetry', 'friction_breakaway', 'friction_stribeck',
-        'viscous', 'disturbance', 'sensor_offset', 'sensor_gain_error', 'sensor_lag')
-SHAPE = ('loop_share', 'loop_spread', 'friction_bristle', 'friction_inside', 'force_scale',
-         'supply_time', 'corner', 'air_stiffening', 'damping_opening', 'damping_quadratic',
-         'supply_sag', 'valve_lag_split', 'sensor_lag_split', 'piston_share', 'viscous_exponent',
-         'velocity_scale', 'backlash_floating', 'friction_falling')
+# Fields of the effects that are a parameter of the simulator as they are.
+DIRECT: Final = {
+    'command_delay': 'command_path.delay',
+    'command_quantum': 'command_path.quantum',
+    'command_bias': 'valve_flexure.bias',
+    'command_deadband': 'valve_flexure.deadband',
+    'valve_lag': 'valve_flexure.lag_time',
+    'valve_limit': 'valve_flexure.travel_limit',
+    'orifice_deadband': 'valve_characteristic.deadband',
+    'orifice_bias': 'valve_characteristic.bias',
+    'force_limit': 'valve_characteristic.flow_limit',
+    'damping_opening': 'hydraulic_damping.opening_viscous',
+    'damping_quadratic': 'hydraulic_damping.quadratic',
+    'supply_drop': 'valve_characteristic.supply_drop',
+    'supply_sag': 'valve_characteristic.supply_sag',
+    'supply_time': 'valve_characteristic.supply_time',
+    'leakage_linear': 'fluid_dynamics.leakage',
+    'air_time': 'fluid_dynamics.air_time',
+    'viscous': 'friction.viscous',
+    'sensor_lag': 'force_sensor.lag_time',
+    'sensor_drift': 'force_sensor.drift',
+    'sensor_drift_curve': 'force_sensor.drift_curve',
+}
+# Fields that `improved` turns into parameters, or that only say what shape a size has.
+TURNED: Final = frozenset({
+    *DIRECT, 'command_phase', 'command_truncated', 'loop_width', 'loop_share', 'loop_spread',
+    'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening', 'friction_level',
+    'friction_asymmetry', 'friction_breakaway', 'friction_stribeck', 'friction_bristle',
+    'friction_rounding', 'friction_inside', 'friction_falling', 'viscous_exponent',
+    'velocity_scale', 'backlash', 'backlash_floating', 'compliance', 'compliance_damping',
+    'piston_share', 'disturbance', 'disturbance_wave', 'disturbance_frequency',
+    'disturbance_phase', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
+    'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split', 'sensor_lag_split'})
+ROUNDED: Final = 0.75   # friction that gives way more gradually than this is a Dahl bristle
+NO_STIFFENING_N: Final = 1e5
 
 
-def slower(corner_hz: float, lag_s: float) -> float:
-    """Return the corner (Hz) of a lag that is `lag_s` s later than one with `corner_hz`."""
-    return 1.0 / (1.0 / corner_hz + 2.0 * math.pi * lag_s)
+def effect_fields(values: Mapping[str, Value]) -> dict[str, float]:
+    """Return the fields of effects that a nominal model holds already, by its parameters."""
+    fields = {field: float(values[name]) for field, name in DIRECT.items()}
+    rounding = values['command_path.rounding']
+    fields['command_phase'] = 0.5 if rounding == 'edge' else 0.0
+    fields['command_truncated'] = float(rounding == 'zero')
+    fields['leakage_quadratic'] = float(values['fluid_dynamics.leakage_growth'])
+    fields['force_scale'] = 1.0
+    if fields['air_time'] > 0.0:
+        fields['air_stiffening'] = 1.0 / float(values['fluid_dynamics.air_force'])
+    if fields['viscous'] > 0.0:
+        fields['friction_inside'] = float(values['friction.location'] == 'cylinder')
+    stiffness = float(values['coupling.stiffness'])
+    if gap := float(values['backlash.gap']):
+        fields['backlash'] = 0.5 * gap
+        fields['piston_share'] = 1.0
+        if values['backlash.location'] == 'mass':
+            fields['backlash_floating'] = 1.0
+            stiffness = stiffness or float(values['backlash.contact_stiffness'])
+    if stiffness > 0.0:
+        fields['compliance'] = 1.0 / stiffness
+        fields['compliance_damping'] = float(values['coupling.damping']) / stiffness
+        fields['piston_share'] = float(values['coupling.piston_share'])
+    return fields
 
 
-def improved(p: np.void, kind: str) -> dict[str, Value]:
-    """Return what changes in the actuator's parameters (dotted names); kind: type of load."""
-    changed: dict[str, Value] = {}
-    if p['command_delay'] > 0.0:
-        changed['valve_flexure.delay'] = float(p['valve_flexure_delay'] + p['command_delay'])
+def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
+    """
+    Return what the effects of a plant's record change in the actuator's parameters.
+
+    values: all parameters of the actuator by dotted name, the record's nominal ones put in.
+    """
+    changed: dict[str, Value] = {name: float(p[field]) for field, name in DIRECT.items()
+                                 if p[field] != 0.0 and field != 'supply_time'}
+    if p['supply_sag'] != 0.0:
+        changed['valve_characteristic.supply_time'] = float(p['supply_time'])
+    if p['command_quantum'] > 0.0:
+        changed['command_path.rounding'] = (
+            'zero' if p['command_truncated'] > 0.5 else
+            'edge' if p['command_phase'] == 0.5 else 'nearest')
     if p['loop_width'] > 0.0:
         full = p['valve_hysteresis_model'] == FULL
         radius = float(p['loop_width'] * p['loop_share'] * (1.0 - 0.5 * p['loop_spread']))
@@ -38,48 +95,102 @@ def improved(p: np.void, kind: str) -> dict[str, Value]:
         changed['valve_hysteresis.radius'] = radius + full * float(p['valve_hysteresis_radius'])
         if not full:
             changed['valve_hysteresis.lag_time'] = 0.0
-    if p['valve_lag'] > 0.0:
-        changed['valve_flexure.coil_frequency'] = slower(
-            float(p['valve_flexure_coil_frequency']), float(p['valve_lag']))
-    if p['air_time'] > 0.0:
-        changed['fluid_dynamics.frequency'] = slower(
-            float(p['fluid_dynamics_frequency']), float(p['air_time']))
     if p['damping_viscous'] != 0.0:
         name = 'viscous' if p['hydraulic_damping_model'] == FULL else 'linear_gain'
         changed[f'hydraulic_damping.{name}'] = max(0.0, float(
             p[f'hydraulic_damping_{name}'] + p['damping_viscous']))
-    if p['supply_drop'] != 0.0:
-        changed['valve_characteristic.maximum_force'] = float(
-            p['valve_characteristic_maximum_force'] * (1.0 - p['supply_drop']))
-    if p['friction_level'] > 0.0:
-        level, high = float(p['friction_level']), 1.0 + float(p['friction_breakaway'])
-        uneven = float(p['friction_asymmetry'])
-        changed |= {'friction.model': 'full', 'friction.coulomb': level,
-                    'friction.stiction_push': level * high * (1.0 + uneven),
-                    'friction.stiction_pull': level * high * (1.0 - uneven)}
-        if p['friction_stribeck'] > 0.0:
-            changed['friction.stribeck_velocity'] = float(p['friction_stribeck'])
-    if p['viscous'] > 0.0 and kind in ('spring', 'locked'):
-        name = 'load.damping' if kind == 'spring' else 'load.locked_damping'
-        changed[name] = float(p[field_name(name)] + p['viscous'])
-    if p['disturbance'] != 0.0:
-        changed['load.external_force'] = float(p['disturbance'])
+        if p['hydraulic_damping_model'] != FULL:
+            changed['hydraulic_damping.model'] = 'linear'
+    if p['leakage_quadratic'] != 0.0:
+        changed['fluid_dynamics.leakage_growth'] = float(
+            p['leakage_quadratic'] / p['force_scale'])
+    if p['air_time'] > 0.0:
+        stiffening = float(p['air_stiffening'])
+        changed['fluid_dynamics.air_force'] = (
+            float(p['force_scale']) / stiffening if stiffening > 0.0 else NO_STIFFENING_N)
+    changed |= _friction(p, values) | _coupling(p) | _push(p)
     if p['sensor_offset'] != 0.0:
         changed['force_sensor.offset'] = float(p['force_sensor_offset'] + p['sensor_offset'])
     if p['sensor_gain_error'] != 0.0:
         changed['force_sensor.gain'] = float(
             p['force_sensor_gain'] * (1.0 + p['sensor_gain_error']))
-    if p['sensor_lag'] > 0.0:   # a second-order filter that is as late
-        changed['force_sensor.model'] = 'full'
-        changed['force_sensor.card_frequency'] = math.sqrt(2.0) / (
-            2.0 * math.pi * float(p['sensor_lag']))
     return changed
 
 
-def left_out(p: np.void) -> list[str]:
-    """Return the fields of effects at work that the actuator has no parameter for."""
-    return [name for name in EFFECT_FIELDS
-            if p[name] != 0.0 and name not in (*HELD, *SHAPE)]
+def _friction(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the friction of the effects, on top of a nominal one, as the simulator's."""
+    changed: dict[str, Value] = {}
+    full = values['friction.model'] == 'full'
+    if (p['friction_level'] > 0.0 or p['viscous'] > 0.0) and not full:
+        changed['friction.location'] = 'cylinder' if p['friction_inside'] > 0.5 else 'load'
+    if p['friction_level'] > 0.0:
+        level, high = float(p['friction_level']), 1.0 + float(p['friction_breakaway'])
+        nominal = [float(values[f'friction.{name}']) if full else 0.0
+                   for name in ('coulomb', 'stiction_push', 'stiction_pull')]
+        uneven = float(p['friction_asymmetry'])
+        changed |= {'friction.model': 'full', 'friction.coulomb': nominal[0] + level,
+                    'friction.coulomb_asymmetry': uneven * level / (nominal[0] + level),
+                    'friction.stiction_push': nominal[1] + level * high * (1.0 + uneven),
+                    'friction.stiction_pull': nominal[2] + level * high * (1.0 - uneven)}
+        if p['friction_breakaway'] > 0.0:
+            changed['friction.stribeck_velocity'] = float(p['friction_stribeck'])
+        if not full and p['friction_bristle'] > 0.0:
+            changed['friction.presliding_stiffness'] = level * high / float(p['friction_bristle'])
+            changed['friction.presliding_damping'] = 0.0
+            changed['friction.presliding'] = (
+                'dahl' if p['friction_rounding'] > ROUNDED else 'elastoplastic')
+    return changed
+
+
+def _coupling(p: np.void) -> dict[str, Value]:
+    """Return compliance and backlash as the simulator's."""
+    changed: dict[str, Value] = {}
+    if p['backlash'] > 0.0:
+        changed['backlash.gap'] = 2.0 * float(p['backlash'])
+        changed['backlash.location'] = 'mass' if p['backlash_floating'] > 0.5 else 'spring_damper'
+    if p['compliance'] > 0.0:
+        stiffness = 1.0 / float(p['compliance'])
+        changed |= {'coupling.stiffness': stiffness,
+                    'coupling.damping': stiffness * float(p['compliance_damping']),
+                    'coupling.piston_share': float(p['piston_share'])}
+    return changed
+
+
+def _push(p: np.void) -> dict[str, Value]:
+    """Return the largest of constant, wave and pulse as the simulator's push: it has one."""
+    sizes = {name: abs(float(p[name]))
+             for name in ('disturbance', 'disturbance_wave', 'disturbance_pulse')}
+    name = max(sizes, key=lambda name: sizes[name])
+    if sizes[name] == 0.0:
+        return {}
+    changed: dict[str, Value] = {'load.external_force': float(p[name])}
+    if name == 'disturbance_wave':
+        changed['load.external_force_frequency'] = float(p['disturbance_frequency'])
+        changed['load.external_force_phase'] = float((p['disturbance_phase'] + 0.5) % 1.0 - 0.5)
+    if name == 'disturbance_pulse':
+        changed['load.external_force_start'] = max(0.0, float(p['disturbance_start']))
+        changed['load.external_force_end'] = float(p['disturbance_end'])
+    return changed
+
+
+def left_out(p: np.void, values: Mapping[str, Value]) -> list[str]:
+    """Return the fields of effects at work that the simulator has no parameter for."""
+    pushes = [name for name in ('disturbance', 'disturbance_wave', 'disturbance_pulse')
+              if p[name] != 0.0]
+    names = [name for name in EFFECT_FIELDS if p[name] != 0.0 and name not in TURNED]
+    # The nominal friction is in the cylinder; another behind the sensor has no place of its own.
+    if (p['friction_level'] > 0.0 and p['friction_inside'] < 0.5
+            and values['friction.model'] == 'full'):
+        names.append('friction_inside')
+    return names + pushes[1:]
+
+
+def _allowed(name: str, value: Value) -> Value:
+    """Return a value within what its parameter allows."""
+    parameter = next(p for p in ACTUATOR_PARAMETERS if p.name == name)
+    if not isinstance(parameter.default, float):
+        return value
+    return float(min(max(float(value), parameter.low), parameter.high))
 
 
 def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
@@ -89,17 +200,17 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
 
     model: nominal parameters by dotted name; records: the verdict's, one a group of channels.
     """
-    kind = str(model.get('load.type', 'locked'))
     values = dict(model)
-    missing = []
     for p in records:
         for parameter in ACTUATOR_PARAMETERS:
-            field = field_name(parameter.name)
             given = model.get(parameter.name, parameter.default)
+            fitted = p[field_name(parameter.name)]
             if (isinstance(parameter.default, float) and not parameter.read_only
-                    and p[field] != as_number(parameter, given)):
-                values[parameter.name] = float(min(max(p[field], parameter.low), parameter.high))
+                    and fitted != as_number(parameter, given)):
+                values[parameter.name] = _allowed(parameter.name, float(fitted))
+    whole = completed(values, ACTUATOR_PARAMETERS)
+    missing: list[str] = []
     for p in records:
-        values |= improved(p, kind)
-        missing += left_out(p)
+        values |= {name: _allowed(name, value) for name, value in improved(p, whole).items()}
+        missing += left_out(p, whole)
     return values, missing

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from asi_actuator.model.load import PRESCRIBED
-from asi_actuator.parameters import as_record
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.blocks import Complex
+from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
-from asi_common.parameter import Value
+from asi_common.parameter import Value, completed
 
 # Valve position and velocity come sampled, and lags are exact for what moves straight, so finer
 # steps than the first tell nothing new of the force; delays and a solid friction of the nominal
@@ -45,6 +46,8 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
     for name, value in (('force_scale', 1.0), ('friction_bristle', 1e-4), ('supply_time', 0.3),
                         ('friction_stribeck', 1.0), ('friction_falling', 1.0),
                         ('viscous_exponent', 1.0), ('velocity_scale', 1.0)):
+        record[name] = value
+    for name, value in effect_fields(completed(nominal, ACTUATOR_PARAMETERS)).items():
         record[name] = value
     return record
 
