@@ -40,15 +40,21 @@ docs: setup $(VENV)/documented
 	@$(BIN)/sphinx-build -q -W --keep-going -n -b html doc build/docs
 	@echo build/docs/index.html
 
-setup: $(VENV)/installed
+VERSION := -c 'import sys; print(sys.version_info[:2])'
 
-# Python 3.11 or 3.12, whichever is found first and can make virtual environments. An interpreter
-# is tried, not only looked for: a pyenv shim exists for versions that it then refuses to run.
+# A PYTHON that is named is the one that is used, or make stops.
+setup: $(VENV)/installed
+	@test -z '$(PYTHON)' || test "$$($(PYTHON) $(VERSION))" = "$$($(BIN)/python $(VERSION))" || { \
+	  echo 'make: $(VENV) was made with another version than $(PYTHON): run make clean first' >&2; \
+	  exit 1; }
+
+# Python 3.11 to 3.13: the one that is named, else the first that can make virtual environments. An
+# interpreter is tried, not only looked for: a pyenv shim exists for versions that it refuses to run.
 $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
-	@for python in $(PYTHON) python3 python3.12 python3.11 /usr/bin/python3 no; do \
-	  test $$python != no || { echo 'make: Python 3.11 or 3.12 with venv is needed' \
+	@for python in $(or $(PYTHON),python3 python3.13 python3.12 python3.11 /usr/bin/python3) no; do \
+	  test $$python != no || { echo 'make: Python 3.11 to 3.13 with venv is needed' \
 	    '(name it: make PYTHON=/path/to/python3.12)' >&2; exit 1; }; \
-	  $$python -c 'import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
+	  $$python -c 'import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' \
 	    2>/dev/null && break; \
 	done; \
 	echo "Setting up $(VENV) with $$($$python --version); about a minute" && \

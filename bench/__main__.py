@@ -1,8 +1,8 @@
 """
 `python -m bench [NAME ...]`: run the benchmarks, write doc/reference/performance.md.
 
-Named: only those, of the others the last results are shown with their date; --quick: a few rounds
-each, to see that they work, and no page.
+Named: only those, of the others the last results are shown with their date; the page is written
+only if there are results of all. --quick: a few rounds each, to see that they work, and no page.
 """
 
 import argparse
@@ -82,9 +82,11 @@ def main() -> None:
         if not options.quick:
             LAST.parent.mkdir(exist_ok=True)
             LAST.write_text(json.dumps(last, indent=1))
-    if not options.quick:
-        print(write_page({name: last[name] for name in MODULES if name in last},
-                         ROOT / 'doc/reference'))
+    if missing := [name for name in MODULES if name not in last]:
+        print('the page is not written, as these have not been measured here: '
+              + ', '.join(missing), file=sys.stderr)
+    elif not options.quick:
+        print(write_page({name: last[name] for name in MODULES}, ROOT / 'doc/reference'))
     if failed:
         sys.exit(f'failed: {", ".join(failed)}')
 

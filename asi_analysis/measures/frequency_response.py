@@ -27,6 +27,8 @@ EXCITED_NEARBY: Final = 0.03
 NEARBY: Final = 0.01
 # and if the coherence is at least this.
 COHERENT: Final = 0.8
+# Lines of the spectrum of a step response at most.
+MOST_LINES: Final = 2**22
 # A reference of at least so many steps excites as many frequencies as noise does (PRBS).
 FEWEST_STEPS: Final = 4
 HALF_POWER: Final = np.sqrt(0.5)
@@ -135,7 +137,8 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
     force = run.force_n[max(start - 1, 0):end]
     differences = np.diff(force[np.isfinite(force)])
     # Padded so that a hundred lines lie below the bandwidth of a first-order lag of this rise.
-    lines = max(8 * differences.size, int(100.0 * run.rate_hz * step.rise_time_s / 0.35))
+    wanted = int(100.0 * run.rate_hz * step.rise_time_s / 0.35)
+    lines = max(8 * differences.size, min(wanted, MOST_LINES))
     gain = np.abs(np.fft.rfft(differences, lines)).astype(np.float64)
     return bandwidth(np.fft.rfftfreq(lines, run.period_s)[1:].astype(np.float64), gain[1:])
 

@@ -265,7 +265,7 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
             for begin, length in zip(begins, lengths, strict=True):
                 if (values[begin] == limit and begin > 0
                         and length >= max(CLIPPED_SAMPLES, 3.0 * usual)
-                        and jumps[begin - 1] > least):
+                        and jumps[max(begin - 2, 0):begin].max() > least):
                     clipped[begin:begin + length] = True
         found.append(clipped)
     return found

@@ -15,7 +15,7 @@ from scipy import signal
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.quality import Finding, findings, trust
+from asi_analysis.measures.quality import LOSSES, Finding, findings, trust
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # Share of the plateau after a step, at its end, whose mean is the steady-state force.
@@ -307,8 +307,11 @@ def _trusted(step: Step, run: Run, found: Sequence[Finding],
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
                    min(step.time_s + settled, end) if settled else end)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), end, LOST_SHARE)
-    # Rise, overshoot and settling are shares of the way to the steady force.
-    moving = moving if moving.withheld or not steady.withheld else steady
+    # What is wrong, but not lost, spoils the levels before and after too, and so every figure.
+    begin = step.time_s - STEADY_SHARE * (end - step.time_s)
+    levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, end)
+    if levels.withheld:
+        moving = steady = levels
     reliable[step.time_s] = dict.fromkeys(TRANSIENT, moving.reliable) | {
         'steady_state_error_n': steady.reliable}
     if moving.withheld:

@@ -133,6 +133,50 @@ def test_repeated_times_and_missing_values_and_units_in_the_header(tmp_path: Pat
     assert run.unit('force') == 'Nm'
 
 
+def test_units_that_pint_knows(tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('p,f,q\n1,2,3\n2,3,4\n')
+    run = import_recording(file, ['force=p*12.5[bar*cm^2]', 'command=q[psi]', 'position=f[ft]'],
+                           10.0)
+    np.testing.assert_allclose(run.signal('force'), [125.0, 250.0])
+    np.testing.assert_allclose(run.signal('command'), [3 * 6894.757, 4 * 6894.757], rtol=1e-6)
+    np.testing.assert_allclose(run.signal('position'), [0.6096, 0.9144])
+    kip = import_recording(file, ['force=f[kip]'], 10.0)
+    np.testing.assert_allclose(kip.signal('force'), [8896.443, 13344.665], rtol=1e-6)
+    with pytest.raises(InputError, match='a pressure times an area is a force'):
+        import_recording(file, ['force=p[bar]'], 10.0)
+
+
+@pytest.mark.parametrize(('cells', 'seconds'), [
+    (['31.12.2020 23:59:59', '01.01.2021 00:00:01'], 2.0),
+    (['12/31/2020 11:59:59 PM', '1/1/2021 12:00:01 AM'], 2.0),
+    (['11:59:59 AM', '12:00:01 PM'], 2.0),
+    (['2020-01-01T00:00:00+01:00', '2020-01-01T00:00:00.5+01:00'], 0.5)])
+def test_dates_of_other_countries(tmp_path: Path, cells: list[str], seconds: float) -> None:
+    (tmp_path / 'a.csv').write_text('t;f\n' + ''.join(f'{cell};1\n' for cell in cells))
+    run = import_recording(tmp_path / 'a.csv', ['time=t', 'force=f'], columns=['t', 'f'],
+                           skip_lines=1)
+    assert run.time_s.tolist() == [0.0, seconds]
+
+
+def test_a_date_that_can_be_read_in_two_ways_is_refused(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text('t;f\n3/4/2020 10:00;1\n4/4/2020 10:00;2\n')
+    with pytest.raises(InputError, match='the day or the month first'):
+        import_recording(tmp_path / 'a.csv', ['time=t', 'force=f'], columns=['t', 'f'],
+                         skip_lines=1)
+
+
+def test_numbers_of_labview_and_durations(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text('f\n-19m\n2.5k\n1\n')
+    with pytest.warns(InputWarning, match='2 cells such as -19m'):
+        run = import_recording(tmp_path / 'a.csv', ['force=f'], 10.0)
+    assert run.signal('force').tolist() == [-0.019, 2500.0, 1.0]
+    write_table(pa.table({'t': pa.array([0, 500_000_000], pa.duration('ns')), 'f': [1.0, 2.0]}),
+                tmp_path / 'a.parquet')
+    timed = import_recording(tmp_path / 'a.parquet', ['time=t', 'force=f'])
+    assert timed.time_s.tolist() == [0.0, 0.5]
+
+
 def test_zero_takes_off_the_start(tmp_path: Path) -> None:
     file = tmp_path / 'a.tsv'
     file.write_text('\n'.join(f'{3 + (k > 4)}\t{k}' for k in range(10)))

@@ -1,0 +1,35 @@
+"""A few hundred damaged files and samples; `make torture` tries ten thousand."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from torture.inputs import corpus, figure_problem, file_problem, recording
+
+few = settings(derandomize=True, deadline=None, database=None,
+               suppress_health_check=list(HealthCheck))
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
+    folder = tmp_path_factory.mktemp('corpus')
+    yield corpus(folder)
+
+
+@settings(few, max_examples=200)
+@given(seed=seeds, number=st.integers(0, 8))
+def test_a_damaged_file_is_read_or_refused_in_one_line(files: list[Path], seed: int, number: int
+                                                       ) -> None:
+    good = files[number]
+    assert not file_problem(good, good.parent / 'damaged', Random(seed))
+
+
+@settings(few, max_examples=25)
+@given(seed=seeds)
+def test_no_figure_of_spoilt_samples_differs_silently(seed: int) -> None:
+    assert not figure_problem(recording(), Random(seed))

@@ -1,0 +1,187 @@
+"""
+Damaged files and samples: every reader answers or refuses in one line.
+
+A traceback is a failure; and so is a figure that differs from that of the undamaged file when
+nothing says that anything is wrong. `make test` tries a few hundred, `make torture` ten thousand.
+"""
+
+import gzip
+import math
+import shutil
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import Any, Final
+
+import numpy as np
+
+from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.exchange.exporting import export
+from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.experiments.experiment import read_parameters
+from asi_analysis.measures.analysis import analyze
+from asi_common.parameter import ParameterError
+from torture.rig import Rig, Tally
+
+FILES: Final = 10_000
+SAMPLES: Final = 1500
+MAP: Final = ['time=time_s', 'force=force_n', 'reference=reference_n']
+# What someone may find in a text instead of a number.
+WORDS: Final = (b'', b'nan', b'1e400', b'-', b'"', b'1,5', b'-19m', b'12:00 PM', b'\xff', b'\x00',
+                b'[1, 2]', b'!!python/object:os.system', b'*a', b'2001-13-45', b'1' * 400, b'\n',
+                b'{', b'~', b'0x1F', b'1:99', b'<<: *x')
+FIGURES: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'steady_state_error_n',
+                  'bandwidth_hz')
+
+
+def recording() -> Run:
+    """Return a step response of n samples with noise, as an engineer's log would hold it."""
+    time_s = np.arange(SAMPLES) / 1000.0
+    t = np.maximum(time_s - 0.5, 0.0)
+    force = 100.0 * (1.0 - np.exp(-50.0 * t) * (np.cos(120.0 * t) + 0.4 * np.sin(120.0 * t)))
+    force += 0.05 * np.random.default_rng(1).normal(size=SAMPLES)
+    return Run(time_s, np.where(time_s < 0.5, 0.0, 100.0), None, force)
+
+
+def corpus(folder: Path) -> list[Path]:
+    """Write one good file of each kind; return them."""
+    run = recording()
+    columns = {'time_s': run.time_s, 'reference_n': run.reference_n, 'force_n': run.force_n}
+    export(run, folder / 'good.csv')
+    export(run, folder / 'good.parquet')
+    text = (folder / 'good.csv').read_text()
+    (folder / 'comma.txt').write_text(text.replace(',', ';').replace('.', ','))
+    (folder / 'blank.dat').write_text('# a remark\n# ' + text.replace(',', ' '))
+    (folder / 'good.csv.gz').write_bytes(gzip.compress(text.encode()))
+    np.savez_compressed(folder / 'good.npz', **columns)  # type: ignore[arg-type]
+    write_bag(run, folder / 'bag')
+    (folder / 'good.yaml').write_text(
+        'asi_actuator:\n  ros__parameters:\n    load:\n      type: spring\n      mass: 5e-1\n')
+    return [path for path in sorted(folder.iterdir()) if path.is_file()] + [
+        next((folder / 'bag').glob('*.mcap')), folder / 'bag/metadata.yaml']
+
+
+def damaged(data: bytes, random: Random) -> bytes:
+    """Return a file with one to three kinds of damage."""
+    for _ in range(random.randint(1, 3)):
+        size = len(data)
+        place = random.randrange(size + 1)
+        kind = random.randrange(6)
+        if kind == 0:
+            data = data[:place]
+        elif kind == 1 and size:
+            bits = bytearray(data)
+            for _ in range(random.choice((1, 1, 1, 10, 100))):
+                bits[random.randrange(size)] ^= 1 << random.randrange(8)
+            data = bytes(bits)
+        elif kind == 2:
+            data = data[:place] + random.choice(WORDS) + data[place:]
+        elif kind == 3:     # a cell, a name, a number
+            end = min([at for mark in (b',', b'\n', b' ') if (at := data.find(mark, place)) > 0],
+                      default=place)
+            data = data[:place] + random.choice(WORDS) + data[end:]
+        elif kind == 4:
+            data = data[:place] + bytes(min(512, size - place)) + data[place + 512:]
+        else:
+            data = data[:place] + data[place // 2:]
+    return data
+
+
+def read(path: Path) -> None:
+    """Read a file as its name says, and analyse it. Raises what a user would see."""
+    if path.suffix == '.yaml' and path.name != 'metadata.yaml':
+        read_parameters(path, 'actuator')
+        return
+    run = (read_bag(path.parent if path.name == 'metadata.yaml' else path)
+           if path.suffix == '.mcap' or path.name == 'metadata.yaml'
+           else import_recording(path, MAP))
+    if len(run) > 1:
+        str(analyze(run).to_dict())
+
+
+def file_problem(good: Path, folder: Path, random: Random) -> str:
+    """Damage a file of the corpus and read it; return what is wrong with that, '' if nothing."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    if good.name == 'metadata.yaml':
+        shutil.copy(next(good.parent.glob('*.mcap')), folder)
+    path = folder / good.name
+    path.write_bytes(damaged(good.read_bytes(), random))
+    return _problem(lambda: read(path))
+
+
+def _problem(call: Callable[[], Any]) -> str:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            call()
+    except (InputError, ParameterError, OSError) as error:
+        return f'the refusal has several lines: {error}' if '\n' in str(error) else ''
+    except Exception as error:  # noqa: B902 - whatever it is, a user would see it
+        return f'{type(error).__name__}: {error}'
+    return ''
+
+
+def spoilt(run: Run, random: Random) -> tuple[str, Run]:
+    """Return what was done to the samples of a recording, and the recording."""
+    force, time_s = run.signal('force').copy(), run.time_s.copy()
+    kept = np.ones(len(run), bool)
+    place, length = random.randrange(50, len(run) - 150), random.randint(1, 100)
+    part = slice(place, place + length)
+    kind = random.choice(('rows lost', 'cells empty', 'every nth empty', 'clipped', 'spike',
+                          'early', 'unit', 'rows twice', 'clock set', 'quantised'))
+    if kind == 'rows lost':
+        kept[part] = False
+    elif kind == 'cells empty':
+        force[part] = np.nan
+    elif kind == 'every nth empty':
+        force[::random.randint(2, 5)] = np.nan
+    elif kind == 'clipped':
+        force = np.minimum(force, random.uniform(60.0, 110.0))
+    elif kind == 'spike':
+        force[place] = random.choice((-1.0, 1.0)) * 10.0**random.uniform(2.5, 9.0)
+    elif kind == 'early':
+        force = np.append(force[50:], force[-50:])
+    elif kind == 'unit':
+        force *= random.choice((1e-3, 1e3))
+    elif kind == 'rows twice':
+        time_s[part] = time_s[place]
+    elif kind == 'clock set':
+        time_s[place:] += random.choice((60.0, 3600.0))
+    else:
+        force = np.round(force / 10.0) * 10.0
+    assert run.reference_n is not None
+    return kind, Run(time_s[kept], run.reference_n[kept], None, force[kept])
+
+
+def figure_problem(run: Run, random: Random) -> str:
+    """Return which figure of a spoilt recording differs though nothing is said, '' if none."""
+    kind, worse = spoilt(run, random)
+    right, found = analyze(run), analyze(worse)
+    for figure in FIGURES:
+        value = found[figure]
+        if value is not None and not found['quality'] and not math.isclose(
+                value, right[figure], rel_tol=0.02, abs_tol=0.1):
+            return f'{kind}: {figure} is {value} for {right[figure]}, and nothing says why'
+        if value is not None and found['reliable'].get(figure) and not math.isclose(
+                value, right[figure], rel_tol=0.1, abs_tol=0.5):
+            return f'{kind}: {figure} is {value} for {right[figure]}, and said to be reliable'
+    return ''
+
+
+def inputs(rig: Rig, tally: Tally, end: float) -> None:
+    """Damage files and samples: ten thousand files, or until the time is over."""
+    folder = rig.folder / 'corpus'
+    folder.mkdir()
+    files, run = corpus(folder), recording()
+    for number in range(FILES):
+        if time.monotonic() > end:
+            return
+        good = files[number % len(files)]
+        tally.count(f'{good.name} damaged', file_problem(good, rig.folder / 'bad', rig.random))
+        if number % 4 == 0:
+            tally.count('samples spoilt', figure_problem(run, rig.random))
