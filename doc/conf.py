@@ -6,6 +6,7 @@ they are built, so what they show is what the code does.
 """
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -50,6 +51,9 @@ nb_execution_timeout = 300
 nb_merge_streams = True
 
 default_role = 'code'
+ARRAY = re.compile(r'~?[.\w]*ndarray\[tuple\[~?[.\w]+, \.\.\.\], ~?[.\w]*dtype\[~?[.\w]+\]\]')
+smartquotes = False
+autodoc_preserve_defaults = True
 autodoc_typehints_format = 'short'
 autodoc_member_order = 'bysource'
 maximum_signature_line_length = 90
@@ -67,4 +71,4 @@ def setup(app: Sphinx) -> None:
 
 
 def _short(text: str | None) -> str | None:
-    return text and text.replace('ndarray[tuple[Any, ...], dtype[float64]]', 'NDArray')
+    return text and ARRAY.sub('NDArray', text)
