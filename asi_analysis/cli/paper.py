@@ -67,7 +67,7 @@ def calibrate(
         help='Candidates of the global search, with those of an earlier call', min=0)] = 2000,
     polish: Annotated[int, typer.Option(
         help='Most rounds of successive linear programs from the best', min=0)] = 20,
-    structure: Annotated[Literal['side', 'cylinder', 'one-load'], typer.Option(
+    structure: Annotated[Literal['side', 'cylinder', 'locked', 'spring'], typer.Option(
         help='What is searched')] = 'side',
     seed: Annotated[int, typer.Option(help='Seed of the search', min=0)] = 1,
     spread: Annotated[float, typer.Option(
@@ -75,7 +75,7 @@ def calibrate(
     start: Annotated[Path | None, typer.Option(
         help='best.json of an earlier calibration to start from; default: the defaults')] = None,
     only: Annotated[list[str] | None, typer.Option(
-        help='Leave free only this quantity; may be repeated')] = None,
+        help='Leave free only this quantity, or those that begin so; may be repeated')] = None,
     jobs: Jobs = 1,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(

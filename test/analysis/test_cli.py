@@ -73,7 +73,7 @@ def test_help_loads_nothing_heavy():
     (('quench', '--replay', '-1'), '--replay'),
     (('calibrate', '--spread', 'nan', '--out', 'new'), 'spread'),
     (('calibrate', '--front', 'load.mas=1'), 'load.mas'),
-    (('calibrate', '--structure', 'round'), 'one-load'),
+    (('calibrate', '--structure', 'round'), 'cylinder'),
     (('gap',), 'asi gap BAG...'),
     (('gap', 'nowhere', '--plant', 'robot'), 'joint'),
     (('run', '--step', '5', '--reference', 'sine'), '--step'),

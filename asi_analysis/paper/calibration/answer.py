@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from asi_analysis.paper.calibration.cost import cost, misses
 from asi_analysis.paper.calibration.quantities import STRUCTURES, Candidate, read_best, write_best
 from asi_analysis.paper.calibration.search import calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
@@ -19,6 +18,9 @@ class Calibration(Result):
     def parts(self) -> Iterator[str | Table]:
         yield (f'{self.evaluations} evaluations and {self.polish_evaluations} of the polish, cost '
                f'{self.cost:.4g}; {self.met} of {self.total} rows of the calibration met')
+        if self.seconds_per_evaluation:
+            yield (f'seed {self.seed}, budget {self.budget}: '
+                   f'{self.seconds_per_evaluation:.3g} s an evaluation')
         yield 'measured by stage: ' + ', '.join(
             f'{name} {count}' for name, count in self.stages.items())
         if self.not_met:
@@ -45,10 +47,12 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
     write_best(result(search), out / 'best.json')
     measured = search.problem.measure(search.best)
     return Calibration({
-        'evaluations': search.evaluations,
+        'evaluations': search.evaluations, 'budget': evaluations, 'seed': search.seed,
+        'seconds_per_evaluation': (search.seconds / search.evaluations if search.evaluations
+                                   else None),
         'stages': {str(stage): count for stage, count
                    in zip(Stage, search.counts, strict=True)},
-        'polish_evaluations': search.polished, 'cost': cost(misses(measured)),
+        'polish_evaluations': search.polished, 'cost': search.problem.cost(search.best, measured),
         'best': str(out / 'best.json'),
         'met': sum(row.met(measured[row.name]) for row in AIMS), 'total': len(AIMS),
         'not_met': [row.name for row in AIMS if not row.met(measured[row.name])]})

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 
 from asi_analysis.errors import InputError
-from asi_analysis.paper.calibration.cost import cost, misses
 from asi_analysis.paper.calibration.quantities import Candidate, Structure, read_best
 from asi_analysis.paper.calibration.search import new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
@@ -56,7 +55,8 @@ def front(name: str, values: Sequence[float], start: Candidate, rounds: int,
         search = new_search(start, Structure(name, {name: value}), 1, 0.1)
         search.polish(rounds)
         measured = search.problem.measure(search.best)
-        held.append(Held(value, cost(misses(measured)), search.polished, measured))
+        held.append(Held(value, search.problem.cost(search.best, measured), search.polished,
+                         measured))
         start = result(search)
     return held
 

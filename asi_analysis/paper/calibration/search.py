@@ -8,6 +8,7 @@ its best.
 
 import math
 import pickle
+import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,12 +20,15 @@ from asi_analysis.errors import InputError
 from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.loop.bench import Values
 from asi_analysis.paper.calibration.cost import INNER, bounded, cost, misses
+from asi_analysis.paper.calibration.plausible import penalty
 from asi_analysis.paper.calibration.quantities import (
     FREE,
+    TESTS,
     Candidate,
     Structure,
     candidate,
     quantities,
+    with_tests,
 )
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured, Setup, Stage
@@ -40,7 +44,7 @@ SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.0015
 SEARCH_RATIO_ACCURACY: Final = 0.004
-SEARCH_WATCHED_S: Final = 4.0
+SEARCH_WATCHED_S: Final = 16.0
 # So many of the points of a generation are measured in each stage: a race.
 RACE: Final = (64, 16, 8, 6, 4)
 # Sorts a point that left the race behind every point that went on.
@@ -72,7 +76,6 @@ class Problem(NamedTuple):
     conditions: Conditions
     free: tuple[int, ...]     # numbers of the quantities of FREE that vary
     start: Array              # a point of the whole cube
-    one_load: bool = False
 
     def whole(self, point: Array) -> Array:
         """Return the point of the whole cube that a point of the free quantities stands for."""
@@ -82,8 +85,11 @@ class Problem(NamedTuple):
 
     def candidate(self, point: Array) -> Candidate:
         """Return what a point of the free quantities stands for."""
-        return candidate(to_values(FREE, self.whole(point)), self.fixed, self.conditions,
-                         self.one_load)
+        return candidate(to_values(FREE, self.whole(point)), self.fixed, self.conditions)
+
+    def cost(self, point: Array, measured: Measured) -> float:
+        """Return what a point costs: its misses, and what is not plausible about it."""
+        return cost(misses(measured)) + penalty(self.candidate(point))
 
     def measure(self, point: Array) -> Measured:
         """Return all that the rows need."""
@@ -98,16 +104,19 @@ class Search:
     A search that can be stopped and gone on with: the same seed gives the same points.
 
     problem: what is searched; seed: of CMA-ES; spread: its first standard deviation, as a share
-    of the cube. `counts` says how many points have been measured in each stage of the race.
+    of the cube. `seconds`: spent in the global search. `counts` says how many points have been
+    measured in each stage of the race.
     """
 
     def __init__(self, problem: Problem, seed: int, spread: float) -> None:
         import cma
         self.problem = problem
+        self.seed = seed
+        self.seconds = 0.0
         self.counts = [0] * len(RACE)
         self.polished = 0
         self.best = problem.start[list(problem.free)]
-        self.best_cost = cost(misses(problem.measure(self.best)))
+        self.best_cost = problem.cost(self.best, problem.measure(self.best))
         self.strategy = cma.CMAEvolutionStrategy(
             self.best, spread, {'seed': seed, 'popsize': RACE[0], 'verbose': -9,
                                 'maxfevals': math.inf})
@@ -129,7 +138,7 @@ class Search:
             self.counts[stage] += len(racing)
             for k, new in zip(racing, found, strict=True):
                 measured[k].update(new)
-                ranks[k] = (cost(misses(measured[k])) + _outside(points[k])
+                ranks[k] = (self.problem.cost(points[k], measured[k]) + _outside(points[k])
                             + BEHIND * (len(RACE) - 1 - stage))
             racing = sorted(racing, key=lambda k: ranks[k])[:places]
         self.strategy.tell(points, ranks)
@@ -151,7 +160,7 @@ class Search:
         point, reach = self.best.copy(), REACH
         measured = self._measured([point], apply)[0]
         for done in range(rounds):
-            now = cost(misses(measured))
+            now = self.problem.cost(point, measured)
             self._keep(point, now)
             report(f'polishing, cost {now:.3f}', done / rounds)
             if now == 0.0 or reach < LEAST_REACH:
@@ -160,7 +169,7 @@ class Search:
             reaches = [min(share * reach, MOST_REACH) for share in SHARES]
             tried = [_step(point, _bounds(measured), slopes, each) for each in reaches]
             found = self._measured(tried, apply)
-            costs = [cost(misses(each)) for each in found]
+            costs = [self.problem.cost(*each) for each in zip(tried, found, strict=True)]
             k = int(np.argmin(costs))
             if costs[k] < min(now, side[0]):
                 point, measured, reach = tried[k], found[k], reaches[k]
@@ -169,7 +178,7 @@ class Search:
                 reach *= 0.6
             else:
                 reach *= 0.35
-        self._keep(point, cost(misses(measured)))
+        self._keep(point, self.problem.cost(point, measured))
 
     def _slopes(self, point: Array, measured: Measured, reach: float, seed: int,
                 apply: Callable[..., Any]) -> tuple[Array, tuple[float, Array, Measured]]:
@@ -183,7 +192,7 @@ class Search:
         here = _bounds(measured)
         slopes = np.array([(_bounds(each) - here) / step
                            for each, step in zip(found, steps, strict=True)]).T
-        costs = [cost(misses(each)) for each in found]
+        costs = [self.problem.cost(*each) for each in zip(tried, found, strict=True)]
         k = int(np.argmin(costs))
         return np.clip(slopes, -STEEPEST, STEEPEST), (costs[k], tried[k], found[k])
 
@@ -250,20 +259,27 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     Return a search from a start.
 
     spread: of the first generation, a share of the range of each; only: the names of the
-    quantities that are to vary (all that the structure leaves free, if empty). Raises InputError
+    quantities that are to vary, or what they begin with (all that the structure leaves free, if
+    empty). Raises InputError
     for a spread that is none, or a name that FREE does not hold.
     """
     if not 0.0 < spread <= 1.0:
         raise InputError(f'spread = {spread:g} is not allowed: above 0, at most 1')
     names = [free.name for free in FREE]
     for name in (*only, *structure.fixed):
-        if name not in names:
+        if not any(each.startswith(name) for each in names):
             raise InputError(f'{name} is not free; there are {", ".join(names)}')
+    if structure.load:
+        start = start._replace(conditions=with_tests(start.conditions, {
+            name: getattr(start.conditions, name)._replace(load=structure.load)
+            for name in TESTS}))
+    locked = start.conditions.proportional.load['load.type'] == 'locked'
     free = tuple(k for k, name in enumerate(names)
-                 if name not in structure.fixed and (not only or name in only))
+                 if name not in structure.fixed and (not only or name.startswith(tuple(only)))
+                 and not (locked and name.startswith('conditions.load.')))
     known = {**quantities(start), **structure.fixed}
-    problem = Problem({**start.actuator, **SEARCH}, start.conditions, free, to_vector(FREE, known),
-                      structure.one_load)
+    problem = Problem({**start.actuator, **SEARCH}, start.conditions, free,
+                      to_vector(FREE, known))
     return Search(problem, seed, spread)
 
 
@@ -274,7 +290,9 @@ def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
         return each(function, ((job,) for job in jobs))
 
     while search.evaluations < evaluations and not search.strategy.stop():
+        begin = time.perf_counter()
         search.generation(apply)
+        search.seconds += time.perf_counter() - begin
         search.save(state)
         report(f'{search.evaluations} evaluations, cost {search.best_cost:.3f}',
                search.evaluations / evaluations)

@@ -7,14 +7,7 @@ stated with each row.
 
 from typing import Final, NamedTuple
 
-from asi_analysis.experiments.step_tests import (
-    LEAD4,
-    LEAD_LAG,
-    LOCKED,
-    PROPORTIONAL,
-    SPRING,
-    StepTest,
-)
+from asi_analysis.experiments.step_tests import LOCKED, SPRING, StepTest
 from asi_common.parameter import defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -22,14 +15,23 @@ __all__ = ['LOCKED', 'PROPORTIONAL_GAIN', 'SPRING', 'Conditions', 'StepTest']
 
 # Of Table 1 and of the closed-loop bandwidth.
 PROPORTIONAL_GAIN: Final = 3.0
+# The one load and the one step (N) of Table 1, all three columns: doc/explanation/reproduction.md.
+LOAD: Final = {**SPRING, 'load.mass': 0.2579, 'load.stiffness': 3.274e6, 'load.damping': 30.28}
+STEP_N: Final = 506.2
 
 
 class Conditions(NamedTuple):
     """Everything about the experiments that is not the actuator."""
 
-    proportional: StepTest = PROPORTIONAL
-    lead_lag: StepTest = LEAD_LAG
-    lead4: StepTest = LEAD4
+    proportional: StepTest = StepTest(
+        {'compensator': 'proportional', 'gain': PROPORTIONAL_GAIN}, STEP_N, LOAD)
+    lead_lag: StepTest = StepTest(
+        {'compensator': 'lead_lag', 'gain': 18.3, 'lead_lag.centre_frequency': 100.0}, STEP_N,
+        LOAD)
+    lead4: StepTest = StepTest(
+        {'compensator': 'lead4', 'gain': 3.139, 'lead4.zero_frequency': 136.1,
+         'lead4.ratio': 3.664, 'lead4.lag_ratio': 21.27, 'lead4.lag_time': 0.117}, STEP_N,
+        LOAD)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0

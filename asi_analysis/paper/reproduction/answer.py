@@ -10,10 +10,13 @@ from asi_analysis.bags.run import SIGNALS
 from asi_analysis.experiments.experiment import Experiment
 from asi_analysis.experiments.running import RunFailedError, run_experiment
 from asi_analysis.loop.closed_loop import LoopRun
+from asi_analysis.paper.calibration.plausible import findings
+from asi_analysis.paper.calibration.quantities import FREE, Candidate
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.converged import Converged
 from asi_analysis.paper.facts.fact import Fact, Measured, Row, Setup
-from asi_analysis.paper.facts.table import FACTS, measure, met
+from asi_analysis.paper.facts.table import AIMS, FACTS, measure, met
+from asi_analysis.paper.reproduction.table_1 import columns_alone
 from asi_analysis.reporting.result import Pictures, Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
@@ -42,6 +45,16 @@ class Reproduction(Result):
             'change %': '{change_percent:.2g}', 'tolerance': '{tolerance}', 'met': '{met}'})
         yield (f'{self["met"]} of {self.total} rows met; all rows of {len(self.ids_met)} of '
                f'{self.ids_total} facts met')
+        yield ('a fit has {free_quantities} free quantities for {fitted_rows} rows, '
+               '{two_sided_rows} of them two-sided'.format(**self.freedom))
+        for each in self.alone:
+            yield (f'{each["id"]} alone, {each["conditions"]}: {each["met"]} of {each["total"]} '
+                   'rows met, not counted')
+        if self.not_plausible:
+            yield table_of(self.not_plausible, {
+                'not plausible': '{name}', 'value': '{value:.3g}', 'low': '{low:.3g}',
+                'high': '{high:.3g}', 'unit': '{unit}', 'because': '{problem}',
+                'source': '{source}'})
         if self.over_ros:
             different = [each['value'] for each in self.over_ros if not each['equal']]
             yield (f'{len(self.over_ros)} values measured over ROS as well: '
@@ -85,7 +98,11 @@ def reproduce_paper(actuator: Values | None = None, conditions: Conditions | Non
     whole = [fact.id for fact in FACTS if all(met(row, measured) for row in fact.rows)]
     return Reproduction(
         {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
-         'ids_met': whole, 'ids_total': len(FACTS), 'over_ros': [], 'report': None},
+         'ids_met': whole, 'ids_total': len(FACTS), 'alone': columns_alone(setup),
+         'not_plausible': [each._asdict() for each in findings(Candidate(actuator, conditions))],
+         'freedom': {'free_quantities': len(FREE), 'fitted_rows': len(AIMS),
+                     'two_sided_rows': sum(not row.one_sided for row in AIMS)},
+         'over_ros': [], 'report': None},
         actuator=actuator, conditions=conditions, measured=measured)
 
 

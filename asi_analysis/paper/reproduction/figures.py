@@ -12,6 +12,7 @@ from asi_analysis.loop.bench import Values, in_process, step_experiment
 from asi_analysis.loop.one_harmonic import at_gain, first_intersection
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions
 from asi_analysis.paper.facts.converged import Converged
+from asi_analysis.paper.facts.fact import Setup
 from asi_analysis.paper.facts.measures import onset_name, paper_prediction
 from asi_analysis.paper.facts.static import (
     FASTEST_M_S,
@@ -20,6 +21,7 @@ from asi_analysis.paper.facts.static import (
     hysteresis_loop,
     static_characteristic,
 )
+from asi_analysis.paper.reproduction.table_1 import figure_of_sweep
 from asi_analysis.reporting.figures import BLUE, COLOURS, GREY, ORANGE, WIDTH_IN, style
 
 FIG_9_GAIN: Final = 15.0
@@ -149,7 +151,7 @@ def table_1_step(actuator: Values, conditions: Conditions, name: str, title: str
 
 def paper_figures(actuator: Values, conditions: Conditions, measured: Mapping[str, Converged]
                   ) -> dict[str, Figure]:
-    """Return every figure by its number in the paper."""
+    """Return every figure by its number in the paper, and Table 1 over steps and loads."""
     onset = measured[onset_name(conditions.cycle_step_n, 'gain')].value
     drawn: Mapping[str, Callable[[], Figure]] = {
         'figure_03': lambda: hydraulic_damping(actuator),
@@ -165,6 +167,7 @@ def paper_figures(actuator: Values, conditions: Conditions, measured: Mapping[st
                                           'Fig. 11: lead-lag control'),
         'figure_12': lambda: table_1_step(actuator, conditions, 'lead4',
                                           'Fig. 12: fourth-order lead'),
+        'table_1': lambda: figure_of_sweep(Setup(actuator, conditions, {})),
     }
     with style():
         return {name: draw() for name, draw in drawn.items()}

@@ -44,6 +44,17 @@ def _table(document: Mapping[str, Any]) -> str:
                      f'{fact["role"]} |')
     lines += ['', f'{document["met"]} of {document["total"]} rows met; '
               f'{len(document["ids_met"])} of {document["ids_total"]} facts met whole.']
+    lines += ['', '| Table 1, a column alone | its condition | rows met (not counted) '
+              '| not plausible |',
+              '|---|---|---|---|']
+    lines += [f'| {each["id"]} | {each["conditions"]} | {each["met"]} of {each["total"]} | '
+              f'{", ".join(each["not_plausible"]) or "-"} |'
+              for each in document['alone']]
+    lines += ['', '| not plausible | value | range | because | the range rests on |',
+              '|---|---|---|---|---|']
+    lines += [f'| {each["name"]} | {each["value"]:.3g} {each["unit"]} | {each["low"]:.3g} to '
+              f'{each["high"]:.3g} | {each["problem"]} | {each["source"]} |'
+              for each in document['not_plausible']]
     lines += [f'\n{fact["quantity"]}: {fact["note"]}.' for fact in document['facts']
               if fact['note']]
     return '\n'.join(lines) + '\n'

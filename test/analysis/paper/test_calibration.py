@@ -11,9 +11,11 @@ from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.paper.calibration import search
 from asi_analysis.paper.calibration.cost import INNER, cost, misses
 from asi_analysis.paper.calibration.front import front
+from asi_analysis.paper.calibration.plausible import findings, penalty
 from asi_analysis.paper.calibration.quantities import (
     FREE,
     STRUCTURES,
+    TESTS,
     Candidate,
     candidate,
     quantities,
@@ -21,7 +23,7 @@ from asi_analysis.paper.calibration.quantities import (
     write_best,
 )
 from asi_analysis.paper.calibration.search import LINES, calibrate, load, new_search, result
-from asi_analysis.paper.facts.conditions import SPRING, Conditions, StepTest
+from asi_analysis.paper.facts.conditions import LOCKED, SPRING, Conditions, StepTest
 from asi_analysis.paper.facts.fact import Setup
 from asi_analysis.paper.facts.table import AIMS
 from asi_analysis.paper.facts.table_1 import step_test
@@ -51,7 +53,7 @@ def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
     assert np.array_equal(resumed.best, whole.best)
     assert whole.counts == [8, 6, 4, 4, 4]
     # What was kept is what it costs: the race has measured it to the end.
-    assert cost(misses(whole.problem.measure(whole.best))) == whole.best_cost
+    assert whole.problem.cost(whole.best, whole.problem.measure(whole.best)) == whole.best_cost
     write_best(result(whole), tmp_path / 'best.json')
     assert quantities(read_best(tmp_path / 'best.json')) == quantities(result(whole))
 
@@ -75,8 +77,33 @@ def test_polish_steps_to_the_limits_and_not_through_others():
 def test_structures_hold_what_they_say():
     cylinder = new_search(Candidate({}, Conditions()), STRUCTURES['cylinder'], 1, 0.1)
     assert result(cylinder).actuator['force_sensor.mass_share'] == 0.0
-    one = result(new_search(Candidate({}, Conditions()), STRUCTURES['one-load'], 1, 0.1))
-    assert one.conditions.lead4.load == one.conditions.proportional.load
+    locked = result(new_search(Candidate({}, Conditions()), STRUCTURES['locked'], 1, 0.1))
+    assert [getattr(locked.conditions, name).load for name in TESTS] == 3 * [LOCKED]
+
+
+def test_table_1_is_one_experiment(tmp_path):
+    tests = [getattr(Conditions(), name) for name in TESTS]
+    assert len({test.amplitude_n for test in tests}) == 1
+    assert all(test.load == tests[0].load for test in tests)
+    mixed = Conditions()._replace(lead4=Conditions().lead4._replace(load=LOCKED))
+    write_best(Candidate({}, mixed), tmp_path / 'mixed.json')
+    with pytest.raises(InputError, match='one load'):
+        read_best(tmp_path / 'mixed.json')
+
+
+def test_what_is_not_plausible_is_found_and_costs():
+    stiff = {'load.locked_stiffness': 1e6, 'load.mass': 0.5, 'friction.presliding_damping': 40.0}
+    damper = 2.0 * math.sqrt(1e6 * 0.5)
+    steel = Candidate({**stiff, 'load.locked_damping': 0.02 * damper}, Conditions())
+    rubber = Candidate({**stiff, 'load.locked_damping': 0.5 * damper}, Conditions())
+    name = 'damping ratio of the locked structure'
+    assert name not in [each.name for each in findings(steel)]
+    found = next(each for each in findings(rubber) if each.name == name)
+    assert found.value == pytest.approx(0.5) and found.high == 0.05
+    assert penalty(rubber) - penalty(steel) == pytest.approx(math.log(10.0))
+    at_bound = Candidate({**steel.actuator, 'load.mass': 5.0}, Conditions())
+    assert 'on a bound of the search' in [each.problem for each in findings(at_bound)
+                                          if each.name == 'load.mass']
 
 
 def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):

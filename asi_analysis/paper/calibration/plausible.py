@@ -1,0 +1,105 @@
+"""Which parameters lie outside what is physically plausible, or on a bound of the search."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.paper.calibration.quantities import FREE, Candidate, quantities
+from asi_common.parameter import completed
+
+# A share of a range this near to a bound is on it.
+ON_BOUND: Final = 0.01
+# Frequency (Hz) of the limit cycle, at which the loss of the seals counts.
+CYCLE_HZ: Final = 90.0
+PACKAGE_KG: Final = 0.5
+
+Numbers = Mapping[str, float]
+
+
+class Range(NamedTuple):
+    """A plausible range of what several parameters make together, and what it rests on."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    source: str
+    value: Callable[[Numbers], float]     # of the actuator, with the load of Table 1
+
+
+class Finding(NamedTuple):
+    """A quantity that is not plausible, or stands on a bound; figures in `unit`."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    problem: str
+    source: str
+
+
+def _ratio(damping: float, stiffness: float, mass: float) -> float:
+    return damping / (2.0 * math.sqrt(stiffness * mass))
+
+
+DERIVED: Final = (
+    Range('damping ratio of the locked structure', '', 0.005, 0.05,
+          'steel structures with joints: 0.01 to 0.05',
+          lambda p: _ratio(p['load.locked_damping'], p['load.locked_stiffness'], p['load.mass'])),
+    Range('loss factor of the seals at 90 Hz', '', 0.05, 1.0, 'elastomers: 0.05 to 1',
+          lambda p: 2.0 * math.pi * CYCLE_HZ * p['friction.presliding_damping']
+          / p['friction.presliding_stiffness']),
+    Range('locked mass that the sensor does not feel', 'kg', 0.0, PACKAGE_KG,
+          'section 2.1: the package weighs 0.5 kg',
+          lambda p: p['force_sensor.mass_share'] * p['load.mass']),
+)
+# Of the load of Table 1, if it is a spring.
+OF_SPRING: Final = (
+    Range('damping ratio of the load of Table 1', '', 0.005, 0.05,
+          'steel spring: 0.005 to 0.05',
+          lambda p: _ratio(p['load.damping'], p['load.stiffness'], p['load.mass'])),
+    Range('mass of Table 1 that the sensor does not feel', 'kg', 0.0, PACKAGE_KG,
+          'section 2.1: the package weighs 0.5 kg',
+          lambda p: p['force_sensor.mass_share'] * p['load.mass']),
+)
+
+
+def derived(one: Candidate) -> list[tuple[Range, float]]:
+    """Return what the parameters of a candidate make together, with the range of each."""
+    def numbers(values: Mapping[str, object]) -> Numbers:
+        return {name: value for name, value in values.items() if isinstance(value, float)}
+
+    locked = numbers(completed(one.actuator, ACTUATOR_PARAMETERS))
+    load = one.conditions.proportional.load
+    found = [(each, each.value(locked)) for each in DERIVED]
+    if load['load.type'] == 'spring':
+        found += [(each, each.value({**locked, **numbers(load)})) for each in OF_SPRING]
+    return found
+
+
+def findings(one: Candidate) -> list[Finding]:
+    """Return what is not plausible about a candidate, or stands on a bound of the search."""
+    found = [Finding(each.name, value, each.low, each.high, each.unit, 'outside its range',
+                     each.source)
+             for each, value in derived(one) if not each.low <= value <= each.high]
+    known = quantities(one)
+    locked = one.conditions.proportional.load['load.type'] == 'locked'
+    for free in FREE:
+        value = known[free.name]
+        if locked and free.name.startswith('conditions.load.'):
+            continue
+        if not free.low <= value <= free.high:
+            found.append(Finding(free.name, value, free.low, free.high, '', 'outside its range',
+                                 free.source))
+        elif not ON_BOUND <= free.share(value) <= 1.0 - ON_BOUND:
+            found.append(Finding(free.name, value, free.low, free.high, '',
+                                 'on a bound of the search', free.source))
+    return found
+
+
+def penalty(one: Candidate) -> float:
+    """Return what a search pays for values outside their ranges: 1 for a factor of e each."""
+    return sum(abs(math.log(max(value, 1e-9) / min(max(value, each.low), each.high)))
+               for each, value in derived(one) if not each.low <= value <= each.high)
