@@ -269,7 +269,8 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     for name in (*only, *structure.fixed):
         if not any(each.startswith(name) for each in names):
             raise InputError(f'{name} is not free; there are {", ".join(names)}')
-    if structure.load:
+    load = start.conditions.proportional.load
+    if structure.load and structure.load['load.type'] != load['load.type']:
         start = start._replace(conditions=with_tests(start.conditions, {
             name: getattr(start.conditions, name)._replace(load=structure.load)
             for name in TESTS}))

@@ -79,6 +79,8 @@ def test_structures_hold_what_they_say():
     assert result(cylinder).actuator['force_sensor.mass_share'] == 0.0
     locked = result(new_search(Candidate({}, Conditions()), STRUCTURES['locked'], 1, 0.1))
     assert [getattr(locked.conditions, name).load for name in TESTS] == 3 * [LOCKED]
+    spring = result(new_search(Candidate({}, Conditions()), STRUCTURES['spring'], 1, 0.1))
+    assert spring.conditions.proportional.load == pytest.approx(Conditions().proportional.load)
 
 
 def test_table_1_is_one_experiment(tmp_path):
