@@ -9,7 +9,9 @@ import os
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
+from myst_nb.core import render
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).parents[1]
@@ -68,6 +70,21 @@ def setup(app: Sphinx) -> None:
     # The fields of a NamedTuple stand in its signature.
     app.connect('autodoc-skip-member', lambda app, what, name, member, skip, options:
                 skip or type(member).__name__ == '_tuplegetter')
+
+
+def _joined(outputs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Join what a command printed piece by piece; myst-nb would end a line after each piece."""
+    joined: list[dict[str, Any]] = []
+    for output in outputs:
+        if (joined and output['output_type'] == 'stream'
+                and joined[-1].get('name') == output['name']):
+            joined[-1]['text'] += output['text']
+        else:
+            joined.append(output)
+    return joined
+
+
+render.coalesce_streams = _joined
 
 
 def _short(text: str | None) -> str | None:
