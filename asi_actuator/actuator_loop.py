@@ -87,7 +87,7 @@ class LockStep:
             return
         self.answered = stamp_ns, command_n
         node.statistics.latency(time.monotonic_ns() - self.silent_since_ns)
-        if node.paused or self._is_early():
+        if node.paused or (self.pace and self._is_early()):
             self.command_n = command_n
         else:
             self._advance(command_n, 1)
@@ -161,7 +161,8 @@ class LockStep:
         if self.tick == 0:
             node.tell_state(stamp_ns)
         self.tick += 1
-        self.due_ns += round(self.step_ns)
+        if self.pace:
+            self.due_ns += round(self.step_ns)
         self.silent_since_ns = self.sent_ns = now_ns = time.monotonic_ns()
         self.state, self.clock, force, valve, velocity = node.sense(stamp_ns, now_ns)
         self._publish()
