@@ -26,7 +26,7 @@ setup(
     install_requires=[
         'ros-jazzy-rclpy[fastrtps]',
         'ros-jazzy-common-interfaces',
-        'numpy',
+        'numpy>=2.0',         # StringDType
         'numba',
         'scipy',
         'pyyaml',
@@ -35,8 +35,8 @@ setup(
         'pyserial',
         'cantools',
         'zstandard',
-        'lz4',
-        'pint',              # units of imported recordings
+        'lz4>=4.0',
+        'pint>=0.25',            # units of imported recordings
         'rosbags',
         'pyarrow',
         'matplotlib>=3.7',   # legends outside the axes

@@ -1,6 +1,7 @@
 """The messages of a bag: whatever rosbag2 has written, also if it was killed or cut off."""
 
 import json
+import os
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Mapping
@@ -180,7 +181,8 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
         described = described['rosbag2_bagfile_information']
         if described['storage_identifier'] != 'mcap' or described.get('compression_mode'):
             return [path]
-        files = [path / Path(name).name for name in described['relative_file_paths']]
+        files = [path / Path(os.fsdecode(name.encode())).name
+                 for name in described['relative_file_paths']]
     except FileNotFoundError:
         problems.append(f'{path} has no metadata.yaml: its recording was not ended properly')
         files = sorted([*path.glob('*.mcap'), *path.glob('*.db3')], key=_number)

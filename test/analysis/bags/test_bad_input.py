@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -156,3 +157,19 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
         warnings.simplefilter('error')
         write_bag(a_run(), tmp_path / 'bag')
         assert len(read_bag(tmp_path / 'bag')) == 300
+
+
+@pytest.mark.parametrize('variables', [{}, {'HOME': '/nonexistent'},
+                                       {'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
+def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[str, str]) -> None:
+    folder = tmp_path / 'Prüf stand'
+    folder.mkdir()
+    write_bag(a_run(), folder / 'lauf ß')
+    environment = {'PATH': os.environ['PATH'], 'PYTHONPATH': os.pathsep.join(sys.path)} | variables
+    for words in (['export', folder / 'lauf ß', '--out', folder / 'ä ö.csv'],
+                  ['import', folder / 'ä ö.csv', '--out', folder / 'neu'],
+                  ['analyze', folder / 'neu']):
+        done = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', *map(str, words)],
+                              env=environment, capture_output=True, text=True, encoding='utf-8',
+                              errors='replace', check=False)
+        assert done.returncode == 0, done.stderr
