@@ -24,6 +24,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
 from asi_common.parameter_file import write_parameters
 from asi_examiner.cases import EFFECTS, Case, draw, excite
+from asi_examiner.own import draw_own, truth
 from asi_examiner.plant import PERIOD_S, simulate
 
 HIDDEN = {'all': (), 'no_valve': ('valve_position_m',), 'no_velocity': ('velocity_m_s',),
@@ -43,6 +44,7 @@ class Answer(NamedTuple):
     signals: str
     visibility: float       # in multiples of the noise
     sizes: dict[str, float]   # of the effects, those in the diagnosis' units, by its names
+    rate_hz: float = 1000.0
 
 
 # Parameters of an effect that mean the same here and there, and their names there.
@@ -70,8 +72,9 @@ def fresh(case: Case) -> np.ndarray:
 
 
 def model_name(world: str, load: str, number: int) -> str:
-    """Return the model file of a case: one for all, but of a foreign world."""
-    return f'nominal_{number:04d}.yaml' if world == 'foreign' else f'nominal_{world}_{load}.yaml'
+    """Return the model file of a case: one for all, but of the foreign and the own world."""
+    return f'nominal_{number:04d}.yaml' if world in ('foreign', 'own') else (
+        f'nominal_{world}_{load}.yaml')
 
 
 def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answer:
@@ -89,7 +92,21 @@ def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answ
                    if case.plant[here] != case.without[here]})
 
 
+def write_own(seed: int, out: Path, number: int) -> Answer:
+    """Write one case of the simulator itself, its fresh bag and its model; return the answer."""
+    case = draw_own(seed)
+    for name, run in (('case', case.run), ('fresh', case.fresh)):
+        shutil.rmtree(out / f'{name}_{number:04d}', ignore_errors=True)
+        write_bag(run, out / f'{name}_{number:04d}', {})
+    write_parameters(out / model_name('own', '', number), '/**/asi_actuator', case.nominal)
+    kind, effects, blocks = truth(case)
+    return Answer(kind, effects, blocks, case.excitation, 'own', str(case.nominal['load.type']),
+                  'all', case.visibility, {}, case.rate_hz)
+
+
 def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str) -> Answer:
+    if world == 'own':
+        return write_own(seed, out, number)
     return write_case(draw(seed, world, load), out, number, signals)
 
 

@@ -30,7 +30,9 @@ app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --mod
 def gap(
     bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
     model: Annotated[Path | None, typer.Option(
-        help='Nominal parameters: a ROS parameter file; default: config/actuator.yaml')] = None,
+        help='Nominal parameters: a ROS parameter file; default: what the bag tells')] = None,
+    set_: Annotated[list[str] | None, typer.Option(
+        '--set', metavar='NAME=VALUE', help='One nominal parameter; may be repeated')] = None,
     plant: Annotated[Literal['actuator', 'joint'], typer.Option(
         help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
     held_out: Annotated[list[Path] | None, typer.Option(
@@ -51,7 +53,7 @@ def gap(
         progress('reading', None)
         result = diagnose([read_bag(bag) for bag in bags], model, plant,
                               [read_bag(bag) for bag in held_out or []], tolerance, drive,
-                              progress)
+                              progress, set_ or [])
         if report:
             progress('report', None)
             result.write_report(report)
@@ -66,9 +68,10 @@ def gap_check(
     cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
     seed: Annotated[int, typer.Option(
         min=0, help='First seed of the new cases; those below 10000 were developed on')] = 20000,
-    world: Annotated[Literal['textbook', 'full', 'foreign'], typer.Option(
+    world: Annotated[Literal['textbook', 'full', 'foreign', 'own'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
-             'courses and noise, small effects everywhere')] = 'textbook',
+             'courses and noise, small effects everywhere; own: the simulator itself, one '
+             'parameter changed, any load, 1 to 5 kHz')] = 'textbook',
     load: Annotated[Literal['spring', 'locked'], typer.Option(
         help='Load of new cases')] = 'spring',
     signals: Annotated[

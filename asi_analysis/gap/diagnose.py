@@ -15,7 +15,12 @@ from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import quality, where
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.shrink import Shrink, shrink_of
-from asi_analysis.gap.inference.uncertainty import Likelihood, interval, likelihood
+from asi_analysis.gap.inference.uncertainty import (
+    Likelihood,
+    at_limit,
+    interval,
+    likelihood,
+)
 from asi_analysis.gap.inference.verdict import (
     Candidate,
     Names,
@@ -25,7 +30,7 @@ from asi_analysis.gap.inference.verdict import (
     marginals,
     weigh_groups,
 )
-from asi_analysis.gap.model.effects import BLOCK_OF, NO_GAP, UNKNOWN
+from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
@@ -215,7 +220,7 @@ def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
              'value': float(fitted.record[field]), 'nominal': float(weighed.group.nominal[field]),
              'limit': limit}
             for weighed in diagnosis.groups for fitted in [diagnosis.best(weighed).fitted]
-            for field, limit in fitted.at_limit.items()]
+            for field, limit in at_limit(fitted).items()]
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -223,12 +228,12 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     chance = marginals(diagnosis.joined)
     # First the effects of the verdict, that which explains more by itself before the other.
     alone = {name: max(w.probability.get((name,), 0.0) for w in diagnosis.groups)
-             for name in BLOCK_OF}
-    told_of = [name for name in sorted(BLOCK_OF, key=lambda n: (
-        n not in diagnosis.verdict, -alone[n] if n in diagnosis.verdict else -chance[n]))
+             for name in chance}
+    told_of = [name for name in sorted(chance.keys() - {NO_GAP, UNKNOWN}, key=lambda n: (
+        n not in diagnosis.verdict, -alone[n] if n in diagnosis.verdict else -chance[n], n))
         if chance[name] > 0.001]
     sizes = _sizes(diagnosis, told_of)
-    which = [{'effect': name, 'block': BLOCK_OF[name], 'probability': chance[name], **sizes[name]}
+    which = [{'effect': name, 'block': block_of(name), 'probability': chance[name], **sizes[name]}
              for name in told_of]
     left = ambiguity_set(diagnosis.joined)
     main = main_shrink(diagnosis)
@@ -268,6 +273,16 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
+def _in_words(name: str, answer: Mapping[str, Any]) -> str:
+    """Return an effect by its name, a parameter beyond its tolerance with its size."""
+    if not name.startswith(PARAMETER):
+        return name
+    found = next(row for row in answer['which'] if row['effect'] == name)
+    (field, value), = found['parameters'].items()
+    return (f'{name.removeprefix(PARAMETER)} is {value:.3g} ({found["parameters_low"][field]:.3g} '
+            f'to {found["parameters_high"][field]:.3g}), beyond its tolerance')
+
+
 def sentences(answer: Mapping[str, Any]) -> list[str]:
     """Return the verdict in three sentences, from the document."""
     verdict, gap = answer['verdict'], answer['gap']
@@ -278,10 +293,11 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
         first = (f'There is a gap in the {answer["where"][0]["block"]} that no effect of the '
                  f'vocabulary explains ({sure}).')
     else:
-        blocks = dict.fromkeys(BLOCK_OF[name] for name in verdict.split('+'))
+        names = verdict.split('+')
+        blocks = dict.fromkeys(str(block_of(name)) for name in names)
         first = (f'The gap lies in the {" and the ".join(blocks)}: '
-                 f'{verdict.replace("+", " and ")} ({sure}).')
-    second = (f'On data that no fit has seen the error of the {gap["channel"]} falls from '
+                 f'{" and ".join(_in_words(name, answer) for name in names)} ({sure}).')
+    second = (f'On samples used for nothing else the error of the {gap["channel"]} falls from '
               f'{100 * gap["before_nrmse"]:.1f} % to {100 * gap["after_nrmse"]:.1f} % of the '
               f'signal (shrink {gap["shrink"]:.2f}, 95 % interval {gap["shrink_low"]:.2f} to '
               f'{gap["shrink_high"]:.2f} for another recording of this kind; noise '

@@ -22,7 +22,7 @@ MOST_MISSING = 0.05     # share of missing samples that is still bridged
 LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
 JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
 MOST_JUMPED = 0.5       # share of a recording that is left out for that
-PARTS = 12              # of a recording: every other one is held out
+PARTS = 12              # of a recording: to fit on, to choose on, to fit on, to report on ...
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
 # than this multiple of the noise's: friction and backlash act on all of the motion that there is.
@@ -81,12 +81,24 @@ class Recording:
     force_judged: Array | None   # N, force within the band of the motion
     noise: dict[str, float]      # standard deviation of each signal's noise, by signal
     fit: Mask                    # samples to fit on
-    held_out: Mask               # samples to judge on
+    held_out: Mask               # samples to choose on
+    report: Mask                 # samples that the result is reported on; nothing else uses them
+    number: int = 0              # whose values the fields of a recording have
     kept: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:
         """Return into how many steps, none longer than `longest_s` s, a period is cut."""
         return max(1, math.ceil(self.period_s / longest_s - 1e-9))
+
+    @property
+    def known(self) -> Mask:
+        """Return the samples that fits and choices may use: all but those of the report."""
+        return self.fit | self.held_out
+
+    @property
+    def valid(self) -> Mask:
+        """Return the samples at which the signals are valid, whatever they are used for."""
+        return self.known | self.report
 
     @property
     def time_s(self) -> Array:
@@ -304,7 +316,7 @@ def judged(values: Array, motion: Motion) -> Array:
 
 def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     """
-    Return which samples to fit on and which to judge on.
+    Return which samples to fit on and which to hold out: to choose or to report on.
 
     Parts that take turns, so that both see the whole run; short gaps between them, so that one
     part does not know its neighbour.
@@ -315,6 +327,12 @@ def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     end = (np.arange(count)[::-1] * period >= BURN_OUT_S)
     usable = (np.arange(count) * period >= BURN_IN_S) & end & ~gap
     return usable & (part % 2 == 0), usable & (part % 2 == 1)
+
+
+def _to_report(held: Mask) -> Mask:
+    """Return which of the held-out samples to report on: those of every other held-out part."""
+    begins = held & ~np.append(False, held[:-1])
+    return held & (np.cumsum(begins) % 2 == 0)
 
 
 def _fairly_split(driving: Array, period: float) -> tuple[Mask, Mask]:
@@ -399,7 +417,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
                    period)
              for period, moving in read
              if 'force' in moving and ('velocity' in moving or 'position' in moving)]
-    recordings = []
+    recordings: list[Recording] = []
+    whole = held_out if held_out is not None and any(held_out) else None
     for number, (run, (period, moving)) in enumerate(zip(runs, read, strict=True)):
         motion, velocity = None, moving.get('velocity')
         if bands and 'force' in moving:
@@ -409,23 +428,24 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
                      _fairly_split(driving, period))
-        recorded = _recorded(run, drive, period, fit.size)
-        fit, held = fit & recorded, held & recorded
+        valid = _recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
-            ends = _ends(fit.size, period)
-            fit, held = fit & ~ends, held & ~ends
+            valid = valid & ~_ends(fit.size, period)
         for name in MEASURED & moving.keys():   # what is cut off was not measured
-            sound = ~clipped(moving[name])
-            fit, held = fit & sound, held & sound
-        if held_out is not None and held_out[number]:
-            fit, held = np.zeros_like(fit), fit | held
+            valid = valid & ~clipped(moving[name])
+        # Where whole recordings are held out, the result is reported on those alone.
+        report = (np.zeros_like(fit) if whole else _to_report(held)) & valid
+        fit, held = fit & valid, held & valid & ~report
+        if whole and whole[number]:
+            fit, held, report = np.zeros_like(fit), np.zeros_like(fit), fit | held
         recordings.append(Recording(
             source=run.source, period_s=period, command=moving.get('command'), force=force,
             valve_position=moving.get('valve_position'), velocity=velocity,
             motion=motion,
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},
-            fit=fit, held_out=held))
+            fit=fit, held_out=held, report=report,
+            number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
     return _with_repeats(recordings)
 
 
@@ -440,7 +460,7 @@ def _with_repeats(recordings: list[Recording]) -> list[Recording]:
         for second in recordings[:i]:
             if not _same_command(first, second):
                 continue
-            kept = (first.fit | first.held_out) & (second.fit | second.held_out)
+            kept = first.valid & second.valid
             for name in ('force', 'valve_position', 'velocity'):
                 one, other = getattr(first, name), getattr(second, name)
                 if one is not None and other is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.experiments.experiment import TABLES, read_parameters
+from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
 from asi_analysis.gap.answer.show import Gap
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.diagnose import document, plain
@@ -22,6 +22,7 @@ from asi_common.parameter import ParameterError, Value, completed
 PLANTS = ('actuator', 'joint')
 LEAST_TOLERANCE = 1e-3
 DRIVES = (None, 'force', 'position')
+LOAD = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type')
 
 
 Model = str | Path | Mapping[str, Value]
@@ -58,13 +59,44 @@ def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Val
     return values
 
 
+def recorded_model(runs: Sequence[Run]) -> dict[str, Value]:
+    """
+    Return the actuator's parameters that the first bag tells; {} if it tells none.
+
+    Raises InputError if one is not allowed.
+    """
+    known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
+    found = {name: value for name, value in runs[0].information.get('actuator', {}).items()
+             if name in known}
+    try:
+        completed(found, ACTUATOR_PARAMETERS)
+    except ParameterError as error:
+        raise InputError(f'{runs[0].source}: metadata of the run: {error}') from None
+    return found
+
+
+def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool) -> list[str]:
+    """Return notes: where the nominal model is from, and loads of bags that are another one."""
+    load = str(values.get('load.type', LOAD.default))
+    origin = ('as given' if given else f'from the metadata of {runs[0].source}' if values else
+              'the defaults, since the bag tells none')
+    notes = [f'nominal model: {origin}; load {load}, {1.0 / runs[0].period_s:.4g} Hz']
+    for run in runs:
+        other = run.information.get('actuator', {}).get('load.type', load)
+        if other != load:
+            notes.append(f'{run.source}: recorded with the load {other}, but the nominal model '
+                         f'has the load {load}')
+    return notes
+
+
 def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actuator',
              held_out: Sequence[Run] = (), tolerance: float = TOLERANCE, drive: str | None = None,
-             progress: Progress = silent) -> Gap:
+             progress: Progress = silent, settings: Sequence[str] = ()) -> Gap:
     """
     Return where recordings of the real machine differ from their model, why, and how far.
 
-    model: nominal parameters by name or a ROS parameter file; None: the defaults. plant:
+    model: nominal parameters by name or a ROS parameter file; None: those that the first bag
+    tells, else the defaults; settings: 'name=value', which override both. plant:
     'actuator', or 'joint' for any rigid joint or drive. held_out: recordings on which the result
     is only judged. tolerance: how far the nominal parameters may be off, as a share. drive: of a
     joint, 'force' or 'position'; None: by its signals. Raises InputError for recordings that
@@ -82,11 +114,24 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     if not LEAST_TOLERANCE <= tolerance < 1.0:
         raise InputError(f'--tolerance {tolerance:g} is not allowed: from {LEAST_TOLERANCE:g}, '
                          'below 1')
-    values = nominal_model(model, plant)
     everything = [*runs, *held_out]
+    values = (recorded_model(runs) if model is None and plant == 'actuator' else
+              nominal_model(model, plant))
+    for text in settings:
+        _, name, value = parse_setting(f'actuator.{text}')
+        values[name] = value
+    if settings and plant == 'actuator':
+        try:
+            completed(values, ACTUATOR_PARAMETERS)
+        except ParameterError as error:
+            raise InputError(f'--set: {error}') from None
+    notes = _of_the_model(everything, values, model is not None) if plant == 'actuator' else []
+    for note in notes[1:]:   # now, for they may say why a recording is refused
+        warnings.warn(note, InputWarning, stacklevel=2)
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
                              [False] * len(runs) + [True] * len(held_out), drive, progress)
     answer = plain(document(diagnosis))
+    answer['notes'] = [*notes, *answer['notes']]
     if plant == 'actuator':
         from asi_analysis.gap.answer.consequences import consequences
         progress('in the loop', None)

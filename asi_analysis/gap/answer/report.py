@@ -77,11 +77,11 @@ def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, u
     improved = predict(recording, channel, diagnosis.best(weighed).fitted.record)
     count = int(STRETCH_S / recording.period_s)
     # The stretch where the nominal model is worst, for that is where to look.
-    power = np.convolve((real - nominal) ** 2 * recording.held_out, np.ones(count), 'same')
+    power = np.convolve((real - nominal) ** 2 * recording.report, np.ones(count), 'same')
     middle = int(np.argmax(power))
     chosen = slice(max(0, middle - count // 2), middle + count // 2)
     return pictures.overlay(recording.time_s[chosen], real[chosen], nominal[chosen],
-                            improved[chosen], recording.held_out[chosen], label, unit)
+                            improved[chosen], recording.report[chosen], label, unit)
 
 
 def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, unit: str) -> Any:
@@ -126,7 +126,7 @@ def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str, run: Run, unit:
         else:
             x, label = recording.valve_position, 'valve position (m)'
     assert x is not None
-    kept = recording.held_out
+    kept = recording.report
     before = real - predict(recording, channel, weighed.candidates[()].fitted.record)
     after = real - predict(recording, channel, diagnosis.best(weighed).fitted.record)
     return pictures.plane(x[kept], before[kept], after[kept], label, unit)

@@ -23,7 +23,7 @@ from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink, plain
 from asi_analysis.gap.inference.verdict import as_plain, evidence_of
-from asi_analysis.gap.model.effects import BLOCK_OF, EFFECTS, NO_GAP, UNKNOWN
+from asi_analysis.gap.model.effects import BLOCK_OF, EFFECTS, NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
@@ -43,7 +43,7 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     shrink = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
     recording = prepare([run])[0]
-    kept = recording.fit | recording.held_out
+    kept = recording.valid
     errors = []
     for p in (weighed.group.nominal, diagnosis.best(weighed).fitted.record):
         left = measured(recording, shrink.channel) - predict(recording, shrink.channel, p)
@@ -102,7 +102,7 @@ def truth_of(answer: Mapping[str, Any]) -> str:
     """Return the verdict that is right: the effects joined by +, no_gap or unknown."""
     if answer['kind'] in ('none', 'small') or not answer['effects']:
         return NO_GAP
-    if answer['kind'] == 'outside' or not set(answer['effects']) <= set(BLOCK_OF):
+    if answer['kind'] == 'outside' or not all(map(block_of, answer['effects'])):
         return UNKNOWN
     return '+'.join(sorted(answer['effects']))
 
@@ -246,14 +246,18 @@ def check(folder: Path, told: Told) -> GapCheck:
 def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: Mapping[str, Any],
          out: Path) -> None:
     """Write confusion.png and reliability.png."""
-    names = [*(effect.name for effect in EFFECTS), NO_GAP, UNKNOWN]
+    names = [*(effect.name for effect in EFFECTS), 'parameter', NO_GAP, UNKNOWN]
+
+    def short(name: str) -> str:
+        return 'parameter' if name.startswith(PARAMETER) else name
+
     columns = [*names, 'refused']
     counts = np.zeros((len(names), len(columns)))
     for row in rows:
         truth = truth_of(answers[row['bag']])
         said = row['verdict'].split('+')[0] if '+' not in truth else None
         if said is not None:
-            counts[names.index(truth), columns.index(said)] += 1
+            counts[names.index(short(truth)), columns.index(short(said))] += 1
     kept = counts.sum(axis=1) > 0
     bars = result['reliability']
     with figures.style():

@@ -120,7 +120,7 @@ def imagined(experiment: Experiment, nominal: Mapping[str, Value], force: float)
 
 def separation(group: Group, recording: Recording, first: np.void, second: np.void) -> float:
     """Return how differently two hypotheses predict a recording, in multiples of the floor."""
-    kept = recording.fit | recording.held_out
+    kept = recording.valid
     apart = 0.0
     for channel in group.channels:
         difference = (predict(recording, channel, first) - predict(recording, channel, second))

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.gap.inference.bounded import least_step, minimise
-from asi_analysis.gap.model.effects import Free, Variant
+from asi_analysis.gap.model.blocks import PLANT_DTYPE
+from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
 from asi_analysis.gap.model.group import Group, Values, shows_in
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
@@ -377,12 +378,22 @@ class Promise:
             least, most = _bounds(free, group, p)
             low[i] += (wide[free.field][0] - least) / (most - least)
             high[i] += (wide[free.field][1] - most) / (most - least)
-        return min(self._linear(problem.residual(start) - self._left, low, high)
+        own = any(free.field.partition('@')[0] in OF_A_RECORDING
+                  for variant in variants for free in variant.free)
+        return min(self._linear(problem.residual(start) - self._left, low, high, own)
                    for start in starts)
 
-    def _linear(self, change: Array, low: Array, high: Array) -> float:
-        cross = self._jacobian.T @ change
-        square = np.block([[self._square, cross[:, None]], [cross[None], change @ change]])
-        _, gain = least_step(square, np.append(self._right, change @ self._left),
-                             np.append(low, 0.0), np.append(high, LARGEST))
+    def _linear(self, change: Array, low: Array, high: Array, own: bool) -> float:
+        group = self.base.problem.group
+        changes, least = change[:, None], 0.0
+        if own and group.nominal.dtype != PLANT_DTYPE:   # of another size in each recording
+            number = np.concatenate([np.full(r.fit.sum(), r.number) for r in group.recordings])
+            number = np.tile(number, len(group.channels))
+            changes, least = change[:, None] * (number[:, None] == np.unique(number)), -LARGEST
+        cross = self._jacobian.T @ changes
+        square = np.block([[self._square, cross], [cross.T, changes.T @ changes]])
+        count = changes.shape[1]
+        _, gain = least_step(square, np.append(self._right, changes.T @ self._left),
+                             np.append(low, np.full(count, least)),
+                             np.append(high, np.full(count, LARGEST)))
         return 0.5 * float(self._left @ self._left) - gain

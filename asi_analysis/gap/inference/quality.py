@@ -65,7 +65,7 @@ def check_joint(group: Group) -> None:
     for recording in group.recordings:
         for channel in group.channels:
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
-            kept = recording.fit | recording.held_out
+            kept = recording.valid
             if channel == 'load':
                 what = 'force (or command) against what the motion takes'
                 against = recording.motion
@@ -146,7 +146,7 @@ def check_against_model(group: Group) -> list[str]:
         # The load before the force, which takes its velocity from the same motion.
         for channel in sorted(group.channels, reverse=True):
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
-            kept = recording.fit | recording.held_out
+            kept = recording.valid
             output, driven = COMPARED[channel]
             where = f'{recording.source}: {output} against what the model makes of {driven}'
             if np.std(model[kept]) == 0.0:

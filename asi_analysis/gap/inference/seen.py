@@ -13,6 +13,7 @@ from scipy.fft import next_fast_len
 
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.effects import of_recording
 from asi_analysis.gap.model.group import Values, shows_in
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
@@ -39,28 +40,30 @@ RESPONSE_S = 0.2   # after which a valve has answered
 
 def seen(fitted: Fitted) -> Values:
     """
-    Return where a fit's first recording shows effects that are narrow places.
+    Return initial guesses of the parameters that a fit finds only from nearby.
 
-    residual_frequency: of the strongest wave in the load, Hz; residual_start, residual_end: of
-    its strongest pulse, s; residual_step, residual_step_edge, residual_step_zero: of the command
-    (N) with a step's middle at zero, with an edge there, cut off towards zero.
+    Of each recording: residual_frequency, residual_phase: of the strongest wave in the load, Hz
+    and turns (1 to 2); residual_start, residual_end: of its strongest pulse, s. Of the first:
+    residual_step, residual_step_edge, residual_step_zero: of the command (N) with a step's middle
+    at zero, with an edge there, cut off towards zero.
     """
     group = fitted.problem.group
     found: Values = {}
-    if 'load' in group.channels:
-        left, known = _left(fitted, 'load')
-        judged = _judged(group.recordings[0])
-        found |= _wave(left, group.recordings[0])
-        plain = measured(group.recordings[0], 'load') - predict(
-            group.recordings[0], 'load', fitted.record)
-        found |= _pulse(left, judged, known, plain, group.recordings[0].period_s)
+    for recording in group.recordings if 'load' in group.channels else ():
+        if not recording.fit.any():
+            continue
+        left, known = _left(fitted, 'load', recording)
+        plain = measured(recording, 'load') - predict(recording, 'load', fitted.record)
+        own = _wave(left, recording) | _pulse(left, _judged(recording), known, plain,
+                                              recording.period_s)
+        found |= {of_recording(name, recording.number): value for name, value in own.items()}
     for channel in group.channels:
         if channel == 'valve' or channel == 'force' and not group.measures_valve:
             found |= _steps(fitted, channel)
     return found
 
 
-def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
+def _left(fitted: Fitted, channel: str, recording: Recording) -> tuple[Array, Array]:
     """
     Return what a fit leaves of a channel (n samples) less what its parameters could take of it.
 
@@ -69,7 +72,6 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
     go further, however alike the two look.
     """
     group = fitted.problem.group
-    recording = group.recordings[0]
     base = predict(recording, channel, fitted.record)
     judged = _judged(recording)
     left = (measured(recording, channel) - base) * judged
@@ -89,12 +91,12 @@ def _left(fitted: Fitted, channel: str) -> tuple[Array, Array]:
 
 def _judged(recording: Recording) -> Array:
     """Return 1 where a recording is judged, else 0: at the ends what is made up is strongest."""
-    return (recording.fit | recording.held_out).astype(float)
+    return recording.known.astype(float)
 
 
 def _wave(left: Array, recording: Recording) -> Values:
     """
-    Return the frequency (Hz) of the strongest wave in what is left.
+    Return frequency (Hz) and phase (turns) of the strongest wave in what is left.
 
     Not one of the few at which nearly all of the force or of the motion is: a force that moves
     nothing, or too much, is not told there from another that works against it. Nor their
@@ -118,7 +120,10 @@ def _wave(left: Array, recording: Recording) -> Values:
     while power[found] > 0.0 and np.any(np.abs(harmonics - found) <= lowest / 2):
         power[max(found - lobe // 2, 0):found + lobe // 2 + 1] = 0.0
         found = int(np.argmax(power))
-    return {'residual_frequency': found / (count * recording.period_s)}
+    turns = found / count * np.arange(left.size)
+    phase = np.angle(np.sum(left * np.exp(-2j * np.pi * turns))) / (2.0 * np.pi) - 0.25
+    return {'residual_frequency': found / (count * recording.period_s),
+            'residual_phase': 1.0 + phase % 1.0}
 
 
 def _lines(power: Array, lobe: int) -> list[int]:
@@ -178,7 +183,7 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     recording, p = fitted.problem.group.recordings[0], fitted.record
     command = recording.command
     assert command is not None
-    left, _ = _left(fitted, channel)
+    left, _ = _left(fitted, channel, recording)
     count = next_fast_len(command.size + _response_samples(recording), real=True)
     # What a step of one newton explains, when it comes: the product with the valve's answer to it.
     asked = np.fft.irfft(np.conj(_response(recording, p, count)) * np.fft.rfft(left, count),

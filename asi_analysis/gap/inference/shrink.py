@@ -1,4 +1,4 @@
-"""How far the gap shrinks, on data that no fit has seen, with an interval."""
+"""How far the gap shrinks, on samples used for nothing else, with an interval."""
 
 import math
 from typing import NamedTuple
@@ -36,15 +36,15 @@ class Shrink(NamedTuple):
 
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:
-    """Return the mean square left in each of STRETCHES stretches of the held-out samples."""
+    """Return the mean square left in each of STRETCHES stretches of the reported samples."""
     left = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
-        recording.held_out] for recording in group.recordings])
+        recording.report] for recording in group.recordings])
     return np.array([np.mean(part ** 2) for part in np.array_split(left, STRETCHES)])
 
 
 def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> Shrink:
     """Return how far the gap of a channel shrinks."""
-    square = np.concatenate([measured(r, channel)[r.held_out] ** 2 for r in group.recordings])
+    square = np.concatenate([measured(r, channel)[r.report] ** 2 for r in group.recordings])
     size = math.sqrt(float(square.mean())) or 1.0
     errors = {name: stretches_error(group, channel, p)
               for name, p in (('nominal', group.nominal), ('refitted', refitted),

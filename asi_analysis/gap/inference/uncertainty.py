@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from asi_analysis.gap.inference.bounded import least_step
-from asi_analysis.gap.inference.fit import Fitted, independent_samples
+from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
 from asi_analysis.gap.inference.verdict import CONSTANTS
 from asi_analysis.gap.prepare import Array
 
@@ -28,12 +28,12 @@ class Likelihood(NamedTuple):
     slope: Array
 
 
-def likelihood(fitted: Fitted) -> Likelihood:
+def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     """
     Return the likelihood of the parameters about a fit.
 
     A channel counts as many samples as are independent in what it leaves, and its model error as
-    the few that the verdict counts.
+    the few that the verdict counts. at_bound: how near to a bound a parameter rests on it.
     """
     problem, theta = fitted.problem, fitted.theta
     group = problem.group
@@ -41,15 +41,35 @@ def likelihood(fitted: Fitted) -> Likelihood:
     left = problem.residual(theta).reshape(count, -1)
     slopes = problem.jacobian(theta).reshape(count, left.shape[1], -1)
     worth = independent_samples(group, fitted.record)
+    # The parts to choose on may be shorter than those that were fitted.
+    more = max(sum(float(r.fit.sum()) for r in group.recordings)
+               / sum(float(r.held_out.sum()) for r in group.recordings), 1.0)
     square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
     for channel, rest, change in zip(group.channels, left, slopes, strict=True):
         model_error = 1.0 - group.noise[channel] ** 2 / group.floor[channel]
-        variance = (float(np.mean(rest ** 2)) / worth[channel] + model_error / CONSTANTS.samples)
+        variance = (float(np.mean(rest ** 2)) / (more * worth[channel])
+                    + model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
     # Where a fit ends inside its bounds it has no slope; what it has there was not worth a round.
-    inside = (theta > AT_BOUND) & (theta < 1.0 - AT_BOUND)
+    inside = (theta > at_bound) & (theta < 1.0 - at_bound)
     return Likelihood(square, np.where(inside, 0.0, slope))
+
+
+def at_limit(fitted: Fitted) -> dict[str, str]:
+    """
+    Return the nominal parameters that rest on a limit of their tolerance: 'low' or 'high'.
+
+    Of those that the recordings tell something of: whose interval ends before the middle.
+    """
+    found = likelihood(fitted, AT_LIMIT)
+    numbers = {free.field: number for number, free in enumerate(fitted.free)}
+
+    def known(field: str, limit: str) -> bool:
+        other = 0.0 if limit == 'high' else 1.0
+        return abs(end(found, fitted.theta, numbers[field], other) - other) > 0.5
+
+    return {field: limit for field, limit in fitted.at_limit.items() if known(field, limit)}
 
 
 def draw(fitted: Fitted, found: Likelihood, rng: np.random.Generator) -> np.void:

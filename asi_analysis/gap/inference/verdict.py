@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.inference.fit import (
     Fitted,
     Promise,
@@ -26,9 +27,19 @@ from asi_analysis.gap.inference.fit import (
     with_known_gain,
 )
 from asi_analysis.gap.inference.seen import seen
-from asi_analysis.gap.model.effects import BY_NAME, NO_GAP, UNKNOWN, Effect, Variant
-from asi_analysis.gap.model.group import Group, Values, channels_of, less_noisy
+from asi_analysis.gap.model.effects import (
+    BY_NAME,
+    NO_GAP,
+    PARAMETER,
+    UNKNOWN,
+    Effect,
+    Variant,
+    is_exact,
+    off_nominal,
+)
+from asi_analysis.gap.model.group import Group, Values, channels_of, less_noisy, shows_in
 from asi_analysis.gap.model.predict import passed_on
+from asi_common.record import field_name
 
 Names = tuple[str, ...]
 
@@ -75,6 +86,7 @@ USUAL_S = 5.0
 # How many effects are fitted, of those that promise most; to how many of them a second is added,
 # of how many; and in how many of its forms each is fitted.
 SINGLES, FOLLOWED, SECONDS, FORMS = 8, 3, 4, 2
+BEYOND_TOLERANCE = 1.1   # log prior odds of an effect against a parameter beyond its tolerance
 LEAST_EXPLAINED = 0.002   # of the cost: an effect that lowers it by less has size zero
 LEAST_PROMISE = 0.04   # of the cost: what promises less is not fitted
 # How many are fitted to the end, of those that cost less than this multiple of the least.
@@ -282,7 +294,8 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     return Evidence(
         noise, group.floor,
         group.formulation, independent_samples(group, best.fitted.record), group.held_out_s, left,
-        {names: len({free.field for variant in candidate.variants for free in variant.free})
+        {names: len({free.field.partition('@')[0] for variant in candidate.variants
+                     for free in variant.free})
          for names, candidate in found.items()})
 
 
@@ -317,6 +330,7 @@ def _which(e: Evidence, c: Constants) -> dict[Names, float]:
     What the formulation of nominal nonlinearities and of the effects may leave counts as well.
     """
     evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
+                - BEYOND_TOLERANCE * sum(name.startswith(PARAMETER) for name in names)
                 for names in e.left}
     for channel, noise in e.noise.items():
         best = min(e.left, key=lambda names: e.left[names][channel])
@@ -348,7 +362,7 @@ def _worth(e: Evidence, c: Constants, before: Names, after: Names) -> float:
 
 def _misformulated(e: Evidence, c: Constants, names: Names, channel: str) -> float:
     """Return the mean square that the formulation of a hypothesis' effects may leave."""
-    share = max((c.exact if BY_NAME[name].exact else c.formulation for name in names), default=0.0)
+    share = max((c.exact if is_exact(name) else c.formulation for name in names), default=0.0)
     return share ** 2 * max(e.left[()][channel] - e.left[names][channel], 0.0)
 
 
@@ -445,8 +459,24 @@ def weigh_groups(groups: Sequence[Group], tolerance: float,
         null = fit_null(group)
         if (quieter := less_noisy(group, null.held_out)) is not group:
             group, null = quieter, fit_null(quieter)
+        group = with_parameters(group, null, tolerance)
         weighed.append(weigh(group, candidates_of(group, null, tick)))
     return weighed
+
+
+def with_parameters(group: Group, null: Fitted, tolerance: float) -> Group:
+    """
+    Return a group with the hypotheses that a nominal parameter is beyond its tolerance.
+
+    Of those parameters that rest on a limit of it without any effect, and are part of none.
+    """
+    dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
+    held = {free.field for effect in group.effects for variant in effect.variants
+            for free in variant.free}
+    more = tuple(off_nominal(dotted[field], field, limit, tolerance, tuple(
+                     channel for channel in group.channels if shows_in(field, channel, group)))
+                 for field, limit in null.at_limit.items() if field not in held)
+    return replace(group, effects=(*group.effects, *more))
 
 
 def join(groups: Sequence[Weighed]) -> dict[Names, float]:
@@ -469,7 +499,7 @@ def marginals(joined: dict[Names, float]) -> dict[str, float]:
     total[UNKNOWN] = 0.0
     for names, probability in joined.items():
         for name in names:
-            total[name] += probability
+            total[name] = total.get(name, 0.0) + probability
     return total | {NO_GAP: joined.get((), 0.0)}
 
 

@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.verdict import Names, Weighed
 from asi_analysis.gap.model.blocks import impedance, load_constants
-from asi_analysis.gap.model.effects import BLOCK_OF, BLOCKS
+from asi_analysis.gap.model.effects import BLOCKS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass
@@ -73,17 +73,18 @@ def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
     if len(names) > 1 and names in weighed.candidates and probability > LEAST_TOLD:
         parts = explained(weighed, names, channel)
     else:
-        parts = {name: 1.0 for name in names if name in BLOCK_OF}
+        parts = {name: 1.0 for name in names if name != UNKNOWN}
     blocks: dict[str, float] = {}
     for name, part in parts.items():
-        blocks[BLOCK_OF[name]] = blocks.get(BLOCK_OF[name], 0.0) + part
+        block = str(block_of(name))
+        blocks[block] = blocks.get(block, 0.0) + part
     if not blocks:   # no gap, or unknown: as the best effect of each block would explain it
         null = weighed.candidates[()].fitted.held_out[channel]
         for block in ALONG[channel]:
             blocks[block] = LEAST_SHARE * null + max(
                 (null - candidate.fitted.held_out[channel]
                  for tried, candidate in weighed.candidates.items()
-                 if len(tried) == 1 and BLOCK_OF[tried[0]] == block), default=0.0)
+                 if len(tried) == 1 and block_of(tried[0]) == block), default=0.0)
             blocks[block] = max(blocks[block], LEAST_SHARE * null)
     total = sum(blocks.values())
     return {block: part / total for block, part in blocks.items()}
@@ -145,7 +146,7 @@ def along_the_chain(valve: Group, force: Group, p_valve: np.void, p_force: np.vo
     recording = valve.recordings[0]
     simulated = {'valve_position': predict(recording, 'valve', p_valve),
                  'velocity': _load_velocity(recording, p_force)}
-    kept = recording.fit | recording.held_out
+    kept = recording.valid
 
     def error(*swapped: str) -> float:
         changed: dict[str, Any] = {name: simulated[name] for name in swapped}
@@ -202,7 +203,7 @@ def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> li
     square: dict[tuple[str, str], Array] = {}   # sums over all recordings: before, after, samples
     total = np.zeros(3)
     for recording in group.recordings:
-        kept = recording.fit | recording.held_out
+        kept = recording.valid
         real = measured(recording, channel)
         left = np.array([real - predict(recording, channel, p) for p in (before, after)])
         total += [*np.sum(left[:, kept] ** 2, axis=1), kept.sum()]
@@ -244,7 +245,7 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
     """
     left, kinds = [], []
     for recording in group.recordings:
-        kept = recording.fit | recording.held_out
+        kept = recording.valid
         left.append((measured(recording, channel) - predict(recording, channel, p))[kept])
         motion = recording.motion
         inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)

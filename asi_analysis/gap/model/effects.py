@@ -32,6 +32,26 @@ class Free(NamedTuple):
     unit: str = ''
 
 
+# Fields that belong to one recording: nothing says that the next has the same.
+OF_A_RECORDING = (
+    'load_offset', 'disturbance', 'disturbance_wave', 'disturbance_frequency', 'disturbance_phase',
+    'disturbance_pulse', 'disturbance_start', 'disturbance_end', 'sensor_offset', 'sensor_drift',
+    'sensor_drift_curve', 'sensor_drift_bend')
+
+
+def of_recording(field: str, number: int) -> str:
+    """Return the name of a field in the recording `number`: `disturbance@2` in the second."""
+    return field if number == 0 else f'{field}@{number + 1}'
+
+
+def in_each(frees: tuple[Free, ...], count: int) -> tuple[Free, ...]:
+    """Return free parameters for `count` recordings, those of a recording once for each."""
+    return tuple(each for free in frees for each in (
+        (free._replace(field=of_recording(free.field, number), scale=of_recording(
+            free.scale, number) if free.scale.startswith('residual_') else free.scale)
+         for number in range(count)) if free.field in OF_A_RECORDING else (free,)))
+
+
 class Variant(NamedTuple):
     """
     One form of an effect.
@@ -197,7 +217,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect('disturbance_force', MECHANICS, 'something else pushes the load', (
         Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
         Variant((Free('disturbance_wave', 0.0, 1.0, (0.1,), 'force', 'N'),
-                 Free('disturbance_phase', -0.5, 1.5, (0.0, 0.2, 0.4, 0.6, 0.8), '', 'turns'),
+                 Free('disturbance_phase', 0.5, 1.5, (1.0,), 'residual_phase', 'turns'),
                  Free('disturbance_frequency', 0.98, 1.02, (1.0,), 'residual_frequency', 'Hz')),
                 LOAD_SIDE),
         Variant((Free('disturbance_pulse', -1.0, 1.0, (0.1, -0.1), 'force', 'N'),
@@ -222,3 +242,41 @@ EFFECTS: tuple[Effect, ...] = (
 )
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}
+
+# A nominal parameter beyond its tolerance is an answer too: `parameter:load.mass`.
+PARAMETER = 'parameter:'
+BLOCK_OF_PARAMETER = {
+    'valve_flexure.delay': COMMAND_PATH, 'valve_characteristic.maximum_force': HYDRAULICS,
+    'valve_characteristic.full_opening': HYDRAULICS, 'valve': VALVE, 'hydraulic': HYDRAULICS,
+    'fluid': HYDRAULICS, 'friction': MECHANICS, 'load': MECHANICS, 'force_sensor': SENSOR}
+BEYOND = 5.0   # times nominal, or this part of it: how far off a parameter may be
+
+
+def block_of(name: str) -> str | None:
+    """Return the block of an effect, or of a parameter beyond its tolerance; None: neither."""
+    if not name.startswith(PARAMETER):
+        return BLOCK_OF.get(name)
+    parameter = name.removeprefix(PARAMETER)
+    return next((block for start, block in BLOCK_OF_PARAMETER.items()
+                 if parameter.startswith(start)), None)
+
+
+def is_exact(name: str) -> bool:
+    """Return whether an effect has one law; see `Effect`."""
+    return name.startswith(PARAMETER) or BY_NAME[name].exact
+
+
+def off_nominal(parameter: str, field: str, limit: str, tolerance: float,
+                channels: tuple[str, ...]) -> Effect:
+    """
+    Return the hypothesis that a nominal parameter is beyond a limit of its tolerance.
+
+    limit: 'low' or 'high'; field: of the plant's record; channels: where it shows.
+    """
+    free = (Free(field, 1.0, BEYOND, (1.0 + 2.0 * tolerance, 2.0), 'nominal') if limit == 'high'
+            else Free(field, 1.0 / BEYOND, 1.0, (1.0 - 1.5 * tolerance, 0.5), 'nominal'))
+    name = PARAMETER + parameter
+    block = block_of(name)
+    assert block is not None
+    return Effect(name, block, f'{parameter} is beyond its tolerance',
+                  (Variant((free,), channels),), exact=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant
-from asi_analysis.gap.model.predict import measured, passed_on, predict
+from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant, in_each
+from asi_analysis.gap.model.predict import for_recordings, measured, passed_on, predict
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL, LINEAR
 
@@ -74,8 +74,8 @@ class Group:
 
     @property
     def held_out_s(self) -> float:
-        """Return how many seconds are held out."""
-        return sum(float(r.held_out.sum()) * r.period_s for r in self.recordings)
+        """Return how many seconds are not fitted on: to choose or to report on."""
+        return sum(float((r.held_out | r.report).sum()) * r.period_s for r in self.recordings)
 
     @property
     def measures_valve(self) -> bool:
@@ -99,10 +99,11 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     """
     scale = scales(recordings)
     noise, floor, formulation = {}, {}, {}
-    p = nominal.copy()
+    count = 1 + max(recording.number for recording in recordings)
+    p = for_recordings(nominal.copy(), count)
     p['force_scale'], p['velocity_scale'] = scale['force'], scale['velocity']
     for channel in channels:
-        noise[channel] = max(_noise(recording, channel, nominal) for recording in recordings)
+        noise[channel] = max(_noise(recording, channel, p) for recording in recordings)
         size = math.sqrt(float(np.mean([np.mean(measured(recording, channel) ** 2)
                                         for recording in recordings])))
         formulation[channel] = _formulation_error(recordings, channel, p)
@@ -113,7 +114,11 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
         if not all(map(moves, recordings)):
             names = (*names, 'load')
         nuisance = _nuisance(p, names, tolerance, 'valve' in channels)
-    return Group(p, recordings, channels, nuisance, scale, noise, floor, formulation, effects)
+    effects = tuple(effect._replace(variants=tuple(
+        variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
+        for effect in effects)
+    return Group(p, recordings, channels, in_each(nuisance, count), scale, noise, floor,
+                 formulation, effects)
 
 
 def less_noisy(group: Group, left: Values) -> Group:
@@ -245,6 +250,7 @@ SHOWN = _shown()
 
 def shows_in(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
+    field = field.partition('@')[0]
     through = channel == 'force' and not group.measures_valve and 'valve' in SHOWN[field]
     inert = (field in ('load_mass', 'piston_share')
              and group.nominal['force_sensor_mass_share'] != 0.0)

@@ -219,7 +219,7 @@ def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[st
     A force of 150 N that swings by 7 N is judged by what swings. Where the means differ by more
     than forces swing, each recording has its own.
     """
-    means = [float(r.force[r.fit | r.held_out].mean()) for r in recordings if r.force is not None]
+    means = [float(r.force[r.valid].mean()) for r in recordings if r.force is not None]
     swing = min(float(r.force.std()) for r in recordings if r.force is not None)
     if max(map(abs, means), default=0.0) < BIASED * swing:
         return recordings, []

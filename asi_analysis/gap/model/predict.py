@@ -10,6 +10,7 @@ from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.blocks import Complex
+from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
@@ -54,6 +55,7 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
 
 def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return what a channel should have measured: n samples, in the channel's unit."""
+    p = _in_recording(p, recording.number)
     if channel == 'load':
         return _load(recording, p)
     if channel == 'valve':
@@ -77,6 +79,30 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
                     motion.acceleration[motion.pad:motion.pad + out.size])
     blocks.force(wanted, rub, acceleration, *blocks.parts(p), recording.period_s, count, out)
     return out
+
+
+def for_recordings(p: np.void, count: int) -> np.void:
+    """Return a record with the fields of a recording once for each of `count` recordings."""
+    if count == 1:
+        return p
+    names = [(field, of_recording(field, number)) for number in range(1, count)
+             for field in OF_A_RECORDING]
+    wide = np.zeros(1, np.dtype(p.dtype.descr + [(own, np.float64) for _, own in names]))[0]
+    for name in p.dtype.names or ():
+        wide[name] = p[name]
+    for field, own in names:
+        wide[own] = p[field]
+    return wide
+
+
+def _in_recording(p: np.void, number: int) -> np.void:
+    """Return a record with the values that its fields have in one recording."""
+    if number == 0:
+        return p
+    own = p.copy()
+    for field in OF_A_RECORDING:
+        own[field] = p[of_recording(field, number)]
+    return own
 
 
 def passed_on(recording: Recording, channel: str, p: np.void) -> float:

@@ -1,24 +1,36 @@
 """What the answer says beside the verdict: shares of a pair, limits of tolerance, what next."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
 from documented import problems
 from test_gap import TEXTBOOK, recorded
 
-from asi_analysis.gap.diagnose import diagnose, document, plain, sentences
+from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.gap.answer.command import diagnose as asi_diagnose
+from asi_analysis.gap.answer.command import recorded_model
+from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain, sentences
 from asi_analysis.gap.experiment.next_experiment import suggestion
-from asi_analysis.gap.inference.verdict import Candidate, explaining
+from asi_analysis.gap.inference.fit import Promise, fit_null, fit_variants
+from asi_analysis.gap.inference.verdict import Candidate, Weighed, explaining
+from asi_analysis.gap.inference.where import by_block, explained
+from asi_analysis.gap.model.effects import BY_NAME
 
 
-def test_each_block_of_a_pair_has_the_share_that_its_effect_explains():
+def test_each_effect_of_a_pair_has_the_share_that_it_explains():
     run = recorded(load__external_force=80.0, force_sensor__offset=15.0)
-    answer = plain(document(diagnose([run], TEXTBOOK)))
-    assert answer['verdict'] == 'disturbance_force+sensor_offset'
-    share = {row['block']: row['share'] for row in answer['where']}
-    # The offset is in both channels, the disturbance only in that of the load.
-    assert share['mechanics'] + share['sensor'] > 0.95
-    assert 0.02 < share['sensor'] < 0.4 < share['mechanics']
+    group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][-1]
+    null = fit_null(group)
+    names = ('disturbance_force', 'sensor_offset')
+    variants = tuple(BY_NAME[name].variants[0] for name in names)
+    both = Candidate(names, variants, fit_variants(group, Promise(null), variants))
+    weighed = Weighed(group, {(): Candidate((), (), null), names: both}, {(): 0.0, names: 1.0})
+    found = explained(weighed, names, 'load')
+    assert 0.0 < found['sensor_offset'] < 0.5 * found['disturbance_force']
+    share = by_block([weighed])
+    assert share['mechanics'] > 0.5 and 0.0 < share['sensor'] < 0.45
+    assert sum(share.values()) == pytest.approx(1.0)
 
 
 def test_effect_of_size_zero_is_no_hypothesis():
@@ -30,14 +42,30 @@ def test_effect_of_size_zero_is_no_hypothesis():
 
 
 def test_parameter_at_the_limit_of_its_tolerance_is_said():
-    stiff = {**TEXTBOOK, 'load.stiffness': 2e5 * 1.35}
-    answer = plain(document(diagnose([recorded(real=stiff)], TEXTBOOK)))
-    limit = next(row for row in answer['at_limit'] if row['parameter'] == 'load.stiffness')
+    heavy = {**TEXTBOOK, 'load.mass': 0.5 * 1.26}
+    answer = plain(document(diagnose([recorded(real=heavy)], TEXTBOOK)))
+    limit = next(row for row in answer['at_limit'] if row['parameter'] == 'load.mass')
     assert limit['limit'] == 'high'
     assert limit['value'] == pytest.approx(1.2 * limit['nominal'], rel=1e-3)
     assert 'At the limit of the tolerance: ' in ' '.join(sentences(answer))
-    answer['report'] = None
+    answer |= {'report': None, 'quality': []}
     assert problems(answer, 'asi gap') == []
+
+
+@pytest.mark.parametrize(('times', 'sure'), [(1.25, False), (1.6, True)])
+def test_parameter_beyond_its_tolerance_is_an_answer(times, sure):
+    """At the edge other parameters and a sensor's gain do the same; they share the probability."""
+    stiff = {**TEXTBOOK, 'load.stiffness': 2e5 * times}
+    answer = plain(document(diagnose([recorded(real=stiff)], TEXTBOOK)))
+    name = 'parameter:load.stiffness'
+    assert name in answer['ambiguity_set']
+    row = next(row for row in answer['which'] if row['effect'] == name)
+    assert row['block'] == 'mechanics'
+    assert (answer['probability'] > 0.9) == sure
+    if sure:
+        assert answer['verdict'] == name
+        assert row['parameters']['load_stiffness'] == pytest.approx(2e5 * times, rel=0.1)
+        assert 'load.stiffness is 3' in sentences(answer)[0]
 
 
 @pytest.mark.parametrize(('separation', 'missing', 'words', 'command'), [
@@ -50,3 +78,26 @@ def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, 
     found = suggestion('chirp', 'asi run', separation, {'chirp': separation}, left, missing)
     assert found['advice'].startswith(words)
     assert (found['command'] is not None) == found['separates'] == command
+
+
+def test_model_is_what_the_bag_tells_unless_another_is_given():
+    told = {**TEXTBOOK, 'load.stiffness': 2.2e5}
+    run = dataclasses.replace(recorded(), information={'actuator': told})
+    assert recorded_model([run]) == told
+    with pytest.warns(InputWarning, match='recorded with the load spring, .* has the load locked'):
+        with pytest.raises(InputError, match='check the unit|nothing in common'):
+            asi_diagnose([run], {**TEXTBOOK, 'load.type': 'locked'})
+    spoilt = dataclasses.replace(run, information={'actuator': {'load.type': 'cloud'}})
+    with pytest.raises(InputError, match='real: metadata of the run: load.type'):
+        asi_diagnose([spoilt])
+    with pytest.raises(InputError, match='--set: load.mass'):
+        asi_diagnose([run], settings=['load.mass=-1.0'])
+
+
+def test_setting_overrides_what_the_bag_tells():
+    run = dataclasses.replace(recorded(), information={'actuator': TEXTBOOK})
+    answer = asi_diagnose([run], settings=['load.stiffness=220000.0'])
+    assert answer['verdict'] == 'no_gap'
+    assert answer.model == {**TEXTBOOK, 'load.stiffness': 2.2e5}
+    assert answer['notes'][0] == (
+        'nominal model: from the metadata of real; load spring, 1000 Hz')

@@ -1,8 +1,12 @@
-"""What cannot matter does not change the verdict: the origin of a coordinate, the sample rate."""
+"""What cannot matter does not change the verdict: origin, sample rate, a further recording."""
+
+import dataclasses
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from test_gap import TEXTBOOK, recorded
+from test_gap_joint import joint
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose, document
@@ -39,3 +43,33 @@ def test_slow_recording_of_an_hour_is_diagnosed():
     answer = document(diagnose([servo(1.0, 3600.0, 5.0, slowest_hz=0.004)], {}, 'joint',
                                drive='position'))
     assert answer['verdict'] != 'no_gap'
+
+
+def pushed(run: Run, phase: float) -> Run:
+    """Return a joint's run with a sinusoidal disturbance, a tenth of what moves it."""
+    push = 0.1 * np.std(run.command_n) * np.sin(2.0 * np.pi * (3.3 * run.time_s + phase))
+    return dataclasses.replace(run, command_n=run.command_n + push)
+
+
+def test_second_recording_may_have_another_phase_of_a_disturbance():
+    run = joint()
+    runs = [pushed(run, phase) for phase in (0.1, 0.45)]
+    for bags in (runs[:1], runs, runs[::-1]):
+        answer = document(diagnose(bags, {}, 'joint'))
+        assert answer['verdict'] == 'disturbance_force', len(bags)
+        assert answer['probability'] > 0.9
+        assert answer['gap']['shrink'] > 0.8
+    found = answer['which'][0]['parameters']
+    # The second of `runs` is the first here.
+    turns = found['disturbance_phase@2'] - found['disturbance_phase']
+    assert turns == pytest.approx(0.1 - 0.45, abs=0.02)
+
+
+def test_second_recording_may_have_another_offset():
+    runs = [recorded(seed=seed, force_sensor__offset=offset)
+            for seed, offset in ((5, 40.0), (6, -25.0))]
+    answer = document(diagnose(runs, TEXTBOOK))
+    assert answer['verdict'] == 'sensor_offset'
+    found = answer['which'][0]['parameters']
+    assert found['sensor_offset'] == pytest.approx(40.0, abs=2.0)
+    assert found['sensor_offset@2'] == pytest.approx(-25.0, abs=2.0)

@@ -1,0 +1,116 @@
+"""
+Cases of the simulator itself: unchanged, or with one of its parameters changed.
+
+Recorded by the code of the two nodes, at 1, 2 and 5 kHz, with every load and several excitations,
+with and without noise. The truth lies inside the model that a diagnosis may fit, so that no other
+formulation excuses a wrong answer.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.bags.run import Run
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_common.parameter import Value
+
+RATES_HZ = (1000.0, 2000.0, 5000.0)
+LOADS = ('locked', 'spring', 'free')
+DURATION_S = 8.0
+UNCHANGED = 0.3        # share of cases of the unchanged simulator
+FACTOR = (1.4, 2.5)    # that a parameter is changed by, up or down
+VISIBLE = 2.0          # times the noise: what changes the signals by less counts as too small
+NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
+PROPORTIONAL: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
+OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
+EXCITATIONS: dict[str, dict[str, Value]] = {
+    'loop': {**PROPORTIONAL, 'reference.shape': 'multisine', 'reference.frequency': 0.5,
+             'reference.end_frequency': 60.0},
+    'multisine': {**OPEN, 'reference.shape': 'multisine', 'reference.frequency': 0.5,
+                  'reference.end_frequency': 60.0},
+    'chirp': {**OPEN, 'reference.shape': 'chirp', 'reference.frequency': 0.5,
+              'reference.end_frequency': 100.0, 'reference.duration': DURATION_S - 0.05},
+    'steps': {**PROPORTIONAL, 'reference.shape': 'prbs', 'reference.frequency': 1.5},
+    'triangle': {**PROPORTIONAL, 'reference.shape': 'triangle', 'reference.frequency': 0.5},
+}
+# Parameters that are changed: what a right answer calls them (an effect of the vocabulary, where
+# there is one for it), and their block.
+CHANGED = {
+    'valve_hysteresis.radius': ('valve_hysteresis', 'valve'),
+    'valve_flexure.coil_frequency': ('valve_lag', 'valve'),
+    'valve_flexure.delay': ('transport_delay', 'command_path'),
+    'valve_characteristic.gain': ('parameter:valve_characteristic.gain', 'valve'),
+    'valve_characteristic.maximum_force': ('parameter:valve_characteristic.maximum_force',
+                                           'hydraulics'),
+    'hydraulic_damping.maximum_force': ('hydraulic_damping', 'hydraulics'),
+    'hydraulic_damping.saturation_velocity': ('hydraulic_damping', 'hydraulics'),
+    'fluid_dynamics.frequency': ('parameter:fluid_dynamics.frequency', 'hydraulics'),
+    'friction.coulomb': ('coulomb_friction', 'mechanics'),
+    'friction.stiction_push': ('stiction', 'mechanics'),
+    'load.mass': ('parameter:load.mass', 'mechanics'),
+    'load.locked_stiffness': ('parameter:load.locked_stiffness', 'mechanics'),
+    'load.stiffness': ('parameter:load.stiffness', 'mechanics'),
+    'load.damping': ('parameter:load.damping', 'mechanics'),
+}
+ONLY_OF = {'load.locked_stiffness': 'locked', 'load.stiffness': 'spring', 'load.damping': 'spring'}
+
+
+class OwnCase(NamedTuple):
+    """One case: the truth (parameter and factor, None if nothing is changed), and its runs."""
+
+    parameter: str | None
+    factor: float
+    visibility: float       # change of the signals before any refit, in multiples of the noise
+    excitation: str
+    rate_hz: float
+    nominal: dict[str, Value]
+    run: Run
+    fresh: Run
+
+
+def draw_own(seed: int) -> OwnCase:
+    """Return the case of a seed; with the same one it is the same."""
+    rng = np.random.default_rng([seed, 14])
+    rate, load = float(rng.choice(RATES_HZ)), str(rng.choice(LOADS))
+    excitation = str(rng.choice(list(EXCITATIONS)))
+    nominal: dict[str, Value] = {'load.type': load}
+    size = float(rng.choice([120.0, 250.0]))
+    parameter, factor = None, 1.0
+    if rng.random() > UNCHANGED:
+        parameter = str(rng.choice([name for name in CHANGED
+                                    if ONLY_OF.get(name, load) == load]))
+        factor = math.exp(rng.uniform(*np.log(FACTOR))) ** (1.0 if rng.random() < 0.5 else -1.0)
+    noise = float(rng.random() < 0.7)
+    machine = dict(nominal)
+    if parameter is not None:
+        default = next(p.default for p in ACTUATOR_PARAMETERS if p.name == parameter)
+        machine[parameter] = float(default) * factor
+    runs = [_recorded(values, excitation, size, rate, [seed, number], level)
+            for number, (values, level) in enumerate(
+                ((machine, noise), (machine, noise), (machine, 0.0), (nominal, 0.0)))]
+    visibility = max(float(np.std(getattr(runs[2], name) - getattr(runs[3], name))) / level
+                     for name, level in NOISE.items())
+    return OwnCase(parameter, factor, visibility, excitation, rate, nominal, runs[0], runs[1])
+
+
+def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz: float,
+              seed: list[int], noise: float) -> Run:
+    """Return what the nodes record; the second of a case has another course where it is random."""
+    controller = {**EXCITATIONS[excitation], 'reference.amplitude': size,
+                  'reference.start': 0.05, 'reference.seed': 2 if seed[1] == 1 else 1}
+    signals = simulate_loop(actuator, controller, DURATION_S, rate_hz)._asdict()
+    rng = np.random.default_rng(seed)
+    for name, level in NOISE.items():
+        signals[name] = signals[name] + noise * level * rng.standard_normal(signals[name].size)
+    del signals['reference_n']
+    return Run(**signals)
+
+
+def truth(case: OwnCase) -> tuple[str, list[str], list[str]]:
+    """Return kind, effects and blocks of the answer."""
+    if case.parameter is None:
+        return 'none', [], []
+    effect, block = CHANGED[case.parameter]
+    return 'effect' if case.visibility > VISIBLE else 'small', [effect], [block]
