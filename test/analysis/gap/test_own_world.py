@@ -1,0 +1,20 @@
+"""Cases of the simulator itself: the same seed gives the same case, and only one thing differs."""
+
+import numpy as np
+import pytest
+
+from asi_examiner.own import CHANGED, VISIBLE, draw_own, truth
+
+
+@pytest.mark.parametrize('seed', range(61000, 61006))
+def test_own_case_is_what_its_answer_says(seed):
+    case, again = draw_own(seed), draw_own(seed)
+    np.testing.assert_array_equal(case.run.force_n, again.run.force_n)
+    assert case.run.rate_hz == pytest.approx(case.rate_hz)
+    kind, effects, blocks = truth(case)
+    if case.parameter is None:
+        assert (kind, effects, case.visibility) == ('none', [], 0.0)
+    else:
+        assert (effects[0], blocks[0]) == CHANGED[case.parameter]
+        assert (kind == 'effect') == (case.visibility > VISIBLE)
+        assert not 1.0 / 1.3 < case.factor < 1.3
