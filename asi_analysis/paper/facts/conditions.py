@@ -7,7 +7,7 @@ stated with each row.
 
 from typing import Final, NamedTuple
 
-from asi_analysis.experiments.step_tests import LOCKED, SPRING, StepTest
+from asi_analysis.experiments.step_tests import LEAD4, LOCKED, SPRING, StepTest
 from asi_common.parameter import defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -28,10 +28,8 @@ class Conditions(NamedTuple):
     lead_lag: StepTest = StepTest(
         {'compensator': 'lead_lag', 'gain': 18.3, 'lead_lag.centre_frequency': 100.0}, STEP_N,
         LOAD)
-    lead4: StepTest = StepTest(
-        {'compensator': 'lead4', 'gain': 3.139, 'lead4.zero_frequency': 136.1,
-         'lead4.ratio': 3.664, 'lead4.lag_ratio': 21.27, 'lead4.lag_time': 0.117}, STEP_N,
-        LOAD)
+    # The setting that suits the locked piston: on this load it leaves no cycle at any step.
+    lead4: StepTest = StepTest(LEAD4.controller, STEP_N, LOAD)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
     start_n: float = 100.0

@@ -9,12 +9,14 @@ import pytest
 from documented import problems
 
 from asi_actuator.parameters import as_record
-from asi_analysis.loop.bench import RATE_HZ
+from asi_analysis.loop.bench import RATE_HZ, in_process, step_experiment
 from asi_analysis.loop.linear_model import linear_model
 from asi_analysis.loop.one_harmonic import OneHarmonic, linear_limit
 from asi_analysis.loop.onset import onset
 from asi_analysis.loop.simulation import loop_of
+from asi_analysis.measures.oscillation import of_samples
 from asi_analysis.paper.facts.bandwidth import bandwidth_hz, open_loop_gain
+from asi_analysis.paper.facts.conditions import Conditions
 
 LINEAR = {'valve_hysteresis.model': 'linear', 'valve_characteristic.model': 'linear',
           'hydraulic_damping.model': 'off', 'friction.model': 'off', 'load.type': 'locked'}
@@ -44,6 +46,15 @@ def test_bandwidth_of_a_first_order_lag():
     assert math.isinf(bandwidth_hz(lambda f: 1.0, 1.0, (10.0, 100.0)))
 
 
+@pytest.mark.parametrize('name', ['lead_lag', 'lead4'])
+def test_the_leads_of_table_1_leave_no_cycle_at_any_step(name):
+    """As section 5 says; settings that settle in Table 1's time can cycle after small steps."""
+    test = getattr(Conditions(), name)
+    for step_n in (20.0, 50.0, 100.0, 200.0, 400.0, 800.0):
+        run = in_process(step_experiment(test.load, test.controller, step_n, 2.0))
+        assert not of_samples(run.force_n[-2500:], RATE_HZ).sustained, step_n
+
+
 def test_reproduce_prints_the_documented_json():
     answer = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', 'reproduce', '--json'],
                             capture_output=True, text=True, check=True)
@@ -56,7 +67,7 @@ def test_reproduce_prints_the_documented_json():
         'cycle frequency at onset, 400 N', 'cycle frequency at onset, 500 N',
         'cycle frequency at onset, 600 N', 'first intersection, frequency',
         'P, Kp = 3: rise time 10 to 90 %', 'P, Kp = 3: settling time 2 %',
-        'lead-lag: settling time 2 %', 'fourth-order lead: overshoot',
+        'lead-lag: settling time 2 %', 'fourth-order lead: settling time 2 %',
         'rise time of P over that of the fourth-order lead']
     # In the spring that suits P alone, most of the mass is hidden from the sensor.
     first = document['alone'][0]
