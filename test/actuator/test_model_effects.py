@@ -1,6 +1,8 @@
 """Each effect of the simulator that is null by default, against a closed form or a known rule."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -320,3 +322,21 @@ def test_lost_readings_hold_the_last_one_and_repeat_with_the_seed() -> None:
     np.testing.assert_array_equal(ours, force(values, commands))
     other = force(values | {'force_sensor.noise_seed': 2}, commands)
     assert np.any(other != ours)
+
+
+# --- on a real node
+
+
+def test_effects_are_switched_on_while_the_node_runs(
+        start_node: Callable, states: Any, set_parameters: Callable) -> None:
+    start_node('asi_actuator.actuator_node', mode='realtime',
+               **{'friction.model': 'off', 'load.type': 'locked'})
+    states.wait_until(lambda m: abs(m.effort[0]) < 1e-6, 'an actuator at rest')
+    result, = set_parameters('asi_actuator', {'valve_characteristic.bias': 2e-6})
+    assert result.successful
+    # 2 um of 20 um: a tenth of the thrust, on the locked structure.
+    states.wait_until(lambda m: abs(m.effort[0] - 100.0) < 1.0, 'the force of an open valve')
+    result, = set_parameters('asi_actuator', {'force_sensor.drop_rate': 1.5})
+    assert not result.successful and '0 to 0.99' in result.reason
+    assert set_parameters('asi_actuator', {'valve_characteristic.bias': 0.0})[0].successful
+    states.wait_until(lambda m: abs(m.effort[0]) < 1.0, 'an actuator at rest again')
