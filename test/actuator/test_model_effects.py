@@ -330,7 +330,7 @@ def test_lost_readings_hold_the_last_one_and_repeat_with_the_seed() -> None:
 def test_effects_are_switched_on_while_the_node_runs(
         start_node: Callable, states: Any, set_parameters: Callable) -> None:
     start_node('asi_actuator.actuator_node', mode='realtime',
-               **{'friction.model': 'off', 'load.type': 'locked'})
+               **{'friction.model': 'linear', 'load.type': 'locked'})
     states.wait_until(lambda m: abs(m.effort[0]) < 1e-6, 'an actuator at rest')
     result, = set_parameters('asi_actuator', {'valve_characteristic.bias': 2e-6})
     assert result.successful
