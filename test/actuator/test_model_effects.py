@@ -337,6 +337,6 @@ def test_effects_are_switched_on_while_the_node_runs(
     # 2 um of 20 um: a tenth of the thrust, on the locked structure.
     states.wait_until(lambda m: abs(m.effort[0] - 100.0) < 1.0, 'the force of an open valve')
     result, = set_parameters('asi_actuator', {'force_sensor.drop_rate': 1.5})
-    assert not result.successful and '0 to 0.99' in result.reason
+    assert not result.successful and 'force_sensor.drop_rate' in result.reason
     assert set_parameters('asi_actuator', {'valve_characteristic.bias': 0.0})[0].successful
     states.wait_until(lambda m: abs(m.effort[0]) < 1.0, 'an actuator at rest again')
