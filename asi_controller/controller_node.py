@@ -245,14 +245,15 @@ class LockStep:
         self._set_time(TimePoint(clock_ns, ROS_TIME))
 
     def health(self) -> tuple[bytes, str]:
+        silence_s = self.node.statistics.silence_s()
+        # Also if the last state came without its clock: the actuator ended in between.
+        if self.answered_ns is not None and silence_s > SILENT_S:
+            return WARN, f'no new state for {silence_s:.1f} s: the actuator is paused or has ended'
         if self.pending is not None:
-            return WARN, ('a state waits for its /clock: is the actuator in lock-step?'
+            return WARN, ('a state waits for its clock: is the actuator in lock-step?'
                           if self.node.recorded else 'waiting for a recorder')
         if self.answered_ns is None:
             return WARN, 'waiting for the actuator'
-        silence_s = self.node.statistics.silence_s()
-        if silence_s > SILENT_S:
-            return WARN, f'no new state for {silence_s:.1f} s: the actuator is paused or has ended'
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
