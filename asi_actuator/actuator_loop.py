@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.timer import Timer
-from rosgraph_msgs.msg import Clock as ClockMessage
 
 from asi_common.node.diagnostics import OK, SILENT_S, WARN
 from asi_common.node.executor import RunError, Unhurried
-from asi_common.node.topics import STREAM_QOS, SteadyClock
+from asi_common.node.topics import SteadyClock, create_publisher
 
 if TYPE_CHECKING:
     from asi_actuator.actuator_node import ActuatorNode
@@ -69,7 +68,7 @@ class LockStep:
         self.answered = (0, 0.0)
         self.resent = 0
         self.silent_since_ns = self.sent_ns = time.monotonic_ns()
-        self.clocks = node.create_publisher(ClockMessage, 'clock', STREAM_QOS)
+        self.clocks = create_publisher(node, 'clock')
         node.topics.append(self.clocks)
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(WATCH_PERIOD_S, self._watch, Unhurried(), self.steady)

@@ -4,10 +4,7 @@ import math
 import sys
 from typing import Any, NoReturn
 
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from asi_actuator import calibration
@@ -32,7 +29,7 @@ from asi_common.node.diagnostics import (
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
-from asi_common.node.topics import CONTROL_QOS, STREAM_QOS
+from asi_common.node.topics import create_publisher, create_subscription
 
 
 class ActuatorNode(Node):
@@ -69,16 +66,15 @@ class ActuatorNode(Node):
         self.unseen = 0
 
         self._valve_m = 0.0
-        self.states = self.create_publisher(JointState, 'joint_states', STREAM_QOS)
-        self.forces = self.create_publisher(WrenchStamped, 'force', STREAM_QOS)
-        self.valve_positions = self.create_publisher(Float64, 'valve_position', STREAM_QOS)
-        self.velocities = self.create_publisher(Float64, 'velocity', STREAM_QOS)
+        self.states = create_publisher(self, 'joint_states')
+        self.forces = create_publisher(self, 'force')
+        self.valve_positions = create_publisher(self, 'valve_position')
+        self.velocities = create_publisher(self, 'velocity')
         self.state_changes = StateChanges(self)
         self.topics = [self.states, self.forces, self.valve_positions, self.velocities,
                        self.state_changes.publisher]
         self.loop: Loop = (LockStep if lockstep else RealTime)(self)
-        self.commands = self.create_subscription(
-            WrenchStamped, 'valve_command', self._on_command, CONTROL_QOS, raw=True)
+        self.commands = create_subscription(self, 'valve_command', self._on_command)
         self.create_service(SetBool, '~/enable', self._enable)
         self.create_service(Trigger, '~/calibrate', self._calibrate)
         self.create_service(Trigger, '~/reset', self._reset)

@@ -5,15 +5,12 @@ import sys
 import time
 from typing import Final, Protocol
 
-from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.time_source import TimeSource
-from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from asi_common.loop_parameters import control_rate
@@ -22,7 +19,8 @@ from asi_common.node.diagnostics import ERROR, OK, SILENT_S, WARN, Diagnostics, 
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, Unhurried, run_node
 from asi_common.node.ros_parameters import RosParameters
-from asi_common.node.topics import CONTROL_QOS, PISTON, STREAM_QOS, SteadyClock
+from asi_common.node.topics import SteadyClock, create_publisher, create_subscription
+from asi_common.topics import PISTON
 from asi_controller.controller import Controller
 from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
@@ -71,11 +69,10 @@ class ControllerNode(Node):
         # The stamp of the newest state that was answered, also when the newest reference came.
         self.answered_ns = 0
         self.referenced_ns: int | None = None
-        self.commands = self.create_publisher(WrenchStamped, 'valve_command', STREAM_QOS)
-        self.references = self.create_publisher(WrenchStamped, 'force_reference', STREAM_QOS)
+        self.commands = create_publisher(self, 'valve_command')
+        self.references = create_publisher(self, 'force_reference')
         self.loop: Loop = (LockStep if lockstep else RealTime)(self)
-        self.create_subscription(JointState, 'joint_states', self._on_state, CONTROL_QOS,
-                                 raw=True)
+        create_subscription(self, 'joint_states', self._on_state)
         self.wanted: Subscription | None = None
         self._listen()
         self.create_service(SetBool, '~/enable', self._enable)
@@ -148,8 +145,7 @@ class ControllerNode(Node):
         elif not self.controller.generates and self.wanted is None:
             self.controller.topic_n = 0.0
             self.referenced_ns = None
-            self.wanted = self.create_subscription(
-                WrenchStamped, 'force_reference', self._on_reference, CONTROL_QOS, raw=True)
+            self.wanted = create_subscription(self, 'force_reference', self._on_reference)
 
     def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         self.controller.enable(request.data, self.parameters.values)
@@ -213,7 +209,7 @@ class LockStep:
         source.ros_time_is_active = True
         source.attach_clock(clock)
         self._set_time = clock.handle.set_ros_time_override
-        node.create_subscription(ClockMessage, 'clock', self._on_clock, CONTROL_QOS, raw=True)
+        create_subscription(node, 'clock', self._on_clock)
         node.create_timer(1.0 / node.rate_hz, self._answer_if_due, clock=clock)
         if not node.recorded:
             node.create_timer(WATCH_PERIOD_S, self._answer_if_due,

@@ -24,7 +24,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from asi_common.node.executor import LoopExecutor, choose_transport
-from asi_common.node.topics import CONTROL_QOS, FRAME, JOINTS, STREAM_QOS
+from asi_common.node.topics import CONTROL_QOS, STREAM_QOS
+from asi_common.topics import FRAME, JOINTS
 
 # What each end sends: nothing, one message each way, what the loop waits for, everything.
 SENT: Final = {

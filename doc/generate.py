@@ -1,8 +1,8 @@
 """
 Write the pages that follow from the code: rooms, commands, topics.
 
-`python doc/generate.py` in the root of the repository writes the table of rooms and the diagram
-of imports into documents; a test checks that both are current.
+`python doc/generate.py` in the root of the repository writes the tables of rooms and topics and
+the diagram of imports into documents; a test checks that they are current.
 The build of the documents (`conf.py`) calls the rest.
 """
 
@@ -21,7 +21,8 @@ sys.path.insert(0, str(ROOT))   # the packages that stand here, not installed on
 OPENED: Final = ('asi_common', 'asi_actuator', 'asi_controller', 'asi_analysis')
 PACKAGES: Final = (*OPENED, 'asi_examiner')
 PARTS: Final = {ROOT / 'doc/explanation/architecture.md': ('rooms', 'imports'),
-                ROOT / 'CONTRIBUTING.md': ('imports',)}
+                ROOT / 'doc/reference/topics.md': ('topics',),
+         ROOT / 'CONTRIBUTING.md': ('imports',)}
 
 
 def first_line(module: str) -> str:
@@ -46,6 +47,14 @@ def rooms_table() -> str:
     """Return the rooms with the first line of each, as a Markdown table."""
     rows = [f'| `{room.replace(".", "/")}` | {first_line(room)} |' for room in rooms()]
     return '\n'.join(['| folder | what it holds |', '|---|---|', *rows])
+
+
+def topics_table() -> str:
+    """Return the topics of the loop as a Markdown table."""
+    from asi_common.topics import TOPICS
+    rows = [f'| `{topic.name}` | {topic.type} | {topic.publisher} | {topic.content} |'
+            for topic in TOPICS.values() if topic.publisher]
+    return '\n'.join(['| topic | type | from | content |', '|---|---|---|---|', *rows])
 
 
 def direct_imports() -> dict[str, set[str]]:
@@ -112,9 +121,12 @@ def with_parts(page: Path) -> str:
     for name in PARTS[page]:
         mark = f'<!-- {name}: written by python doc/generate.py -->\n'
         before, rest = text.split(mark)
-        part = rooms_table() if name == 'rooms' else import_diagram()
+        part = WRITERS[name]()
         text = f'{before}{mark}\n{part}\n\n<!-- end -->{rest.split("<!-- end -->", 1)[1]}'
     return text
+
+
+WRITERS: Final = {'rooms': rooms_table, 'topics': topics_table, 'imports': import_diagram}
 
 
 def commands_page() -> str:

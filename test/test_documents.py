@@ -36,13 +36,6 @@ def test_every_room_says_in_its_first_line_what_it_is_for(room: str) -> None:
     assert len(generate.first_line(room)) > 20
 
 
-def test_topics_are_those_of_the_nodes() -> None:
-    from asi_analysis.bags.nodes.recorder_node import TYPES
-
-    page = (ROOT / 'doc/reference/topics.md').read_text()
-    assert dict(re.findall(r'^\| `([\w/]+)` \| (\w+/msg/\w+) \|', page, re.M)) == TYPES
-
-
 def test_every_command_has_its_documented_json() -> None:
     from typer.main import get_command
 

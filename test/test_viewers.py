@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from asi_analysis.bags.nodes.recorder_node import TYPES
 from asi_common.node.diagnostics import LOOP, STATE
-from asi_common.node.topics import FRAME, JOINTS
+from asi_common.node.topics import message_class
+from asi_common.topics import FRAME, JOINTS, TOPICS
 
 CONFIG = Path(__file__).parents[1] / 'config'
 
@@ -28,15 +28,12 @@ def paths(file: str) -> list[str]:
 
 @pytest.mark.parametrize('file', ['foxglove_layout.json', 'plotjuggler_layout.xml'])
 def test_a_layout_shows_numbers_of_our_topics(file: str) -> None:
-    from importlib import import_module
-
     shown = paths(file)
     assert {path.split('/')[1] for path in shown} == {
         'force', 'force_reference', 'valve_command', 'valve_position', 'velocity'}
     for path in shown:
         _, topic, *fields = path.split('/')
-        package, _, kind = TYPES[topic].split('/')
-        value: Any = getattr(import_module(f'{package}.msg'), kind)()
+        value: Any = message_class(TOPICS[topic].type)()
         for field in fields:
             value = getattr(value, field)
         assert isinstance(value, float)
@@ -49,7 +46,7 @@ def test_foxglove_shows_each_panel_of_its_layout_once() -> None:
         return [tree] if isinstance(tree, str) else panels(tree['first']) + panels(tree['second'])
 
     assert sorted(panels(layout['layout'])) == sorted(layout['configById'])
-    assert layout['configById']['DiagnosticSummary!health']['topicToRender'] in TYPES
+    assert layout['configById']['DiagnosticSummary!health']['topicToRender'] in TOPICS
 
 
 def test_the_joints_and_the_frame_of_the_topics_are_in_one_tree() -> None:
@@ -64,7 +61,7 @@ def test_the_joints_and_the_frame_of_the_topics_are_in_one_tree() -> None:
     rviz = yaml.safe_load((CONFIG / 'asi_actuator.rviz').read_text())['Visualization Manager']
     assert rviz['Global Options']['Fixed Frame'] == 'actuator'
     topics = [display['Topic']['Value'] for display in rviz['Displays'] if 'Topic' in display]
-    assert topics == ['force'] and set(topics) <= set(TYPES)
+    assert topics == ['force'] and set(topics) <= set(TOPICS)
 
 
 def test_the_analyzers_take_every_status_of_the_nodes() -> None:

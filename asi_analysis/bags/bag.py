@@ -15,19 +15,14 @@ from asi_analysis.bags.bag_file import Topic, read_contents
 from asi_analysis.bags.bag_writer import BagWriter, typestore
 from asi_analysis.bags.run import SIGNALS, Array, Run, StateChange
 from asi_analysis.errors import InputError, InputWarning
+from asi_common.topics import FRAME, JOINTS, TOPICS
 
-JOINT_STATE: Final = 'sensor_msgs/msg/JointState'
-JOINTS: Final = ('piston', 'valve')
-WRENCH: Final = 'geometry_msgs/msg/WrenchStamped'
-FLOAT: Final = 'std_msgs/msg/Float64'
-# `reference` stands for `force_reference` where a recording's reference is no force.
-TYPES: Final = {'joint_states': JOINT_STATE, 'force': WRENCH, 'valve_command': WRENCH,
-                'force_reference': WRENCH, 'reference': FLOAT, 'valve_position': FLOAT,
-                'velocity': FLOAT}
-
+SIGNAL_TOPICS: Final = {topic.name: topic for topic in TOPICS.values() if topic.signals}
+# The first of these that a bag has gives the time base; the others may have no stamps.
+TIME_BASES: Final = ('joint_states', 'force', 'valve_command', 'force_reference', 'reference')
 DIAGNOSTICS: Final = 'diagnostics'
-DIAGNOSTIC_ARRAY: Final = 'diagnostic_msgs/msg/DiagnosticArray'
-# The end of the name of the status that tells a change of state (asi_common/node/diagnostics.py).
+DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
+# End of the name of the status of a state (asi_common/node/diagnostics.py, which imports rclpy).
 STATE: Final = ': state'
 BLOCK_SAMPLES: Final = 20_000
 
@@ -55,7 +50,7 @@ def read_bag(path: str | Path) -> Run:
     >>> run = asi.read_bag('runs/demo/lead_lag/bag')                      # doctest: +SKIP
     """
     path = Path(path)
-    contents = read_contents(path, lambda name: _base(name) in (*TYPES, DIAGNOSTICS))
+    contents = read_contents(path, lambda name: _base(name) in (*SIGNAL_TOPICS, DIAGNOSTICS))
     problems = list(contents.problems)
     series: dict[str, Series] = {}
     changes = []
@@ -63,9 +58,9 @@ def read_bag(path: str | Path) -> Run:
         name = _base(topic.name)
         if name == DIAGNOSTICS:
             changes = _state_changes(topic)
-        elif topic.type != TYPES[name]:
+        elif topic.type != SIGNAL_TOPICS[name].type:
             problems.append(f'{path}: {topic.name} is left out: it is of type {topic.type}, '
-                            f'expected {TYPES[name]}')
+                            f'expected {SIGNAL_TOPICS[name].type}')
         elif len(topic):
             if name in series:
                 raise InputError(f'{path} has several topics named {name}: expected one actuator '
@@ -84,7 +79,7 @@ def read_bag(path: str | Path) -> Run:
                 series[name] = decoded
     if not series:
         why = f' ({problems[0]})' if problems else ''
-        raise InputError(f'{path} holds no message of the topics {", ".join(TYPES)}{why}')
+        raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
     return _assemble(series, changes, str(path), contents.information)
@@ -120,16 +115,16 @@ def _write(run: Run, writer: BagWriter, information: Mapping[str, Any]) -> None:
     writer.add_information(information)
     stamps = np.round((run.time_s - run.time_s[0]) * 1e9).astype(np.int64)
     stamps += round((run.period_s if len(run) > 1 else 1e-3) * 1e9)
-    channels = {name: writer.add_topic(f'/{name}', TYPES[name]) for name in _outgoing(run[:0])}
+    channels = {name: writer.add_topic(f'/{name}', TOPICS[name].type)
+                for name in _outgoing(run[:0])}
     numbers = dict.fromkeys(channels, 0)
     for start in range(0, len(run), BLOCK_SAMPLES):
         block = slice(start, start + BLOCK_SAMPLES)
         rows: list[tuple[int, int, int, bytes]] = []
         for name, values in _outgoing(run[block]).items():
-            known = np.flatnonzero(
-                ~np.all([np.isnan(column) for column in values.values()], axis=0)
-                | (name == 'joint_states'))
-            messages = _encode(TYPES[name], stamps[block][known],
+            known = (np.arange(len(stamps[block])) if name == 'joint_states' else np.flatnonzero(
+                np.any([~np.isnan(column) for column in values.values()], axis=0)))
+            messages = _encode(TOPICS[name].type, stamps[block][known],
                                {key: column[known] for key, column in values.items()})
             rows += [(stamp, channels[name], number, data) for number, (stamp, data) in enumerate(
                 zip(stamps[block][known].tolist(), messages, strict=True), numbers[name] + 1)]
@@ -220,28 +215,22 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
 def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
               information: dict[str, Any]) -> Run:
     """Put the topics onto one time base."""
-    base = time_base(next(series[name] for name in TYPES if name in series))
-    state = series.get('joint_states')
+    base = time_base(next(series[name] for name in (*TIME_BASES, *SIGNAL_TOPICS)
+                          if name in series))
     signals: dict[str, Any] = {}
-    for name, field, topics, joint in (
-            ('reference', 'reference_n', ('force_reference', 'reference'), ''),
-            ('command', 'command_n', ('valve_command',), ''),
-            ('force', 'force_n', ('force',), 'piston effort'),
-            ('valve_position', 'valve_position_m', ('valve_position',), 'valve position'),
-            ('position', 'position_m', (), 'piston position'),
-            ('velocity', 'velocity_m_s', ('velocity',), 'piston velocity')):
-        found = next((series[topic] for topic in topics if topic in series), None)
-        values = None
-        # joint_states holds all that is measured, on the time base itself.
-        if state is not None and joint in state.values:
-            values = onto(base, state, state.values[joint], lasting=False)
-        if found is not None and (values is None or np.isnan(values).all()):
-            values = onto(base, found, found.values['value'],
-                           lasting=name in ('reference', 'command'))
-        if values is not None and not np.isnan(values).all():
-            signals[field] = values
+    for signal in SIGNALS:
+        for topic in SIGNAL_TOPICS.values():
+            number = topic.signals.get(signal.name)
+            if topic.name not in series or number not in series[topic.name].values:
+                continue
+            values = onto(base, series[topic.name], series[topic.name].values[number],
+                          lasting=signal.name in ('reference', 'command'))
+            if not np.isnan(values).all():
+                signals[signal.field] = values
+                break
+    state = series.get('joint_states')
     if 'command_n' not in signals and state is not None and 'valve effort' in state.values:
-        # The command that was applied up to a state: the answer to the one before.
+        # The applied command of a state is the answer to the state before.
         applied = onto(base, state, state.values['valve effort'], lasting=False)
         if not np.isnan(applied).all():
             signals['command_n'] = np.append(applied[1:], np.nan)
@@ -301,23 +290,12 @@ def _nearest(ticks: Nanoseconds, times: Nanoseconds) -> npt.NDArray[np.intp]:
 
 def _outgoing(run: Run) -> dict[str, dict[str, Array]]:
     """Return the numbers of each topic that a run fills."""
-    missing = np.full(len(run), np.nan)
-    signals = {signal.name: values if (values := getattr(run, signal.field)) is not None
-               else missing for signal in SIGNALS}
-    reference = 'force_reference' if run.unit('reference') == 'N' else 'reference'
-    topics = {
-        'joint_states': {
-            'piston position': signals['position'], 'valve position': signals['valve_position'],
-            'piston velocity': signals['velocity'], 'piston effort': signals['force']},
-        'force': {'value': signals['force']},
-        'valve_position': {'value': signals['valve_position']},
-        'velocity': {'value': signals['velocity']},
-        reference: {'value': signals['reference']},
-        'valve_command': {'value': signals['command']}}
-    present = {'joint_states', *run.signals()} | {
-        topic for name, topic in (('reference', reference), ('command', 'valve_command'))
-        if name in run.signals()}
-    return {topic: values for topic, values in topics.items() if topic in present}
+    present = run.signals()
+    other = 'reference' if run.unit('reference') == 'N' else 'force_reference'
+    topics = {topic.name: {number: present[signal] for signal, number in topic.signals.items()
+                           if signal in present}
+              for topic in SIGNAL_TOPICS.values() if topic.name != other}
+    return {name: values for name, values in topics.items() if values or name == 'joint_states'}
 
 
 def _encode(type_: str, stamps: Nanoseconds, values: Mapping[str, Array]) -> list[bytes]:
@@ -326,11 +304,11 @@ def _encode(type_: str, stamps: Nanoseconds, values: Mapping[str, Array]) -> lis
         return []
     types = typestore().types
     stamp = types['builtin_interfaces/msg/Time'](0, 0)
-    header = types['std_msgs/msg/Header'](stamp, 'piston')
-    if type_ == JOINT_STATE:
+    header = types['std_msgs/msg/Header'](stamp, FRAME)
+    if type_ == TOPICS['joint_states'].type:
         gap = np.full(2, np.nan)
-        message = types[type_](header, ['piston', 'valve'], gap, gap, gap)
-    elif type_ == WRENCH:
+        message = types[type_](header, list(JOINTS), gap, gap, gap)
+    elif type_ == TOPICS['force'].type:
         zero = types['geometry_msgs/msg/Vector3'](0.0, 0.0, 0.0)
         message = types[type_](header, types['geometry_msgs/msg/Wrench'](zero, zero))
     else:

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -23,6 +23,7 @@ from rclpy.node import Node
 
 from asi_common.node import messages as wire
 from asi_common.node.executor import Unhurried
+from asi_common.node.topics import create_publisher
 
 PERIOD_S: Final = 0.5
 LOOP, STATE = ': loop', ': state'
@@ -119,7 +120,7 @@ class Diagnostics:
         self._node = node
         self._describe = describe
         self._state = state
-        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._publisher = create_publisher(node, '/diagnostics')
         node.create_timer(PERIOD_S, self.publish, Unhurried(),
                           Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -140,7 +141,7 @@ class StateChanges:
     def __init__(self, node: Node):
         self._name = full_name(node)
         # Of its own, so that the numbers of its messages are the same in each run.
-        self.publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.publisher = create_publisher(node, '/diagnostics')
 
     def status(self, level: bytes, state: str, reason: str) -> wire.Status:
         """Return the status of a state and the reason for it, '' for none."""

@@ -17,7 +17,8 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from asi_common.node.topics import FRAME, JOINTS, PISTON, nanoseconds
+from asi_common.node.topics import nanoseconds
+from asi_common.topics import FRAME, JOINTS, PISTON
 
 _SECOND_NS: Final = 1_000_000_000
 _COUNT: Final = Struct('<I')

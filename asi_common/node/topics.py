@@ -1,21 +1,21 @@
-"""Topics: what both ends must agree on: frame, joints, quality of service, time stamps."""
+"""Publishers and subscriptions of the topics with their QoS; clocks and time stamps."""
 
 import time
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final
 
 from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
-FRAME: Final = 'piston'
-PISTON: Final = 'piston'
-JOINTS: Final = (PISTON, 'valve')
+from asi_common.topics import STREAM_DEPTH, TOPICS
 
-# A loop wants the newest message. A recorder may fall behind a little and must lose none, so
-# what is published is kept until it has it, up to 30000 messages, 6 s at 5 kHz. On a machine
-# with three times more to do than it has cores, 1000 lost one message in a thousand, 30000 none.
+# A loop wants the newest message.
 CONTROL_QOS: Final = QoSProfile(depth=10)
-STREAM_QOS: Final = QoSProfile(depth=30_000)
+STREAM_QOS: Final = QoSProfile(depth=STREAM_DEPTH)
 
 
 class SteadyClock:
@@ -32,6 +32,18 @@ class SteadyClock:
     def now_ns(self) -> int:
         """Return the time, ns."""
         return time.monotonic_ns() + self._offset_ns
+
+
+def create_publisher(node: Node, name: str) -> Publisher:
+    """Return a publisher of one of the `TOPICS`, with its type and QoS."""
+    topic = TOPICS[name]
+    return node.create_publisher(message_class(topic.type), name, QoSProfile(depth=topic.depth))
+
+
+def create_subscription(node: Node, name: str, callback: Callable[[bytes], None]) -> Subscription:
+    """Return a subscription of the loop to one of the `TOPICS`; the callback gets CDR bytes."""
+    return node.create_subscription(message_class(TOPICS[name].type), name, callback,
+                                    CONTROL_QOS, raw=True)
 
 
 def message_class(type_: str) -> Any:

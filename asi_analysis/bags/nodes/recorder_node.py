@@ -46,17 +46,9 @@ from asi_common.node.diagnostics import STATE
 from asi_common.node.executor import RunError, run_node
 from asi_common.node.topics import SteadyClock, message_class
 from asi_common.parameter import ParameterError
+from asi_common.topics import TOPICS
 
-TYPES: Final = {
-    'joint_states': 'sensor_msgs/msg/JointState',
-    'force': 'geometry_msgs/msg/WrenchStamped',
-    'valve_position': 'std_msgs/msg/Float64',
-    'velocity': 'std_msgs/msg/Float64',
-    'force_reference': 'geometry_msgs/msg/WrenchStamped',
-    'valve_command': 'geometry_msgs/msg/WrenchStamped',
-    'clock': 'rosgraph_msgs/msg/Clock',
-    '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
-}
+DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
 # Often enough that little waits, seldom enough that one wake-up serves many messages.
 DRAIN_PERIOD_S: Final = 0.01
@@ -154,16 +146,17 @@ class Recorder(Node):
         configuration = self._text(
             'configuration', '', 'JSON file with the configuration of the run, kept in the bag; '
             'empty: the parameters that the nodes report')
-        wanted = self.declare_parameter('topics', list(TYPES), ParameterDescriptor(
+        of_the_loop = [topic.name for topic in TOPICS.values() if topic.publisher]
+        names = self.declare_parameter('topics', of_the_loop, ParameterDescriptor(
             description='Topics to record', read_only=True)).value
         information = _configuration(configuration) if configuration else {}
         self.failed = False
         self._group = _Polled()
         self._topics: list[_Recorded] = []
         self._unknown: list[str] = []
-        for name in wanted:
-            if name in TYPES:
-                self._topics.append(_Recorded(self, self._group, name, TYPES[name]))
+        for name in names:
+            if name in of_the_loop:
+                self._topics.append(_Recorded(self, self._group, name, TOPICS[name].type))
             else:
                 validate_topic_name(name)
                 self._unknown.append(self.resolve_topic_name(name))
@@ -281,7 +274,7 @@ class Recorder(Node):
 
     def _is_of_the_run(self, arrival: Arrival) -> bool:
         """Return whether a message is the same in each run of an experiment in lock-step."""
-        if self._topics[arrival.topic].type != TYPES['/diagnostics']:
+        if self._topics[arrival.topic].type != DIAGNOSTIC_ARRAY:
             return True
         message = deserialize_message(arrival.data, DiagnosticArray)
         return [status.name for status in message.status] == [self._state_name]
@@ -293,16 +286,17 @@ class Recorder(Node):
         That of /diagnostics does not count: before the first tick it is wall time in any mode.
         """
         arrived = [arrival for arrival in self._arrived
-                   if self._topics[arrival.topic].type != TYPES['/diagnostics']]
+                   if self._topics[arrival.topic].type != DIAGNOSTIC_ARRAY]
         for arrival in arrived:
             self._first_s = min(self._first_s, self._looked_for_s)
             if arrival.stamp_ns:
                 if abs(arrival.stamp_ns - arrival.received_ns) < OTHER_CLOCK_NS:
                     return ReceiptOrder()
                 stamped = [i for i, topic in enumerate(self._topics) if topic.stamped]
-                guides = [i for i in stamped if self._topics[i].type == TYPES['force']] or stamped
+                guides = [i for i in stamped
+                          if self._topics[i].type == TOPICS['force'].type] or stamped
                 unawaited = {i for i, topic in enumerate(self._topics)
-                             if topic.type == TYPES['/diagnostics']}
+                             if topic.type == DIAGNOSTIC_ARRAY}
                 return TickOrder(len(self._topics), guides[0], unawaited)
         waited_s = self._looked_for_s - self._first_s
         return ReceiptOrder() if final or waited_s > HOLD_S else None
