@@ -1,1 +1,1 @@
-"""Which nonlinearity causes a limit cycle: by ablation of the model, by the shape of a record."""
+"""Which nonlinearity causes a limit cycle: by ablation of the model, or by shape of a record."""

@@ -1,9 +1,9 @@
 """
-The paper's argument as a table: each nonlinearity alone, and all but it.
+Ablation of the model: the loop with each nonlinearity alone, and with all but that one.
 
-A nonlinearity that is left out is replaced by its gain for small motion; the limit of the command
-stays. Shapley values share the amplitude of the cycle among the nonlinearities: the mean, over all
-orders in which they could be added, of what each adds (Shapley 1953).
+A nonlinearity that is removed is replaced by its gain for small motion; the limit of the command
+stays. Shapley values divide the amplitude of the cycle among the nonlinearities: the contribution
+of each, averaged over all orders in which they can be added (Shapley 1953).
 """
 
 import math
@@ -28,30 +28,26 @@ from asi_analysis.terminal import Progress, silent
 
 NONLINEARITIES: Final = ('valve_hysteresis', 'valve_characteristic', 'hydraulic_damping',
                          'friction')
-# The gain at which they are compared, over the onset of the whole, if none is given.
+# Default gain of the comparison, over the onset gain of the complete model.
 ABOVE_ONSET: Final = 1.12
 HARMONICS: Final = 7
 
 
 class Cycles(NamedTuple):
-    """What a loop with some of the nonlinearities does: simulated and balanced cycle, onset."""
+    """Cycle of a loop with some of the nonlinearities: simulated, by harmonic balance, onset."""
 
     simulated: Oscillation | None
     predicted: hb.Balance | None
     onset: Onset | None
 
 
-def only(kept: Sequence[str], actuator: Values) -> dict[str, Any]:
-    """Return the actuator's parameters with each nonlinearity that is not kept as a gain."""
+def only(active: Sequence[str], actuator: Values) -> dict[str, Any]:
+    """Return the actuator's parameters with the nonlinearities not in `active` made linear."""
     p = as_record(actuator)
     slope = damping_force(0.0, damping_curve(0.0, p), p)[1]
-    changed: dict[str, Any] = dict(actuator)
-    for name in NONLINEARITIES:
-        if name not in kept:
-            changed[f'{name}.model'] = 'linear'
-    # Seals that do not slide only stiffen the structure a little: no gain on the velocity.
-    changed['hydraulic_damping.linear_gain'] = float(slope)
-    return changed
+    # Seals that do not slide add little stiffness and no damping: friction needs no linear gain.
+    return {**actuator, 'hydraulic_damping.linear_gain': float(slope),
+            **{f'{name}.model': 'linear' for name in NONLINEARITIES if name not in active}}
 
 
 def _cycle(actuator: Values, controller: Values, rate_hz: float) -> Oscillation | None:
@@ -78,9 +74,9 @@ def shapley(amplitude: dict[tuple[str, ...], float]) -> dict[str, float]:
     return values
 
 
-def _study(kept: Sequence[str], actuator: Values, controller: Values, rate_hz: float,
+def _study(active: Sequence[str], actuator: Values, controller: Values, rate_hz: float,
            gain: float) -> Cycles:
-    changed, settings = only(kept, actuator), with_gain(controller, gain)
+    changed, settings = only(active, actuator), with_gain(controller, gain)
     balanced = balanced_cycle(changed, settings, rate_hz, HARMONICS)
     return Cycles(_cycle(changed, settings, rate_hz), balanced[1] if balanced else None,
                   onset(changed, controller, rate_hz, 0.35 * gain, 0.01))
@@ -91,9 +87,10 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     """
     Return what each nonlinearity of a model contributes to its limit cycle.
 
-    Each is simulated alone and left out; shares of the amplitude are Shapley values. actuator,
-    controller: parameters by name, the rest at their defaults; rate_hz: control rate, Hz; gain:
-    of the compensator, where the cycles are compared, by default a little above the onset.
+    The loop is simulated with each one alone and with all but that one; shares of the amplitude
+    are Shapley values. actuator, controller: parameters by name, the rest at their defaults;
+    rate_hz: control rate, Hz; gain: compensator gain at which the cycles are compared, by default
+    a little above the onset.
 
     >>> import asi_analysis as asi
     >>> found = asi.attribute_model({}, {'reference.amplitude': 100.0})   # doctest: +SKIP
@@ -115,9 +112,9 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     subsets = _all_subsets()
     runs = step_runs([only(subset, actuator) for subset in subsets],
                      [with_gain(controller, at)] * len(subsets), rate_hz)
-    swings = [sustained(run) for run in runs]
-    amplitudes = {subset: swing.amplitude_n if swing else 0.0
-                  for subset, swing in zip(subsets, swings, strict=True)}
+    oscillations = [sustained(run) for run in runs]
+    amplitudes = {subset: oscillation.amplitude_n if oscillation else 0.0
+                  for subset, oscillation in zip(subsets, oscillations, strict=True)}
     shares = shapley(amplitudes)
     total = sum(max(value, 0.0) for value in shares.values()) or 1.0
     causes = []
@@ -151,27 +148,27 @@ def _verdict(causes: list[dict[str, Any]], linear: bool, document: dict[str, Any
     where = (f'at gain {document["gain"]:.4g} ({document["frequency_hz"]:.4g} Hz, '
              f'{document["amplitude_n"]:.4g} N)')
     if linear:
-        return (f'{where} the loop swings without any of the nonlinearities: a linear '
+        return (f'{where} the loop oscillates without any of the nonlinearities: a linear '
                 'instability, bounded by the limit of the command; no nonlinearity causes it')
     both = [c for c in causes if c['necessary'] and c['sufficient']]
     needed = [c for c in causes if c['necessary']]
     if len(both) == 1 and len(needed) == 1:
         cause = both[0]
         without = cause['all_but_onset_gain']
-        return (f'{_name(cause)} causes the cycle {where}: alone it makes one '
+        return (f'{_name(cause)} causes the cycle {where}: alone it produces one '
                 f'({cause["alone_frequency_hz"]:.4g} Hz, {cause["alone_amplitude_n"]:.4g} N), '
                 'without it there is none '
                 + (f'below gain {without:.4g}' if without else 'at any gain tried')
-                + f'; the others shape it ({_others(causes, cause)})')
+                + f'; the others change its amplitude ({_others(causes, cause)})')
     if needed:
         return (f'{where} the cycle needs {" and ".join(_name(c) for c in needed)}; '
-                + ('none of them makes it alone' if not both else
-                   f'{" and ".join(_name(c) for c in both)} would make one alone'))
-    able = [c for c in causes if c['sufficient']]
-    if able:
-        return (f'{where} no single nonlinearity is needed: each of '
-                f'{", ".join(_name(c) for c in able)} makes a cycle alone')
-    return f'{where} no single nonlinearity is needed, and none makes the cycle alone'
+                + ('none of them is sufficient alone' if not both else
+                   f'{" and ".join(_name(c) for c in both)} is sufficient alone'))
+    sufficient = [c for c in causes if c['sufficient']]
+    if sufficient:
+        return (f'{where} no single nonlinearity is necessary: each of '
+                f'{", ".join(_name(c) for c in sufficient)} is sufficient alone')
+    return f'{where} no single nonlinearity is necessary, and none is sufficient alone'
 
 
 def _name(cause: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ class Attribution(Result):
     The causes of a limit cycle: `attribute_model` and `attribute_cycle`.
 
     The keys are those of `asi attribute --json`; `run` is the recording, None for a model,
-    `signal` the name of the signal that was judged.
+    `signal` the name of the output signal.
     """
 
     title = 'Cause of the limit cycle'
@@ -38,12 +38,12 @@ class Attribution(Result):
         if self.run is not None:
             yield table_of(self.causes, {'nonlinearity': '{nonlinearity}',
                                          'probability': '{probability:.1%}'},
-                           'how probable, from the recording')
+                           'probability of each cause')
         yield self.verdict
 
     @property
     def by_model(self) -> bool:
-        """Whether the loop was simulated; otherwise the shape of the recording was judged."""
+        """Whether the causes come from simulations; otherwise from the shape of the recording."""
         return bool(self.causes) and self.causes[0]['share'] is not None
 
     def pictures(self) -> Pictures:

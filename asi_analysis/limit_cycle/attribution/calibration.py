@@ -1,10 +1,10 @@
 """
-The weights of the attribution by shape, from simulated loops, and how well they do on others.
+The classifier of the attribution by shape: logistic regression, trained on simulated loops.
 
-`python -m asi_analysis.limit_cycle.attribution.calibration COUNT` makes shape_weights.json anew:
-COUNT loops of each cause of the world 'learn' to learn from; of the world 'judge', whose equations
-are others (`loops.py`), a fifth as many to find out how much less sure to be, and a fifth to
-judge by.
+`python -m asi_analysis.limit_cycle.attribution.calibration COUNT` writes shape_weights.json:
+trained on COUNT loops of each cause from the family of models 'learn'. Loops of the family
+'judge', which has other equations (`loops.py`), are the validation set: COUNT / 5 for the
+temperature of the probabilities, and COUNT / 5 for the accuracy.
 """
 
 import json
@@ -24,10 +24,11 @@ Array = npt.NDArray[np.float64]
 Causes = npt.NDArray[np.int64]
 
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
-# Strength of the prior that keeps weights small, in loops.
+# Strength of the ridge penalty on the weights, in loops.
 RIDGE: Final = 20.0
-# Percentile of the distance from the centre of all examples beyond which a record is strange.
+# Percentile of the distances of the training set from its centre; beyond it, an outlier.
 USUAL: Final = 99.0
+# Least probability at which the most probable cause is named as the cause.
 SURE: Final = 0.8
 
 
@@ -36,8 +37,8 @@ def examples(world: str, count: int, seed: int) -> tuple[Array, Causes]:
     rows, causes = [], []
     for number, cause in enumerate(CAUSES):
         random = np.random.default_rng([seed, number])
-        made = 0
-        while made < count:
+        accepted = 0
+        while accepted < count:
             run = loop(cause, random, world)
             if run is None:
                 continue
@@ -47,12 +48,12 @@ def examples(world: str, count: int, seed: int) -> tuple[Array, Causes]:
             except InputError:
                 continue
             causes.append(number)
-            made += 1
+            accepted += 1
     return np.array(rows), np.array(causes)
 
 
 def expanded(features: Array, centre: Array, scale: Array) -> Array:
-    """Return standardised features, their squares and a constant; outliers are drawn in."""
+    """Return a constant, the standardised features, clipped to ±3, and their squares."""
     x = np.clip((np.atleast_2d(features) - centre) / scale, -3.0, 3.0)
     return np.hstack([np.ones((len(x), 1)), x, x * x])
 
@@ -63,7 +64,7 @@ def softmax(scores: Array) -> Array:
     return relative / relative.sum(1, keepdims=True)
 
 
-def learn(features: Array, causes: Causes) -> dict[str, Any]:
+def train(features: Array, causes: Causes) -> dict[str, Any]:
     """Return centre, scale and weights of the logistic regression."""
     centre, scale = features.mean(0), features.std(0) + 1e-9
     x = expanded(features, centre, scale)
@@ -87,38 +88,37 @@ def learn(features: Array, causes: Causes) -> dict[str, Any]:
             'weights': found.x.reshape(x.shape[1], len(CAUSES)).tolist()}
 
 
-def temperature(features: Array, causes: Causes, learnt: dict[str, Any]) -> float:
-    """Return by how much to divide the scores, so that probabilities mean what they say."""
+def temperature(features: Array, causes: Causes, trained: dict[str, Any]) -> float:
+    """Return the divisor of the scores that calibrates the probabilities (temperature scaling)."""
     def loss(value: float) -> float:
-        p = probabilities(features, learnt | {'temperature': value})
+        p = probabilities(features, trained | {'temperature': value})
         return -float(np.log(np.maximum(p[np.arange(len(p)), causes], 1e-12)).mean())
 
     return float(optimize.minimize_scalar(loss, bounds=(0.5, 5.0), method='bounded').x)
 
 
-def probabilities(features: Array, learnt: dict[str, Any]) -> Array:
+def probabilities(features: Array, trained: dict[str, Any]) -> Array:
     """
     Return the probability of each of CAUSES, row by row.
 
-    The further a record is from all that was learnt from, the more even they become.
+    Outside the range of the training set they tend to equal probabilities.
     """
-    centre, scale = np.array(learnt['centre']), np.array(learnt['scale'])
-    scores = expanded(features, centre, scale) @ np.array(learnt['weights'])
-    known = softmax(scores / learnt['temperature'])
+    centre, scale = np.array(trained['centre']), np.array(trained['scale'])
+    scores = expanded(features, centre, scale) @ np.array(trained['weights'])
+    classified = softmax(scores / trained['temperature'])
     relative = np.clip((np.atleast_2d(features) - centre) / scale, -5.0, 5.0)
     size = np.linalg.norm(relative, axis=1, keepdims=True)
-    strange = np.clip(size / learnt['usual_size'] - 1.0, 0.0, 1.0)
-    return (1.0 - strange) * known + strange / len(CAUSES)
+    outlying = np.clip(size / trained['usual_size'] - 1.0, 0.0, 1.0)
+    return (1.0 - outlying) * classified + outlying / len(CAUSES)
 
 
-def judged(features: Array, causes: Causes, learnt: dict[str, Any]) -> dict[str, Any]:
+def validate(features: Array, causes: Causes, trained: dict[str, Any]) -> dict[str, Any]:
     """
-    Return how often the most probable cause is right, and what stated probabilities mean.
+    Return the accuracy of the most probable cause, and the calibration of its probability.
 
-    Beside that, how often the valve as a whole is rightly blamed: its faults are hard to tell
-    apart.
+    Also the accuracy for the valve as a whole, because its faults are hard to distinguish.
     """
-    p = probabilities(features, learnt)
+    p = probabilities(features, trained)
     best = p.argmax(1)
     sure = p.max(1) > SURE
     confusion = np.zeros((len(CAUSES), len(CAUSES)), int)
@@ -140,14 +140,14 @@ def _mean(values: npt.NDArray[Any]) -> float | None:
 
 
 def main() -> None:
-    """Learn, judge, write."""
+    """Train, validate and write the weights."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    learnt = learn(*examples('learn', count, 1))
-    judged_count = max(count // 5, 10)
-    learnt['temperature'] = temperature(*examples('judge', judged_count, 2), learnt)
-    learnt['judged_on_others'] = judged(*examples('judge', judged_count, 3), learnt)
-    WEIGHTS.write_text(json.dumps(learnt, indent=1) + '\n')
-    print(json.dumps(learnt['judged_on_others'], indent=1))
+    trained = train(*examples('learn', count, 1))
+    validation_count = max(count // 5, 10)
+    trained['temperature'] = temperature(*examples('judge', validation_count, 2), trained)
+    trained['judged_on_others'] = validate(*examples('judge', validation_count, 3), trained)
+    WEIGHTS.write_text(json.dumps(trained, indent=1) + '\n')
+    print(json.dumps(trained['judged_on_others'], indent=1))
 
 
 if __name__ == '__main__':

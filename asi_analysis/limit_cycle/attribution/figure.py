@@ -1,4 +1,4 @@
-"""Pictures of `asi attribute`: shares of the model's parts; command and output of a bag."""
+"""Figures of `asi attribute`: shares of the nonlinearities; command and output of a bag."""
 
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ from asi_analysis.limit_cycle.detection.verdict import response_of
 from asi_analysis.reporting.figures import BLUE, COLOURS, GREY, ORANGE, WIDTH_IN, style
 
 DRAWN_CYCLES: Final = 4.0
-# So many kinds of valve are drawn, those that leave least unexplained.
+# Kinds of valve that are drawn: those with the smallest residual.
 DRAWN_KINDS: Final = 3
 
 
@@ -40,7 +40,7 @@ def model(document: dict[str, Any]) -> Figure:
 
 
 def recorded(run: Run, document: dict[str, Any], signal: str | None = None) -> Figure:
-    """Draw command and output of what was judged, what valves would make of it, and the causes."""
+    """Draw command and output of the segment, outputs of the fitted valves, and the causes."""
     found = shape_of(run, document, signal)
     with style():
         figure = Figure(figsize=(WIDTH_IN, 8.0), layout='constrained')
@@ -65,7 +65,7 @@ def _best(found: Shape) -> list[Explanation]:
 
 
 def _plane(axes: Axes, found: Shape) -> None:
-    """Draw the orbit in the plane of command and output, its mean cycle, and the valves'."""
+    """Draw output over command: measured, mean cycle, and fitted valves."""
     axes.plot(found.command, found.output, color=GREY, linewidth=0.4, label='measured')
     cycle = np.append(np.arange(len(found.command_cycle)), 0)
     axes.plot(found.command_cycle[cycle], found.output_cycle[cycle], color='black', linewidth=1.8,
@@ -75,18 +75,18 @@ def _plane(axes: Axes, found: Shape) -> None:
         last = slice(each.start + len(each.residual) - period, each.start + len(each.residual))
         axes.plot(found.command[last], found.output[last] - each.residual[-period:],
                   color=colour, linewidth=1.0,
-                  label=f'{each.kind}, leaves {100.0 * each.unexplained:.2g} %')
-    axes.set_title('without what is slow')
+                  label=f'{each.kind}, unexplained {100.0 * each.unexplained:.2g} %')
+    axes.set_title('slow drift removed')
     axes.legend(loc='best')
 
 
 def _time(axes: Axes, found: Shape) -> None:
-    """Draw the last cycles of both, brought to one size."""
+    """Draw the last cycles of command and output, each over its standard deviation."""
     count = int(DRAWN_CYCLES * len(found.output) / found.cycles)
     cycles = np.arange(-count, 0) * found.cycles / len(found.output)
     for name, values, colour in (('output', found.output, BLUE),
                                  ('command', found.command, ORANGE)):
         axes.plot(cycles, values[-count:] / values.std(), color=colour, linewidth=1.0,
                   label=name)
-    axes.set(xlabel='cycles before the end', ylabel='over its spread')
+    axes.set(xlabel='cycles before the end', ylabel='over standard deviation')
     axes.legend(loc='upper left', ncols=2)

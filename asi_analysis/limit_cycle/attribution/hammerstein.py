@@ -1,11 +1,11 @@
 """
-How well each kind of valve, followed by a linear process, explains an oscillation.
+Hammerstein models of a loop's output: a valve nonlinearity followed by a linear process.
 
 The output is simulated from the command through a valve operator, a lag (or an integrator) and a
-delay, over grids of their parameters; the gain is free. The best valve of each kind is then given
-any process whose impulse response keeps its sign: its simulation error is what counts
-(Hammerstein models: Srinivasan et al., Ind. Eng. Chem. Res. 44, 2005; Jelali, J. Process
-Control 18, 2008). Nothing about the controller is assumed.
+delay, over grids of their parameters; the gain is fitted. The best valve of each kind is then
+refitted with any process whose impulse response keeps its sign, and its simulation error is
+compared (Hammerstein models: Srinivasan et al., Ind. Eng. Chem. Res. 44, 2005; Jelali, J. Process
+Control 18, 2008). The controller may be any.
 """
 
 import math
@@ -20,29 +20,28 @@ from asi_analysis.limit_cycle.attribution import valves
 Array = npt.NDArray[np.float64]
 
 WIDTHS: Final = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
-# Of a valve that sticks: its leap as a share of its band, and its band as a share of the widest
-# that the command's swing still moves.
+# Stiction: slip jump as a share of the stick band; stick band as a share of the command's range.
 LEAPS: Final = (0.15, 0.4, 0.7, 1.0)
 BANDS: Final = (0.25, 0.45, 0.65, 0.82, 0.95)
-# Cycles at the begin that do not count: the valve's position there is not known.
-UNKNOWN: Final = 1.3
+# Cycles at the start that are left out: the valve's position there is unknown.
+SKIPPED: Final = 1.3
 CLIPS: Final = (0.85, 0.7, 0.5, 0.3)
-# The best of a grid is tried again wider and narrower by these shares, in turn.
-FINER: Final = (0.15, 0.07, 0.03)
-# Lags in cycles; the last is an integrator in all but name.
+# Relative changes of the best width that are tried after the grid, in turn.
+REFINEMENTS: Final = (0.15, 0.07, 0.03)
+# Lags in cycles; the last is practically an integrator.
 LAGS: Final = (0.0, 0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 5.0)
 LONGEST_DELAY: Final = 0.45      # cycles
 DELAYS: Final = 14
-# Keeps equations apart that differ by rounding only.
-ROUNDING: Final = 1e-9
+# Added to the diagonal: equations that differ by rounding only would be singular.
+REGULARISATION: Final = 1e-9
 
 
 class Explanation(NamedTuple):
     """
-    The best of one kind of valve: share of the output's power that it leaves unexplained.
+    The best fit of one kind of valve.
 
-    width: in the unit of the command; leap: as a share of it; lag and delay in cycles; residual:
-    what it leaves of the output from sample `start` on.
+    unexplained: residual power over power of the output; width: in the unit of the command; leap:
+    slip jump, as a share of the width; lag and delay in cycles; residual: from sample `start` on.
     """
 
     kind: str
@@ -56,15 +55,15 @@ class Explanation(NamedTuple):
     start: int
 
 
-def around(values: Array, cycle: float) -> Array:
-    """Return the values without what is much slower than a cycle (of so many samples)."""
+def without_drift(values: Array, cycle: float) -> Array:
+    """Return the values high-pass filtered at 0.35 of the oscillation; cycle: samples a cycle."""
     sections = signal.butter(2, min(2.0 * 0.35 / cycle, 0.9), 'highpass', output='sos')
     pad = min(len(values) - 1, int(3 * cycle))
     return signal.sosfiltfilt(sections, values, axis=-1, padlen=pad)
 
 
 class _Candidate(NamedTuple):
-    """A kind of valve, its width in units of the command, its leap as a share of that."""
+    """A kind of valve, its width in units of the command, its slip jump as a share of that."""
 
     kind: str
     width: float
@@ -72,7 +71,7 @@ class _Candidate(NamedTuple):
 
 
 def _grid(half: float) -> list[_Candidate]:
-    """Return what is tried first, for a command that swings by `half` to either side."""
+    """Return the first candidates for a command of amplitude `half`."""
     return [_Candidate('linear', 0.0, 0.0),
             *[_Candidate('stiction', 2.0 * share * half, leap)
               for leap in LEAPS for share in BANDS],
@@ -81,8 +80,8 @@ def _grid(half: float) -> list[_Candidate]:
             *[_Candidate('saturation', share * half, 0.0) for share in CLIPS]]
 
 
-def _finer(found: dict[str, Explanation], step: float) -> list[_Candidate]:
-    """Return neighbours of the best of each kind."""
+def _neighbours(found: dict[str, Explanation], step: float) -> list[_Candidate]:
+    """Return candidates close to the best of each kind; step: relative change."""
     near = []
     for kind, width, leap in ((each.kind, each.width, each.leap) for each in found.values()):
         if kind == 'linear':
@@ -107,15 +106,15 @@ def _position(command: Array, candidate: _Candidate, first: int) -> Array:
 
 
 class _Fit:
-    """Fits valves, each with the best lag, delay and gain, to one output; keeps the best."""
+    """Fits valves, with lag, delay and gain, to one output and stores the best of each kind."""
 
     def __init__(self, command: Array, output: Array, cycle: float) -> None:
         self.command, self.cycle = command, cycle
-        self.skip = int(UNKNOWN * cycle)
+        self.skip = int(SKIPPED * cycle)
         self.shifts = np.unique(np.round(
             np.linspace(0.0, LONGEST_DELAY * cycle, DELAYS)).astype(int))
-        target = around(output, cycle)
-        # Every delay is the same stretch of the valve seen against a later stretch of the output.
+        target = without_drift(output, cycle)
+        # A delay compares the same samples of the valve with later samples of the output.
         self.length = len(target) - self.skip - int(self.shifts[-1])
         self.shifted = np.array([target[self.skip + shift:self.skip + shift + self.length]
                               for shift in self.shifts])
@@ -123,15 +122,15 @@ class _Fit:
         self.best: dict[str, Explanation] = {}
 
     def try_out(self, candidates: list[_Candidate]) -> None:
-        """Keep the candidates that are better than the best so far of their kind."""
+        """Fit candidates; store those that are better than the best so far of their kind."""
         positions = [_position(self.command, each, self.skip) for each in candidates]
         moving = [k for k, each in enumerate(positions) if np.ptp(each[self.skip:]) > 0.0]
-        # What is slow is taken off before the lag: of a lag of many cycles little else were left.
-        filtered = around(np.array([positions[k] for k in moving]), self.cycle)
+        # The drift is removed before the lag, which would amplify it relative to the cycle.
+        filtered = without_drift(np.array([positions[k] for k in moving]), self.cycle)
         for k, position in zip(moving, filtered, strict=True):
-            self._judge(candidates[k], position)
+            self._fit(candidates[k], position)
 
-    def _judge(self, candidate: _Candidate, position: Array) -> None:
+    def _fit(self, candidate: _Candidate, position: Array) -> None:
         driven = np.array([_lag(position, lag * self.cycle) for lag in LAGS])
         driven = driven[:, self.skip:self.skip + self.length]
         power = np.maximum((driven * driven).sum(1), 1e-300)[:, None]
@@ -146,16 +145,15 @@ class _Fit:
                 self.shifts[j] / self.cycle, gain, self.shifted[j] - gain * driven[i],
                 self.skip + int(self.shifts[j]))
 
-
-    def through_any_process(self, best: Explanation) -> Explanation:
+    def with_general_process(self, best: Explanation) -> Explanation:
         """
-        Return an explanation with a process of any impulse response that keeps its sign.
+        Return an explanation with any process whose impulse response keeps its sign.
 
-        A sum of all lags and delays with weights that are not negative: else a kind of valve
-        would be praised for what one lag and one delay, off a grid, leave over.
+        The process is a non-negative sum of all lags and delays. With a single lag and delay from
+        a grid, a valve could be preferred only because it compensates the coarse grid.
         """
-        position = around(_position(self.command, _Candidate(best.kind, best.width, best.leap),
-                                    self.skip), self.cycle)
+        candidate = _Candidate(best.kind, best.width, best.leap)
+        position = without_drift(_position(self.command, candidate, self.skip), self.cycle)
         last, target = int(self.shifts[-1]), self.shifted[-1]
         columns = []
         for lag in LAGS:
@@ -164,7 +162,7 @@ class _Fit:
         table = np.array(columns)
         table /= np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-300)
         # The normal equations are far smaller than the record.
-        root = np.linalg.cholesky(table @ table.T + ROUNDING * np.eye(len(table)))
+        root = np.linalg.cholesky(table @ table.T + REGULARISATION * np.eye(len(table)))
         weights = optimize.nnls(root.T, np.linalg.solve(root, table @ target))[0]
         residual = target - weights @ table
         return best._replace(unexplained=float(residual @ residual / (target @ target)),
@@ -173,16 +171,16 @@ class _Fit:
 
 def explain(command: Array, output: Array, cycle: float) -> dict[str, Explanation]:
     """
-    Return the best explanation of each kind; evenly sampled, `cycle` samples a cycle.
+    Return the best fit of each kind of valve to evenly sampled signals, drift removed.
 
-    A slow trend of either signal does not count.
+    cycle: samples a cycle.
     """
     fit = _Fit(command, output, cycle)
-    # Without the extremes of noise.
+    # Percentiles, because noise sets the extremes.
     fit.try_out(_grid(0.5 * float(np.subtract(*np.percentile(command, [98.5, 1.5])))))
-    for step in FINER:
-        fit.try_out(_finer(fit.best, step))
-    return {kind: fit.through_any_process(best) for kind, best in fit.best.items()}
+    for step in REFINEMENTS:
+        fit.try_out(_neighbours(fit.best, step))
+    return {kind: fit.with_general_process(best) for kind, best in fit.best.items()}
 
 
 def _lag(values: Array, samples: float) -> Array:

@@ -1,25 +1,25 @@
 """
-Simulated control loops with a known fault: what the attribution by shape is learnt from.
+Simulated control loops with a known fault: the data for the attribution by shape.
 
-Two worlds with different equations, so that what is learnt in one can be judged in the other;
-in both, PI and PID control and slaves whose set point a master moves. 'learn': first-order
-processes with a lag and a delay or an integrator; the valve of Choudhury and Kano, the play, the
-sum of plays, a valve that ends softly. 'judge': processes of third order, also with inverse
-response; the valve of He with a friction that scatters and a stem that takes its time, a soft
-play, the hysteresis of Duhem (Coleman and Hodgdon), a valve that ends before its command.
+Two families of models with different equations, one for training and one for validation; both
+with PI, PID and cascade control. 'learn': first-order processes with a lag and a delay or an
+integrator; stiction of Choudhury and Kano, play, sum of plays, smooth saturation. 'judge':
+processes of third order, also with inverse response; stiction of He with random friction and a lag
+of the stem, compliant play, hysteresis of Duhem (Coleman and Hodgdon), a valve of short stroke.
 
-The fault is the cause by construction: without noise the loop swings with it and comes to rest
-without it. A period of the controller is the unit of time, a valve's stroke of 1 its fault.
+The fault is the cause by construction: without noise the loop oscillates with it and comes to rest
+without it. Unit of time: the controller's period; unit of valve position: the width of the fault.
 """
 
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import signal
 
 from asi_actuator.model.valve_hysteresis import play as play_step
 from asi_analysis.bags.run import Run
-from asi_analysis.limit_cycle.attribution.shape import standing_frequency
+from asi_analysis.limit_cycle.attribution.shape import prominent_frequency
 from asi_analysis.limit_cycle.attribution.valves import Stem, stick_step
 from asi_analysis.measures.oscillation import of_samples
 from asi_common.jit import jit
@@ -29,18 +29,18 @@ Random = np.random.Generator
 
 CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuning',
                  'disturbance')
-# Faults of the valve: when they cannot be told apart, the valve still can be blamed.
+# Faults of the valve.
 VALVE_FAULTS: Final = CAUSES[:3]
-# A swing that others find at its own frequency, within this factor, can be seen.
+# Largest ratio of the measured frequency to that of the simulated oscillation.
 VISIBLE: Final = 1.5
-# Share of the loops whose set point another loop moves.
-SLAVES: Final = 0.35
+# Share of the loops that are inner loops of a cascade.
+CASCADED: Final = 0.35
 # Amplitude below which a simulated loop is at rest.
 NOISE_FLOOR: Final = 5e-5
-# Steps of the simulation for one of the controller, and the least lag that they see.
+# Steps of the simulation in a period of the controller, and the least lag in such periods.
 SUBSTEPS: Final = 4
 LEAST_LAG: Final = 1e-3
-# Numbers by which the compiled loop knows a valve.
+# Kinds of valve, as numbers for compiled code.
 LINEAR, KANO, PLAY, PLAYS, HE, SOFT_PLAY, DUHEM, SHORT, SOFT_END = range(9)
 VALVES: Final = {
     'learn': {'stiction': KANO, 'backlash': PLAY, 'hysteresis': PLAYS, 'saturation': SOFT_END},
@@ -52,9 +52,9 @@ class Plant(NamedTuple):
     """
     A process of gain 1 and its controller; times in periods of the controller.
 
-    lags: three, of which the first is that of an integrator if it integrates; inverse: time of a
-    zero in the right half plane; derivative and filter time of the controller's input. A loop may
-    be the slave of another, an integrator of `tank` under PI control that moves its set point.
+    lags: three; the first is the integral time if the process integrates; inverse: time of a zero
+    in the right half plane; derivative and filter time of the controller's input. In a cascade the
+    set point comes from an outer loop: an integrator of time `tank` under PI control.
     """
 
     lags: tuple[float, float, float]
@@ -65,13 +65,13 @@ class Plant(NamedTuple):
     integral: float
     derivative: float
     filter: float
-    tank: float = 0.0             # 0: no master
+    tank: float = 0.0             # 0: no outer loop
     tank_gain: float = 0.0
     tank_integral: float = 1.0
 
 
 class Valve(NamedTuple):
-    """kind, and what it means: stick band and leap, or width; scatter of it; lag of the stem."""
+    """A valve: its kind, stick band or width, slip jump, scatter of the band, lag of the stem."""
 
     kind: int = LINEAR
     band: float = 0.0
@@ -82,7 +82,7 @@ class Valve(NamedTuple):
 
 @jit
 def _moved(kind, u, before, stem, plays, band, leap):
-    """Return a valve after a command of `u` that was `before`; plays: positions, in place."""
+    """Return the valve after the command went from `before` to `u`; plays: changed in place."""
     position = stem.position
     push = u - position
     if kind == KANO:
@@ -114,7 +114,7 @@ def _moved(kind, u, before, stem, plays, band, leap):
 
 
 class Lags(NamedTuple):
-    """State of a process: its three lags, in the order of the signal's way."""
+    """State of a process: its three lags, in the direction of the signal."""
 
     first: float
     second: float
@@ -123,10 +123,10 @@ class Lags(NamedTuple):
 
 @jit
 def _after(lags, entered, keep, plant):
-    """Return the process a step after `entered` came into it; keep: what a step leaves of each."""
+    """Return the process after a step with input `entered`; keep: decay of each lag in a step."""
     x0, x1, x2 = lags
     if plant.integrating:
-        # The first is the integrator, at the end of the way.
+        # The first is the integrator, which comes last.
         x2 = keep[2] * x2 + (1.0 - keep[2]) * entered
         x1 = keep[1] * x1 + (1.0 - keep[1]) * x2
         x0 += 1.0 / SUBSTEPS / plant.lags[0] * (x1 - plant.inverse * (x2 - x1) / plant.lags[1])
@@ -138,8 +138,8 @@ def _after(lags, entered, keep, plant):
 
 
 @jit
-def _run(plant, valve, limit, start, weather, command, output):
-    """Fill command and output, one value a period of the controller."""
+def _run(plant, valve, limit, start, inputs, command, output):
+    """Simulate a loop; fill in command and output, one value a period of the controller."""
     keep = np.exp(-1.0 / SUBSTEPS / np.array(plant.lags))
     stem_keep = np.exp(-1.0 / SUBSTEPS / max(valve.lag, LEAST_LAG))
     smooth = np.exp(-1.0 / max(plant.filter, LEAST_LAG))
@@ -150,16 +150,16 @@ def _run(plant, valve, limit, start, weather, command, output):
     position = total = filtered = error_before = before = level = level_total = 0.0
     direction, band = 1.0, valve.band
     for k in range(command.size):
-        measured = weather.noise[k] + (
+        measured = inputs.noise[k] + (
             lags.first if plant.integrating
             else lags.third - plant.inverse * (lags.second - lags.third) / plant.lags[2])
         filtered = smooth * filtered + (1.0 - smooth) * measured
-        wanted = weather.reference[k]
+        set_point = inputs.reference[k]
         if plant.tank > 0.0:
             level += measured / plant.tank
             level_total -= plant.tank_gain / plant.tank_integral * level
-            wanted += level_total - plant.tank_gain * level
-        error = wanted - filtered
+            set_point += level_total - plant.tank_gain * level
+        error = set_point - filtered
         total += plant.gain / plant.integral * error
         u = plant.gain * (error + plant.derivative * (error - error_before)) + total
         error_before = error
@@ -168,57 +168,58 @@ def _run(plant, valve, limit, start, weather, command, output):
             u = min(max(u, -limit), limit)
         if valve.scatter > 0.0 and np.sign(u - before) != direction:
             direction = np.sign(u - before)
-            band = valve.band * max(1.0 + valve.scatter * weather.luck[k], 0.3)
+            band = valve.band * max(1.0 + valve.scatter * inputs.scatter[k], 0.3)
         for _ in range(SUBSTEPS):
             stem = _moved(valve.kind, u, before, stem, plays, band, valve.leap)
             position = stem_keep * position + (1.0 - stem_keep) * stem.position
             before = u
-            ring[at % ring.size] = position + weather.load[k]
+            ring[at % ring.size] = position + inputs.load[k]
             at += 1
             lags = _after(lags, ring[at % ring.size], keep, plant)
         command[k], output[k] = u, measured
 
 
-class Weather(NamedTuple):
-    """What comes from outside, a number a period: set point, load, noise, luck of the valve."""
+class Inputs(NamedTuple):
+    """Inputs of a loop, a value each period: set point, load, noise, random share of friction."""
 
     reference: Array
     load: Array
     noise: Array
-    luck: Array
+    scatter: Array
 
 
-def run_loop(plant: Plant, valve: Valve, limit: float, weather: Weather, start: float = 3.0
+def run_loop(plant: Plant, valve: Valve, limit: float, inputs: Inputs, start: float = 3.0
              ) -> tuple[Array, Array]:
     """Return command and output of a loop, one sample a period of the controller."""
-    command, output = np.empty(len(weather.load)), np.empty(len(weather.load))
-    _run(plant, valve, limit, start, weather, command, output)
+    command, output = np.empty(len(inputs.load)), np.empty(len(inputs.load))
+    _run(plant, valve, limit, start, inputs, command, output)
     return command, output
 
 
-def still(plant: Plant, valve: Valve, limit: float, count: int) -> tuple[Array, Array]:
-    """Return command and output without noise, from well off the set point."""
+def run_without_noise(plant: Plant, valve: Valve, limit: float, count: int
+                      ) -> tuple[Array, Array]:
+    """Return command and output without noise, from an initial error."""
     none = np.zeros(count)
-    return run_loop(plant, valve, limit, Weather(none, none + 0.37, none, none))
+    return run_loop(plant, valve, limit, Inputs(none, none + 0.37, none, none))
 
 
 def _oscillates(values: Array) -> bool:
-    """Return whether a record, in units of the valve's stroke, oscillates to its end."""
+    """Return whether the second half of a record, in units of the valve's stroke, oscillates."""
     return bool(of_samples(values[len(values) // 2:], 1.0, NOISE_FLOOR).sustained)
 
 
 def ultimate_gain(plant: Plant, count: int) -> float:
-    """Return the gain at which the linear loop just does not come to rest."""
+    """Return the largest gain at which the linear loop comes to rest."""
     low, high = 1e-3, 1e3
     for _ in range(24):
         middle = float(np.sqrt(low * high))
-        _, y = still(plant._replace(gain=middle), Valve(), 1e12, count)
+        _, y = run_without_noise(plant._replace(gain=middle), Valve(), 1e12, count)
         low, high = (low, middle) if _oscillates(y) else (middle, high)
     return low
 
 
 def _plant(world: str, random: Random) -> Plant:
-    """Return a process and a controller whose gain is not set yet."""
+    """Return a random process and controller, of gain 1."""
     delay = 10.0 ** random.uniform(-0.3, 1.4)
     lag = delay * 10.0 ** random.uniform(-0.6, 1.2)
     integrating = bool(random.random() < 0.35)
@@ -234,7 +235,7 @@ def _plant(world: str, random: Random) -> Plant:
 
 def _valve(world: str, cause: str, random: Random) -> Valve:
     kind = VALVES[world].get(cause, LINEAR)
-    # More often than in the valve the end is in the controller, where it can be seen.
+    # More often than the valve the controller saturates, which shows in the command.
     if cause == 'saturation' and random.random() < 0.6:
         kind = LINEAR
     if cause == 'stiction':
@@ -245,10 +246,10 @@ def _valve(world: str, cause: str, random: Random) -> Valve:
 
 
 def _outside(cause: str, period: float, count: int, random: Random) -> Array:
-    """Return the load that makes a loop swing from outside: of any regularity and shape."""
+    """Return an oscillating load disturbance, of random shape and regularity."""
     if cause != 'disturbance':
         return np.zeros(count)
-    # A phase that wanders, by up to a turn a period, and a size that does.
+    # Phase, by up to a turn a period, and amplitude vary randomly.
     wander = 10.0 ** random.uniform(-3.0, 0.0)
     angle = 2.0 * np.pi * (np.arange(count) / period
                            + np.cumsum(random.standard_normal(count)) * wander / np.sqrt(period))
@@ -261,25 +262,24 @@ def _outside(cause: str, period: float, count: int, random: Random) -> Array:
 
 
 def _drift(count: int, time: float, random: Random) -> Array:
-    """Return noise of spread 1 through a lag of `time` samples."""
-    from scipy.signal import lfilter
+    """Return noise of variance 1 through a lag of `time` samples."""
     keep = np.exp(-1.0 / time)
-    values = lfilter([np.sqrt(1.0 - keep * keep)], [1.0, -keep],
+    values = signal.lfilter([np.sqrt(1.0 - keep * keep)], [1.0, -keep],
                      random.standard_normal(count + int(4 * time)))
     return values[-count:]
 
 
-def _mastered(plant: Plant, random: Random) -> Plant:
-    """Return the plant as the slave of a tank's level control, by SIMC's rules, roughly."""
-    slave = plant.delay + plant.lags[1] + plant.integral
-    slow = slave * random.uniform(1.5, 6.0)
+def _cascaded(plant: Plant, random: Random) -> Plant:
+    """Return the plant as inner loop of a level control, tuned roughly by SIMC's rules."""
+    inner = plant.delay + plant.lags[1] + plant.integral
+    slow = inner * random.uniform(1.5, 6.0)
     tank = slow * 10.0 ** random.uniform(0.0, 1.0)
     return plant._replace(tank=tank, tank_gain=random.uniform(0.3, 1.0) * tank / slow,
                           tank_integral=slow * random.uniform(2.0, 8.0))
 
 
 def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
-    """Return a recording of a loop that oscillates for a known cause; None if it does not."""
+    """Return a recording of a loop that oscillates for a known cause; None if it comes to rest."""
     plant, valve = _plant(world, random), _valve(world, cause, random)
     horizon = min(int(60.0 * (plant.delay + plant.lags[1] + plant.integral)), 8000)
     limit_gain = ultimate_gain(plant, horizon)
@@ -287,16 +287,16 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
              'saturation': random.uniform(1.15, 3.0)}.get(cause, random.uniform(0.1, 0.65))
     plant = plant._replace(gain=share * limit_gain)
     limit = 1.0 if cause == 'saturation' and valve.kind == LINEAR else 1e9
-    if cause != 'saturation' and not plant.integrating and random.random() < SLAVES:
-        plant = _mastered(plant, random)
+    if cause != 'saturation' and not plant.integrating and random.random() < CASCADED:
+        plant = _cascaded(plant, random)
         horizon = min(int(horizon + 30.0 * plant.tank_integral), 15_000)
-        if _oscillates(still(plant, Valve(), limit, horizon)[1]):
+        if _oscillates(run_without_noise(plant, Valve(), limit, horizon)[1]):
             return None
     if cause == 'disturbance':
         period = (plant.delay + plant.lags[1]) * 10.0 ** random.uniform(0.6, 1.7)
     else:
         gain = limit_gain if cause == 'tight_tuning' else plant.gain
-        _, y = still(plant._replace(gain=gain), valve, limit, horizon)
+        _, y = run_without_noise(plant._replace(gain=gain), valve, limit, horizon)
         if cause != 'tight_tuning' and not _oscillates(y):
             return None
         period = _period(y)
@@ -309,21 +309,21 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
     by_reference = random.random() < 0.3
     load = 10.0 ** random.uniform(-3.0, -0.4) * _drift(
         total, period * 10.0 ** random.uniform(-0.7, 1.0), random) + random.uniform(-0.7, 0.7)
-    # The master's set point, or what flows into its tank, moves a slave's set point.
+    # In a cascade the outer loop changes the set point.
     set_point = np.zeros(total)
     if plant.tank != 0.0:
         set_point = 10.0 ** random.uniform(-1.5, 0.0) * _drift(
             total, period * 10.0 ** random.uniform(-0.3, 1.0), random)
-    weather = Weather(outside * by_reference + set_point, load + outside * (not by_reference),
+    inputs = Inputs(outside * by_reference + set_point, load + outside * (not by_reference),
                       np.zeros(total), random.standard_normal(total))
-    # What has to cycle by itself begins well off its set point; what noise shakes, at rest.
+    # A limit cycle starts from an initial error; a loop driven by noise from rest.
     start = 0.0 if cause in ('tight_tuning', 'disturbance') else 3.0
-    _, quiet = run_loop(plant, valve, limit, weather, start)
-    # A tight loop also swings with nothing but the noise of its sensor.
+    _, noise_free = run_loop(plant, valve, limit, inputs, start)
+    # Sensor noise alone can make a tightly tuned loop oscillate.
     most = 0.7 if cause == 'tight_tuning' else -0.5
-    hiss = float(np.std(quiet[settle:])) * 10.0 ** random.uniform(-3.0, most)
-    command, output = run_loop(plant, valve, limit, weather._replace(
-        noise=hiss * random.standard_normal(total)), start)
+    noise = float(np.std(noise_free[settle:])) * 10.0 ** random.uniform(-3.0, most)
+    command, output = run_loop(plant, valve, limit, inputs._replace(
+        noise=noise * random.standard_normal(total)), start)
     return _recorded(command[settle:], output[settle:], period, random, cause)
 
 
@@ -336,17 +336,17 @@ def _period(values: Array) -> float:
 
 def _recorded(command: Array, output: Array, period: float, random: Random, cause: str
               ) -> Run | None:
-    """Return the signals as a plant's archive has them: every so many, and rounded."""
+    """Return the signals as archived by a plant: downsampled and rounded."""
     if not np.isfinite(output).all() or np.ptp(output) < 1e-6 or np.ptp(command) < 1e-6:
         return None
-    every = max(1, int(period / random.uniform(10.0, 120.0)))
+    stride = max(1, int(period / random.uniform(10.0, 120.0)))
     rounded = [np.round(values / step) * step if step > 0.0 else values
                for values in (command, output)
                for step in [np.ptp(values) * 10.0 ** random.uniform(-3.5, -1.4)
                             * (random.random() < 0.5)]]
-    t = np.arange(len(output), dtype=np.float64)[::every]
-    visible = standing_frequency(t, rounded[1][::every]) * period
-    # Nobody asks for the cause of a swing that cannot be seen.
-    if not 1.0 / VISIBLE < visible < VISIBLE:
+    t = np.arange(len(output), dtype=np.float64)[::stride]
+    ratio = prominent_frequency(t, rounded[1][::stride]) * period
+    # Left out: an oscillation that is not the most prominent peak of the record.
+    if not 1.0 / VISIBLE < ratio < VISIBLE:
         return None
-    return Run(t, command_n=rounded[0][::every], force_n=rounded[1][::every], source=cause)
+    return Run(t, command_n=rounded[0][::stride], force_n=rounded[1][::stride], source=cause)

@@ -1,7 +1,6 @@
 """`asi attribute BAG`: the cause of a recorded oscillation, by its shape and by its model."""
 
 import json
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -10,53 +9,52 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.attribution.ablation import attribute_model
 from asi_analysis.limit_cycle.attribution.answer import Attribution
+from asi_analysis.limit_cycle.attribution.calibration import SURE, WEIGHTS, probabilities
 from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run, response_of
 from asi_analysis.measures.quality import quality_of
 from asi_analysis.terminal import Progress, silent
 
-WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
-# Below this probability the most likely cause is not named as the cause.
-NAMED: Final = 0.8
-# What only one of the two ways knows is null by the other.
+# Keys of a cause that only one of the two methods fills; null by the other.
 EMPTY: Final[dict[str, Any]] = dict.fromkeys(
     [f'{prefix}_{name}' for prefix in ('alone', 'all_but') for name in (
         'frequency_hz', 'amplitude_n', 'predicted_frequency_hz', 'predicted_amplitude_n',
         'onset_gain')] + ['unexplained', 'frequency_error', 'amplitude_error'])
-# How far a predicted cycle may be off by its method: in the logarithm of frequency, amplitude.
+# Error of a predicted cycle: standard deviation of the logarithm of frequency, amplitude.
 SPREAD: Final = (0.03, 0.15)
-# Cycles of a record's slowest peak that may be the begin of what is slower.
+# Cycles that a record must have beyond FEWEST_CYCLES: its slowest peak may be a slow drift.
 EDGE: Final = 0.25
-# Less of a record than this is no part to be judged alone.
+# Least share of a record that is analysed alone.
 LEAST_PART: Final = 0.5
-# How common the causes are, against each other, in loops that swing: surveys find a third of them
-# due to the valve, nearly always friction, a third to tuning, the rest to what comes from outside
+# Prior odds of the causes in oscillating loops: surveys attribute a third of them to the valve,
+# nearly always friction, a third to tuning, the rest to disturbances
 # (Bialkowski, Pulp & Paper Canada 94, 1993; Desborough and Miller, CPC VI, 2001).
 PRIOR: Final = {'stiction': 2.0, 'backlash': 1.0, 'hysteresis': 0.5, 'saturation': 0.7,
                 'tight_tuning': 2.0, 'disturbance': 2.0}
 SEPARATE: Final = {
-    frozenset({'tight_tuning', 'disturbance'}): 'open the loop (controller in manual): an '
-        'outside disturbance stays, tight tuning stops',
-    frozenset({'stiction', 'disturbance'}): 'open the loop (controller in manual): an outside '
-        'disturbance stays, stiction stops',
+    frozenset({'tight_tuning', 'disturbance'}): 'open the loop (controller in manual): the '
+        'oscillation continues with a disturbance, and stops with tight tuning',
+    frozenset({'stiction', 'disturbance'}): 'open the loop (controller in manual): the '
+        'oscillation continues with a disturbance, and stops with stiction',
     frozenset({'stiction', 'backlash'}): 'move the command up and down by small steps in manual: '
-        'backlash answers every step after a reversal but the first, stiction jumps',
-    frozenset({'stiction', 'tight_tuning'}): 'halve the gain: tight tuning stops, stiction '
-        'goes on, more slowly',
-    frozenset({'backlash', 'tight_tuning'}): 'halve the gain: tight tuning stops, backlash goes '
-        'on or stops without ringing',
+        'with backlash only the first step after a reversal has no effect, with stiction the '
+        'output jumps',
+    frozenset({'stiction', 'tight_tuning'}): 'halve the gain: the oscillation stops with '
+        'tight tuning, and continues, more slowly, with stiction',
+    frozenset({'backlash', 'tight_tuning'}): 'halve the gain: the oscillation decays with '
+        'tight tuning, and continues or stops at once with backlash',
     frozenset({'backlash', 'hysteresis'}): 'a slow triangle of the command in manual, in two '
         'sizes: the width of a play stays the same, that of hysteresis grows',
 }
 
 
-def _cut(run: Run, signal: str | None) -> Segment:
+def _segment_of(run: Run, signal: str | None) -> Segment:
     """
-    Return the longest stretch that is not still.
+    Return the longest segment in which the signal moves.
 
-    As long as the record if that is cut into short ones: a plant's oscillation comes and goes,
-    and its shape needs all of it.
+    It covers the whole record if all segments are short: an intermittent oscillation is judged by
+    its shape over the whole record.
     """
     segments = judge_run(run, signal)
     moving = [s for s in segments if s.why != 'the signal does not move'] or segments
@@ -68,7 +66,7 @@ def _cut(run: Run, signal: str | None) -> Segment:
 
 
 def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> Shape:
-    """Return the shape of the stretch that a document of `attribute_cycle` is about."""
+    """Return the shape of the oscillation in the segment of an `attribute_cycle` document."""
     part = run.between(document['start_s'], document['end_s'] + 0.5 * run.period_s)
     name, output = response_of(part, signal)
     if part.command_n is None or name == 'command':
@@ -79,16 +77,15 @@ def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> S
     except InputError as error:
         raise InputError(f'{run.source or "the run"}: {error}') from None
     if found.cycles < FEWEST_CYCLES + EDGE:
-        raise InputError(f'{run.source or "the run"}: a wander, no oscillation: nothing stands '
-                         f'out that has {FEWEST_CYCLES:g} cycles or more')
+        raise InputError(f'{run.source or "the run"}: a slow drift, no oscillation: no peak '
+                         f'of the spectrum has {FEWEST_CYCLES:g} cycles or more')
     return found
 
 
 def shape_probabilities(found: Shape) -> dict[str, float]:
     """Return the probability of each cause, by shape; the most probable first."""
-    from asi_analysis.limit_cycle.attribution.calibration import probabilities
-    learnt = json.loads(WEIGHTS.read_text())
-    chances = dict(zip(learnt['causes'], probabilities(found.features, learnt)[0], strict=True))
+    trained = json.loads(WEIGHTS.read_text())
+    chances = dict(zip(trained['causes'], probabilities(found.features, trained)[0], strict=True))
     weighted = {name: float(chance) * PRIOR[name] for name, chance in chances.items()}
     total = sum(weighted.values())
     chances = {name: chance / total for name, chance in weighted.items()}
@@ -100,18 +97,18 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     """
     Return the probable causes of an oscillation in a recording.
 
-    run: with command and output of any loop, judged by their shape. If the recording has the
-    parameters of this package's actuator, its cycle is compared with those that the model makes
-    with each nonlinearity alone. signal: name of the output; by default the force, or the first
-    other that was recorded. Raises InputError without command and output, or if the motion is
-    forced by the reference.
+    run: with command and output of any loop, classified by the shape of the oscillation. If the
+    recording holds parameters of this package's actuator, its cycle is compared with the cycles of
+    the model with each nonlinearity alone. signal: name of the output; by default the force, or
+    the first other that was recorded. Raises InputError without command and output, or if the
+    motion is forced by the reference.
 
     >>> import asi_analysis as asi
     >>> run = asi.read_bag('runs/limit_cycle/bag')                        # doctest: +SKIP
     >>> print(asi.attribute_cycle(run))                                   # doctest: +SKIP
     """
-    progress('judging', 0.0)
-    segment = _cut(run, signal)
+    progress('detection', 0.0)
+    segment = _segment_of(run, signal)
     if segment.verdict == 'forced':
         raise InputError(f'{run.source or "the run"}: no oscillation of its own to attribute: '
                          f'{segment.why}')
@@ -146,17 +143,17 @@ def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) ->
     (first, most), (second, next_) = list(chances.items())[:2]
     what = (f'{found.frequency_hz:.4g} Hz, {found.cycles:.3g} cycles ({segment.verdict}), '
             'by shape')
-    if most >= NAMED:
+    if most >= SURE:
         return f'{what}: {_words(first)} ({100 * most:.0f} %)'
     valve = sum(chances[name] for name in VALVE_FAULTS)
-    if valve >= NAMED:
+    if valve >= SURE:
         kinds = ', '.join(f'{_words(name)} {100 * chance:.0f} %'
                           for name, chance in chances.items() if name in VALVE_FAULTS)
-        return f'{what}: the valve ({100 * valve:.0f} %), but which fault cannot be told: {kinds}'
+        return f'{what}: the valve ({100 * valve:.0f} %), its fault is ambiguous: {kinds}'
     test = SEPARATE.get(frozenset({first, second}),
                         'a step of the command in manual, and a run at half the gain')
-    return (f'{what}: cannot tell {_words(first)} ({100 * most:.0f} %) from {_words(second)} '
-            f'({100 * next_:.0f} %); what would tell: {test}')
+    return (f'{what}: cannot distinguish {_words(first)} ({100 * most:.0f} %) from '
+            f'{_words(second)} ({100 * next_:.0f} %); experiment that would: {test}')
 
 
 def _words(cause: str) -> str:
@@ -183,7 +180,7 @@ def _by_model(run: Run, segment: Segment, progress: Progress) -> dict[str, Any]:
         errors = (np.log(frequency / segment.frequency_hz), np.log(amplitude / segment.amplitude))
         cause |= {'frequency_error': float(np.expm1(errors[0])),
                   'amplitude_error': float(np.expm1(errors[1]))}
-        # The others are missing from this cycle: their share of the amplitude is an error too.
+        # The cycle without the other nonlinearities also differs by their share.
         spread = (SPREAD[0] + 0.05, SPREAD[1] + 0.5)
         weights.append(float(np.exp(-0.5 * sum((e / s) ** 2 for e, s in zip(errors, spread,
                                                                            strict=True)))))
@@ -192,8 +189,8 @@ def _by_model(run: Run, segment: Segment, progress: Progress) -> dict[str, Any]:
     expected = table['frequency_hz']
     fits = expected is not None and abs(np.log(expected / segment.frequency_hz)) < SPREAD[0]
     verdict = table['verdict'] if fits else (
-        f'the model of the bag does not make the measured cycle ({segment.frequency_hz:.4g} Hz, '
-        f'{segment.amplitude:.4g} {segment.unit}) but '
+        'the model of the bag does not predict the measured cycle '
+        f'({segment.frequency_hz:.4g} Hz, {segment.amplitude:.4g} {segment.unit}) but '
         + (f'{expected:.4g} Hz, {table["amplitude_n"]:.4g} N' if expected else 'none')
         + ': find the gap first (asi gap)')
     return {'causes': [EMPTY | cause for cause in table['causes']], 'verdict': verdict}

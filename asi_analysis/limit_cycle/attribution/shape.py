@@ -1,8 +1,8 @@
 """
 What the shape of an oscillation, in command and output of a loop, says of its cause.
 
-Numbers that depend on neither units, time scale nor sign, from cycles cut one by one so that a
-period that wanders does not blur them. `calibration.py` makes them a probability.
+The features are independent of units, time scale and sign. The signals are cut into single cycles,
+so that a varying period does not blur them. `calibration.py` turns features into probabilities.
 """
 
 from typing import Final, NamedTuple
@@ -12,8 +12,9 @@ import numpy.typing as npt
 from scipy import signal, stats
 
 from asi_analysis.errors import InputError
-from asi_analysis.limit_cycle.attribution.hammerstein import Explanation, around, explain
+from asi_analysis.limit_cycle.attribution.hammerstein import Explanation, explain, without_drift
 from asi_analysis.limit_cycle.detection.drive import flat_share
+from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.measures.noise import autoregression
 from asi_analysis.measures.record import reduce
 from asi_analysis.measures.sinusoid import known, on_grid
@@ -23,39 +24,40 @@ Complex = npt.NDArray[np.complex128]
 
 FEWEST_CYCLES: Final = 3.5
 MOST_CYCLES: Final = 20.0
-# Points at which each cycle is looked at, and harmonics that are taken from them.
+# Points to which each cycle is resampled, and harmonics that are computed from them.
 POINTS: Final = 32
 HARMONICS: Final = 5
 KINDS: Final = ('stiction', 'backlash', 'hysteresis', 'saturation')
 
 FEATURES: Final = (
-    # How much shorter each kind of valve makes the description of the output than a linear one,
-    # in nats and as a share (Hammerstein models: Srinivasan et al. 2005, Jelali 2008).
+    # Gain in description length (nats) of each kind of valve over a linear one, and ratio of the
+    # unexplained power (Hammerstein models: Srinivasan et al. 2005, Jelali 2008).
     *[f'{kind}_gain' for kind in KINDS], *[f'{kind}_ratio' for kind in KINDS],
     'unexplained', 'lag', 'delay',
-    # Harmonics against the first, with their phase, which tell a triangle from a square and a
-    # sine (He et al. 2007, Haegglund 2011).
+    # Harmonics relative to the fundamental, with their phase: they distinguish triangle, square
+    # and sine (He et al. 2007, Haegglund 2011).
     *[f'{name}_{part}' for name in ('output', 'command')
       for part in ('second', 'third_cos', 'third_sin', 'fifth_cos', 'fifth_sin')],
-    # From command to output (Horch 1999), twice, for the sign of the process is not known.
+    # Twice the phase from command to output (Horch 1999): the sign of the process is unknown.
     'phase_cos', 'phase_sin',
-    # Square 1, sine 1.5, triangle 1.8, noise 3; of the slopes: leaps make it large.
+    # Square 1, sine 1.5, triangle 1.8, noise 3; of the slopes: jumps make it large.
     'output_kurtosis', 'command_kurtosis', 'output_slope_kurtosis', 'command_slope_kurtosis',
-    # Time in which the output rests while the command moves (Yamashita 2006), and the reverse.
+    # Share of time in which the output rests while the command moves (Yamashita 2006), and vice
+    # versa.
     'output_rests', 'command_rests',
-    # Steadiness of size and period (Thornhill et al. 2003): a linear loop that noise shakes has
-    # neither.
+    # Scatter of amplitude and period (Thornhill et al. 2003): large in a linear loop driven by
+    # noise.
     'unevenness', 'period_scatter', 'size_scatter',
-    # How well the command is what a PI controller makes of the output: ill if its set point moves.
+    # Residual of a PI law from output to command: large if the set point moves.
     'law', 'flat', 'hiss', 'cycles')
 
 
 class Shape(NamedTuple):
     """
-    The features of an oscillation, in the order of FEATURES, and where they come from.
+    The features of an oscillation, in the order of FEATURES, and the signals behind them.
 
     `command_cycle` and `output_cycle`: the mean cycle, POINTS samples, in units of the signals;
-    `command` and `output`: the stretch that was looked at, without its slow part.
+    `command` and `output`: the analysed segment, drift removed.
     """
 
     features: Array
@@ -72,14 +74,14 @@ def shape(time_s: Array, command: Array, output: Array) -> Shape:
     """
     Return the shape of the oscillation in a loop's command and output.
 
-    Raises InputError if there is none of FEWEST_CYCLES or the command does not move.
+    Raises InputError for fewer than FEWEST_CYCLES cycles, or a signal that does not move.
     """
-    there = np.isfinite(time_s) & np.isfinite(command) & np.isfinite(output)
-    time_s, command, output = time_s[there], command[there], output[there]
+    valid = np.isfinite(time_s) & np.isfinite(command) & np.isfinite(output)
+    time_s, command, output = time_s[valid], command[valid], output[valid]
     if len(time_s) < 30:
         raise InputError(f'{len(time_s)} samples of command and output: at least 30 are needed')
     _check_moves(command, output)
-    frequency = standing_frequency(time_s, output)
+    frequency = prominent_frequency(time_s, output)
     if not np.isfinite(frequency):
         raise InputError(f'no oscillation of at least {FEWEST_CYCLES:g} cycles')
     last = time_s >= time_s[-1] - MOST_CYCLES / frequency
@@ -96,19 +98,19 @@ def _check_moves(command: Array, output: Array) -> None:
         raise InputError('command or output does not move: no oscillation to attribute')
 
 
-def standing_frequency(time_s: Array, values: Array) -> float:
+def prominent_frequency(time_s: Array, values: Array) -> float:
     """
-    Return the frequency (Hz) whose peak stands highest above the spectrum around it.
+    Return the frequency (Hz) of the most prominent peak of the spectrum.
 
-    A plant's slow wander holds more power than its oscillation: the spectrum is seen against a
-    line through it, in logarithms. NaN if there are no FEWEST_CYCLES of anything.
+    A plant's slow drift can have more power than its oscillation: half the slope of a straight
+    line through the log-log spectrum is removed. NaN if the record is too short for FEWEST_CYCLES.
     """
     even, period = on_grid(*known(time_s, values))
     count = len(even)
     even = signal.detrend(even) * np.hanning(count)
     power = np.abs(np.fft.rfft(even, 4 * count)) ** 2
     number = np.arange(len(power)) / 4.0                  # cycles in the record
-    # A main lobe of the window on either side, summed: a wandering line is as good as a sharp one.
+    # Mean over the main lobe of the window: a line of varying frequency counts as a sharp one.
     width = 8 + (number * 0.25 * 4).astype(int)
     total = np.concatenate([[0.0], np.cumsum(power)])
     index = np.arange(len(power))
@@ -118,29 +120,29 @@ def standing_frequency(time_s: Array, values: Array) -> float:
     if end - first < 8 or not power[first:end].any():
         return float('nan')
     level, x = np.log(smooth[first:end] + 1e-12 * smooth.max()), np.log(number[first:end])
-    # Even in the logarithm of frequency, so that the many high ones do not set the line.
+    # Weighted towards equal influence per octave: most points are at high frequencies.
     weight = 1.0 / np.sqrt(number[first:end])
     line = np.polynomial.polynomial.polyfit(x, level, 1, w=weight)
     slope = float(np.clip(line[1], -3.0, 0.0))
     # Half of the slope: a peak must have power too.
-    standing = level - 0.5 * slope * x
-    near = int(first + np.argmax(standing))
-    lobe = slice(max(near - int(width[near]), first), near + int(width[near]) + 1)
+    prominence = level - 0.5 * slope * x
+    peak = int(first + np.argmax(prominence))
+    lobe = slice(max(peak - int(width[peak]), first), peak + int(width[peak]) + 1)
     return float(number[lobe.start + int(np.argmax(power[lobe]))] / (count * period))
 
 
 def _described(command: Array, output: Array, cycle: float, frequency: float) -> Shape:
     found = explain(command, output, cycle)
     raw = command
-    command, output = around(np.array([command, output]), cycle)
+    command, output = without_drift(np.array([command, output]), cycle)
     f = dict.fromkeys(FEATURES, 0.0)
     _explained(f, found)
     starts = _starts(output, cycle)
     cycles = [_cycles(each, starts) for each in (command, output)]
     harmonics = [np.fft.rfft(each, axis=1)[:, 1:HARMONICS + 1] for each in cycles]
     size = np.abs(harmonics[1][:, 0])
-    for name, found_there in zip(('command', 'output'), harmonics, strict=True):
-        relative = _relative(found_there)
+    for name, amplitudes in zip(('command', 'output'), harmonics, strict=True):
+        relative = _relative(amplitudes)
         f[f'{name}_second'] = float(abs(relative[1]))
         for number, word in ((3, 'third'), (5, 'fifth')):
             f[f'{name}_{word}_cos'] = float(relative[number - 1].real)
@@ -174,13 +176,12 @@ def _described(command: Array, output: Array, cycle: float, frequency: float) ->
 
 
 def _explained(f: dict[str, float], found: dict[str, Explanation]) -> None:
-    """Fill in the features of the valves."""
+    """Set the features of the fitted valves."""
     linear = found['linear']
-    plain = autoregression(linear.residual).description
+    description = autoregression(linear.residual).description
     for kind in KINDS:
         if kind in found:
-            better = plain - autoregression(found[kind].residual).description
-            # On a scale that grows slowly.
+            better = description - autoregression(found[kind].residual).description
             f[f'{kind}_gain'] = float(np.arcsinh(better / 10.0))
             f[f'{kind}_ratio'] = float(np.log(max(linear.unexplained, 1e-5)
                                               / max(found[kind].unexplained, 1e-5)))
@@ -189,8 +190,8 @@ def _explained(f: dict[str, float], found: dict[str, Explanation]) -> None:
 
 
 def _starts(output: Array, cycle: float) -> npt.NDArray[np.float64]:
-    """Return where cycles begin, in samples: upward crossings of what is about the frequency."""
-    phase = np.unwrap(np.angle(signal.hilbert(_band(output, cycle)))) / (2.0 * np.pi)
+    """Return the starts of the cycles, in samples, from the phase of the analytic signal."""
+    phase = np.unwrap(np.angle(analytic_signal(output, 1.0, 1.0 / cycle))) / (2.0 * np.pi)
     phase = np.maximum.accumulate(phase)
     whole = np.arange(np.ceil(phase[0]), np.floor(phase[-1]) + 1)
     starts = np.interp(whole, phase, np.arange(len(phase)))
@@ -200,7 +201,7 @@ def _starts(output: Array, cycle: float) -> npt.NDArray[np.float64]:
 
 
 def _cycles(values: Array, starts: Array) -> Array:
-    """Return each cycle at POINTS points (cycles x POINTS), its two ends brought level."""
+    """Return the cycles, resampled and detrended (cycles x POINTS)."""
     share = np.arange(POINTS) / POINTS
     rows = []
     for begin, end in zip(starts[:-1], starts[1:], strict=True):
@@ -212,16 +213,16 @@ def _cycles(values: Array, starts: Array) -> Array:
 
 
 def _relative(harmonics: Complex) -> Complex:
-    """Return the mean of each harmonic against the first, as seen from the first's peak."""
+    """Return the mean of each harmonic relative to the fundamental, phase from its peak."""
     order = np.arange(1, HARMONICS + 1)
     turned = harmonics * np.exp(-1j * order * np.angle(harmonics[:, :1]))
-    # Large cycles count for more; a third of -1/3 is a square, of 1/9 a triangle.
+    # Weighted by amplitude; the third harmonic of a square is -1/3, of a triangle 1/9.
     mean = turned.sum(0) / max(float(np.abs(harmonics[:, 0]).sum()), 1e-300)
     return mean / np.maximum(np.abs(mean), 1.0)
 
 
 def _law(command: Array, output: Array) -> float:
-    """Return how much of the command's steps a PI law of the output leaves unexplained (log)."""
+    """Return log10 of the share of the command's steps that a PI law leaves unexplained."""
     columns = np.column_stack([np.diff(output), output[1:]])
     steps = np.diff(command)
     residual = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
@@ -233,14 +234,8 @@ def _kurtosis(values: Array) -> float:
     return float(np.log(float(np.asarray(stats.kurtosis(values, fisher=False))) / 1.5))
 
 
-def _band(values: Array, cycle: float) -> Array:
-    band = np.clip(2.0 / cycle * np.array([0.6, 1.6]), 1e-3, 0.98)
-    return signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
-                              values - values.mean())
-
-
 def _unevenness(values: Array, cycle: float) -> float:
     """Return the variance of the squared envelope over its squared mean."""
     skip = min(int(0.5 * cycle), len(values) // 8)
-    power = np.abs(signal.hilbert(_band(values, cycle)))[skip:len(values) - skip] ** 2
+    power = np.abs(analytic_signal(values, 1.0, 1.0 / cycle))[skip:len(values) - skip] ** 2
     return float(power.var() / power.mean() ** 2)

@@ -1,4 +1,4 @@
-"""What a valve may do to its command: the operators that the shape of a cycle is tested on."""
+"""Valve nonlinearities as operators on a command: play, stiction, hysteresis, saturation."""
 
 from typing import NamedTuple
 
@@ -12,17 +12,17 @@ Array = npt.NDArray[np.float64]
 
 
 class Stem(NamedTuple):
-    """A valve that sticks: position; direction (1, -1) of its last move; where it stopped."""
+    """State of a valve with stiction; direction: of its last move, 1 or -1."""
 
     position: float
     direction: float
-    stopped_at: float    # the command then
+    stopped_at: float    # command when it stopped
     stuck: bool
 
 
 @jit
 def stick_step(stem, command, before, band, jump):
-    """Return a valve that sticks after the command went from `before` to `command`."""
+    """Return the state of a valve with stiction after a command from `before` to `command`."""
     position, direction, stopped_at, stuck = stem
     if not stuck and direction * (command - before) <= 0.0:
         stuck, stopped_at = True, before
@@ -55,38 +55,38 @@ def _stick(command, start, band, jump, out):
         out[k] = stem.position
 
 
-def _begin(command: Array, first: int) -> int:
-    """Return where an operator begins: at a peak, as if the valve had just moved up there."""
+def _start(command: Array, first: int) -> int:
+    """Return the first sample of an operator: at a peak, where the valve has just moved up."""
     return int(np.argmax(command[:first]))
 
 
 def play(command: Array, half: float, first: int) -> Array:
     """Return the output of a play of half width `half`, in units of the command."""
     out = np.empty_like(command)
-    _play(np.ascontiguousarray(command), _begin(command, first), half, out)
+    _play(np.ascontiguousarray(command), _start(command, first), half, out)
     return out
 
 
 def stick(command: Array, band: float, jump: float, first: int) -> Array:
     """
-    Return the position of a valve that sticks where it stops, in units of the command.
+    Return the position of a valve with stiction, in units of the command.
 
-    It moves on after `jump`, and after `band` the other way, by a leap of `jump` (Choudhury,
-    Thornhill, Shah, Control Engineering Practice 13, 2005: J and S; after Kano et al., DYCOPS
-    2004). It begins at the largest command within the `first` samples.
+    band: stick band S; jump: slip jump J (Choudhury, Thornhill, Shah, Control Engineering Practice
+    13, 2005; after Kano et al., DYCOPS 2004). It starts at the largest command within the `first`
+    samples.
     """
     out = np.empty_like(command)
-    _stick(np.ascontiguousarray(command), _begin(command, first), band, jump, out)
+    _stick(np.ascontiguousarray(command), _start(command, first), band, jump, out)
     return out
 
 
 def hysteresis(command: Array, width: float, first: int) -> Array:
-    """Return the mean of plays of half widths up to `width`: smooth loops (Prandtl 1928)."""
+    """Return the mean of plays of half widths up to `width` (Prandtl 1928): a smooth loop."""
     widths = width * (np.arange(6) + 0.5) / 6.0
     return np.mean([play(command, each, first) for each in widths], axis=0)
 
 
 def clip(command: Array, half: float) -> Array:
-    """Return the command held within `half`, in its units, of the middle of its swing."""
+    """Return the command limited to ± `half`, in its units, about its mid-range."""
     middle = 0.5 * (command.max() + command.min())
     return np.clip(command, middle - half, middle + half)

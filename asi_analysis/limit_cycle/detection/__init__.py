@@ -1,1 +1,1 @@
-"""Is a recorded oscillation a limit cycle: detection in a bag, with its confidence."""
+"""Detection: whether a recorded oscillation is a limit cycle, and with what confidence."""

@@ -16,7 +16,7 @@ def _number(value: float) -> float | None:
 
 
 def segment_as_dict(segment: Segment) -> dict[str, Any]:
-    """Return a segment with the keys of doc/reference/json.md; what does not apply is None."""
+    """Return a segment with the keys of doc/reference/json.md, None where one does not apply."""
     first = segment.harmonics[0] if segment.harmonics else 1.0
     return {
         'source': segment.source, 'signal': segment.signal, 'unit': segment.unit,
@@ -26,7 +26,7 @@ def segment_as_dict(segment: Segment) -> dict[str, Any]:
         'frequency_hz': _number(segment.frequency_hz),
         'frequency_low_hz': _number(segment.frequency_interval_hz[0]),
         'frequency_high_hz': _number(segment.frequency_interval_hz[1]),
-        # The name is fixed; `unit` says when the signal is not a force.
+        # The key is fixed; `unit` gives the unit of other signals.
         'amplitude_n': _number(segment.amplitude),
         'amplitude_low_n': _number(segment.amplitude_interval[0]),
         'amplitude_high_n': _number(segment.amplitude_interval[1]),
@@ -67,10 +67,10 @@ class LimitCycles(Result):
 
 def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None) -> LimitCycles:
     """
-    Judge each stretch of recordings: limit cycle, forced, decaying, noise, …, and how surely.
+    Classify the segments of recordings: limit cycle, forced, decaying, noise, …, with confidence.
 
     runs: one recording, or several of the same loop, which together show whether a cycle is
-    isolated (reached from inside and from outside). signal: the name of the signal to judge; by
+    isolated (reached from inside and from outside). signal: name of the signal to analyse; by
     default the force, or the first other that was recorded. Raises InputError if a run lacks the
     signal or has too few samples.
 

@@ -1,7 +1,7 @@
 """
-The check of the limit-cycle analysis on signals of known truth: `asi limit-cycle --check`.
+`asi limit-cycle --check`: validation of the limit-cycle analysis on synthetic signals.
 
-Sines for the accuracy, against the Cramér-Rao bound; and one family of signals a verdict.
+Sines for the accuracy, relative to the Cramér-Rao bound; families of signals for the verdicts.
 """
 
 from collections import Counter
@@ -25,7 +25,7 @@ Random = np.random.Generator
 
 def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: float,
                noise: float, drift: int = 1) -> tuple[float, float]:
-    """Return the least standard deviations of frequency (Hz) and amplitude: white noise."""
+    """Return the Cramér-Rao bounds of frequency (Hz) and amplitude in white noise."""
     t = time_s - time_s.mean()
     angle = 2.0 * np.pi * frequency_hz * t + phase
     jacobian = np.column_stack([-amplitude * 2.0 * np.pi * t * np.sin(angle),
@@ -38,7 +38,7 @@ def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: floa
 def check_accuracy(cycles: float, samples_a_cycle: float, snr_db: float, count: int,
                    seed: int) -> dict[str, float]:
     """
-    Return errors over the Cramér-Rao bound and coverage of the 95 % intervals.
+    Return rms errors over the Cramér-Rao bound, and coverage of the 95 % intervals.
 
     Sines of amplitude 1 on a drifting mean, a tenth of the samples missing.
     """
@@ -77,7 +77,7 @@ def _noisy(y: Array, random: Random) -> Array:
 
 def _oscillator(random: Random, mu: float, cubic: float, start: float, settle: float,
                 fewest_cycles: float = 10.0) -> Run:
-    """Return a run of x'' = mu (1 - x²) x' - x - cubic x³, up to 100 cycles, from `start`."""
+    """Return a run of x'' = mu (1 - x²) x' - x - cubic x³, up to 100 cycles, from x = `start`."""
     cycles = random.uniform(fewest_cycles, 100.0)
     t: Array = np.linspace(0.0, 2.0 * np.pi * cycles, int(cycles * random.uniform(12.0, 60.0)))
     solution = solve_ivp(
@@ -93,7 +93,7 @@ def van_der_pol(random: Random) -> Run:
 
 
 def van_der_pol_approach(random: Random) -> Run:
-    """Return a Van der Pol oscillator that comes to its cycle from inside or outside."""
+    """Return a Van der Pol oscillator that approaches its cycle from inside or outside."""
     return _oscillator(random, random.uniform(0.2, 0.5), 0.0, random.choice([0.05, 6.0]), 0.0,
                        40.0)
 
@@ -138,7 +138,7 @@ def relay(random: Random) -> Run:
 
 
 def saturated(random: Random) -> Run:
-    """Return an unstable linear loop whose command is at its limits."""
+    """Return an unstable linear loop whose command saturates."""
     gain = random.uniform(9.0, 20.0)
     return third_order_loop(random, lambda e, _: float(np.clip(gain * e, -1.0, 1.0)), 10_000)
 
@@ -147,7 +147,7 @@ def linear_loop(random: Random, visible: bool) -> Run:
     """
     Return a linear loop just inside its stability limit.
 
-    visible: its decay is 5 to 50 times what noise makes of a steady one; else 0 to 1 times.
+    visible: its decay rate is 5 to 50 standard deviations of the estimate; otherwise 0 to 1.
     """
     cycles = random.uniform(5.0, 100.0)
     rate_hz = random.uniform(8.0, 60.0)
@@ -203,7 +203,7 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
     """
     Return how often the longest segment that is not noise has the right verdict.
 
-    And how often any segment of a signal that is no limit cycle is called one.
+    Also how often a signal without a limit cycle has a segment with that verdict.
     """
     make, truth = FAMILIES[family]
     random = np.random.default_rng(seed)
@@ -211,9 +211,9 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
     false_cycles = 0
     for _ in range(count):
         segments = judge_run(make(random))
-        # What is left when an oscillation has died is noise, rightly so.
-        swings = [s for s in segments if s.verdict != 'noise'] or segments
-        longest = max(swings, key=lambda s: s.end_s - s.start_s)
+        # After a decayed oscillation noise is the right verdict.
+        moving = [s for s in segments if s.verdict != 'noise'] or segments
+        longest = max(moving, key=lambda s: s.end_s - s.start_s)
         verdicts[longest.verdict] += 1
         false_cycles += truth != 'limit_cycle' and any(
             s.verdict == 'limit_cycle' for s in segments)
@@ -222,7 +222,7 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
 
 
 class DetectionCheck(Result):
-    """Accuracy and verdicts on signals of known truth, by the keys of the JSON."""
+    """Accuracy and verdicts on synthetic signals: the keys of `asi limit-cycle --check --json`."""
 
     rows = 'verdicts'
 
@@ -240,7 +240,7 @@ class DetectionCheck(Result):
 
 
 def check(count: int, seed: int, report: Progress) -> DetectionCheck:
-    """Return both tables: `count` signals a row."""
+    """Return accuracy and verdicts, from `count` signals for each row."""
     grid = [(cycles, samples, snr) for cycles in (3.0, 10.0, 100.0, 300.0)
             for samples in (5.0, 12.0, 40.0) for snr in (10.0, 25.0, 40.0)]
     rows = len(grid) + len(FAMILIES)

@@ -1,4 +1,4 @@
-"""What else than the loop may set a motion: a reference that it follows, a stop that it meets."""
+"""Other causes of an oscillation than the loop itself: a moving reference, or a limit reached."""
 
 from typing import Final
 
@@ -9,17 +9,17 @@ from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.measures.record import Array, reduce
 from asi_analysis.measures.sinusoid import HarmonicFit, fit, known, on_grid
 
-# Delays, in cycles, of the reference from which the motion about a frequency is put together.
+# Delays, in cycles, of the copies of the reference to which the motion is fitted.
 DELAYS: Final = np.arange(-1, 9) / 4.0
-# Share of the motion about a frequency that the reference must explain.
+# Least share of the motion that the reference must explain.
 FOLLOWS: Final = 0.5
-# Share of the time at a stop from which the stop, not the loop, sets the amplitude: a sine cut so
-# far passes with 0.96 of its fundamental.
-STOPPED: Final = 0.25
+# Least share of the time at a limit for the limit to determine the amplitude: a sine clipped for
+# that time keeps 0.96 of its fundamental.
+AT_LIMIT: Final = 0.25
 
 
 def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Array] | None:
-    """Return times and values of the reference in a stretch, None if it does not move there."""
+    """Return times and values of the reference from start to end, None if it does not move."""
     if run.reference_n is None:
         return None
     part = (run.time_s >= start_s) & (run.time_s <= end_s)
@@ -30,7 +30,7 @@ def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Arr
 
 
 def follows_reference(run: Run, steady: HarmonicFit, start_s: float, end_s: float) -> str:
-    """Return why an oscillation follows a periodic reference, empty if it does not."""
+    """Return the reason why an oscillation follows a periodic reference; empty if it does not."""
     reference = moving_reference(run, start_s, end_s)
     found = fit(*reduce(*reference, steady.frequency_hz)) if reference else None
     if found is None or found.amplitude < found.noise:
@@ -47,10 +47,10 @@ def follows_reference(run: Run, steady: HarmonicFit, start_s: float, end_s: floa
 
 def explained_by_reference(run: Run, time_s: Array, values: Array, frequency_hz: float) -> float:
     """
-    Return the share of a motion about a frequency that a linear answer to the reference explains.
+    Return the share of a motion that a linear response to the reference explains.
 
-    The answer is put together from delayed copies of the reference, so that any shape of it, a
-    chirp or a random one too, is seen through; a share that chance alone would explain is off.
+    The response is a sum of delayed copies of the reference, which may have any shape, also a
+    chirp or noise. The share is adjusted for the number of copies, as an adjusted R².
     """
     reference = moving_reference(run, time_s[0], time_s[-1])
     if reference is None:
@@ -58,48 +58,49 @@ def explained_by_reference(run: Run, time_s: Array, values: Array, frequency_hz:
     even, period = on_grid(time_s, values)
     grid = time_s[0] + period * np.arange(len(even))
     motion = analytic_signal(even, period, frequency_hz)
-    cause = analytic_signal(np.interp(grid, *reference), period, frequency_hz)
-    # Band and cycle are about as wide: a cycle tells about as much as one free number.
-    free = (time_s[-1] - time_s[0]) * frequency_hz
-    delays = DELAYS[:max(1, min(len(DELAYS), int(free / 3.0)))]
-    columns = np.column_stack([np.interp(grid - delay / frequency_hz, grid, cause)
+    driver = analytic_signal(np.interp(grid, *reference), period, frequency_hz)
+    # The bandwidth is about the frequency: one independent sample a cycle.
+    independent = (time_s[-1] - time_s[0]) * frequency_hz
+    delays = DELAYS[:max(1, min(len(DELAYS), int(independent / 3.0)))]
+    columns = np.column_stack([np.interp(grid - delay / frequency_hz, grid, driver)
                                for delay in delays])
-    # A sine has copies that are all alike: the least of the solutions.
+    # Copies of a sine are linearly dependent: minimum-norm solution.
     gram = columns.conj().T @ columns
     residual = motion - columns @ np.linalg.lstsq(gram, columns.conj().T @ motion, rcond=1e-9)[0]
     share = 1.0 - float(np.vdot(residual, residual).real / np.vdot(motion, motion).real)
-    return 1.0 - (1.0 - share) * max(free - 1.0, 0.0) / max(free - 1.0 - len(delays), 1.0)
+    return 1.0 - ((1.0 - share) * max(independent - 1.0, 0.0)
+                  / max(independent - 1.0 - len(delays), 1.0))
 
 
-def at_stop(run: Run, start_s: float, end_s: float) -> str:
-    """Return which stop sets the amplitude, empty if none does."""
+def at_limit(run: Run, start_s: float, end_s: float) -> str:
+    """Return which limit determines the amplitude; empty if none does."""
     inside = run.between(start_s, end_s + 0.5 * run.period_s)
     if inside.command_n is not None:
         share = flat_share(inside.command_n[np.isfinite(inside.command_n)])
-        if share > STOPPED:
+        if share > AT_LIMIT:
             return f'the command is at its limit for {100 * share:.0f} % of the time'
     actuator = run.information.get('actuator', {})
     full = actuator.get('valve_characteristic.full_opening')
     if full and inside.valve_position_m is not None:
         share = float(np.mean(np.abs(inside.valve_position_m) >= 0.999 * full))
-        if share > STOPPED:
+        if share > AT_LIMIT:
             return f'the valve is fully open for {100 * share:.0f} % of the time'
     return ''
 
 
 def flat_share(values: Array) -> float:
     """
-    Return the share of samples at a stop: flat at an extreme, yet moving in between.
+    Return the share of samples that are clipped at an extreme.
 
-    0 for a signal that only switches between two levels (a relay), and for one whose extremes
-    hold no more samples than a sine's or what its quantisation explains.
+    0 for a signal that switches between two levels (a relay), and for one with no more samples at
+    its extremes than a sine, or than its quantisation explains.
     """
     span = float(np.ptp(values)) if len(values) else 0.0
     if span == 0.0:
         return 0.0
     if len(np.unique(values)) < 8:
         return 0.0
-    width = 1e-4 * span + rounding(values)
+    width = 1e-4 * span + quantisation(values)
     sine = np.arccos(1.0 - 2.0 * min(width / span, 0.5)) / np.pi
     top = float(np.mean(values >= values.max() - width))
     bottom = float(np.mean(values <= values.min() + width))
@@ -108,8 +109,8 @@ def flat_share(values: Array) -> float:
     return sum(share for share in (top, bottom) if share > 2.5 * sine + 0.02)
 
 
-def rounding(values: Array) -> float:
-    """Return the step to which values are rounded, 0 if they are not, or switch between two."""
+def quantisation(values: Array) -> float:
+    """Return the quantisation step of values; 0 if there is none, or only two levels."""
     levels = np.unique(values)
     if not 2 < len(levels) < 0.05 * len(values):
         return 0.0

@@ -1,4 +1,4 @@
-"""The size of an oscillation from cycle to cycle, and the Poincaré return map that it makes."""
+"""Amplitude of an oscillation from cycle to cycle, and its Poincaré return map."""
 
 from typing import Final, NamedTuple
 
@@ -11,12 +11,12 @@ from asi_analysis.measures.sinusoid import least_squares
 Array = npt.NDArray[np.float64]
 
 MOST_WINDOWS: Final = 250
-# Windows in which the fall of the swing is looked at: more would see more of the noise.
+# Windows for the decay of the swing; with more of them noise has more influence.
 SWINGS: Final = 10
 
 
 class Envelope(NamedTuple):
-    """Local amplitudes: centre of each window (s), amplitude, its deviation by noise, mean."""
+    """For each window: centre (s), amplitude, its standard deviation by noise, mean."""
 
     time_s: Array
     amplitude: Array
@@ -29,7 +29,7 @@ def envelope(time_s: Array, values: Array, frequency_hz: float) -> Envelope:
     """
     Return the amplitude at `frequency_hz` in windows of two cycles, one cycle apart.
 
-    More cycles than MOST_WINDOWS: the windows grow. Samples may be missing (left out, not NaN).
+    Windows are longer in records of more than MOST_WINDOWS cycles. Values must not be NaN.
     """
     cycles = (time_s[-1] - time_s[0]) * frequency_hz
     hop = max(1.0, cycles / MOST_WINDOWS) / frequency_hz
@@ -53,7 +53,7 @@ def envelope(time_s: Array, values: Array, frequency_hz: float) -> Envelope:
 
 
 def swings(time_s: Array, values: Array, frequency_hz: float) -> Array:
-    """Return half of what a signal moves in each cycle, counted back from its end."""
+    """Return half the peak-to-peak value of each cycle; cycles are counted back from the end."""
     cycle = np.ceil((time_s - time_s[-1]) * frequency_hz).astype(int)
     edges = np.searchsorted(cycle, np.arange(cycle[0] + 1, 1))
     if not len(edges):
@@ -62,22 +62,23 @@ def swings(time_s: Array, values: Array, frequency_hz: float) -> Array:
     return 0.5 * (high - low)
 
 
-def fall_of_swing(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, float]:
+def decay_of_swing(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, float]:
     """
-    Return how much the logarithm of the swing falls over a record, and the chance of that.
+    Return how much the logarithm of the swing decreases over a record, and the p-value.
 
-    Or over that half of it where it is plainer: what falls may reach the noise. The chance that a
-    random walk would, by a t test of the steps between windows; noise, whose level returns to its
-    mean, falls evenly even less. The frequency need not be steady. (0, 1) if it is too short.
+    Of the record or one of its halves, whichever has the least p-value: a decaying oscillation
+    may reach the noise floor. Null hypothesis: a random walk, by a t test of the steps between
+    windows; noise, which returns to its mean level, is even less likely to decrease steadily. The
+    frequency may vary. (0, 1) for a record that is too short.
     """
     half = len(values) // 2
-    tests = [_fall(time_s[part], values[part], frequency_hz)
+    tests = [_decay(time_s[part], values[part], frequency_hz)
              for part in (slice(None), slice(half), slice(half, None))]
-    fall, chance = min(tests, key=lambda test: test[1])
-    return fall, min(len(tests) * chance, 1.0)
+    decay, p_value = min(tests, key=lambda test: test[1])
+    return decay, min(len(tests) * p_value, 1.0)
 
 
-def _fall(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, float]:
+def _decay(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, float]:
     cycles = (time_s[-1] - time_s[0]) * frequency_hz
     level = swings(time_s, values, frequency_hz / max(cycles / SWINGS, 1.0))
     if len(level) < SWINGS // 2 or not level.min() > 0.0:
@@ -88,7 +89,7 @@ def _fall(time_s: Array, values: Array, frequency_hz: float) -> tuple[float, flo
 
 
 def peaks_by_cycle(time_s: Array, values: Array, frequency_hz: float) -> Array:
-    """Return the largest departure from the mean in each cycle: points of a Poincaré section."""
+    """Return the maximum of each complete cycle: points of a Poincaré section."""
     cycle = np.floor((time_s - time_s[0]) * frequency_hz).astype(int)
     edges = np.searchsorted(cycle, np.arange(cycle[-1] + 1))
     return np.maximum.reduceat(values, edges)[:-1] if len(edges) > 1 else np.array([])
@@ -96,10 +97,10 @@ def peaks_by_cycle(time_s: Array, values: Array, frequency_hz: float) -> Array:
 
 def return_map_slope(peaks: Array) -> float:
     """
-    Return the slope of each peak against the one before, about their mean; NaN if too few.
+    Return the slope of each peak over the one before, about their mean; NaN for fewer than 5.
 
-    Below 1 the cycle attracts. It is the Floquet multiplier if what moves the peaks is a real
-    disturbance; measurement noise draws it to 0 (errors in variables).
+    Below 1 the cycle attracts. It estimates the Floquet multiplier if the peaks scatter by process
+    noise; measurement noise biases it towards 0 (errors in variables).
     """
     if len(peaks) < 5:
         return float('nan')
@@ -110,9 +111,9 @@ def return_map_slope(peaks: Array) -> float:
 
 def orbit_closure(time_s: Array, values: Array, frequency_hz: float) -> float:
     """
-    Return how far the orbit fails to close: rms distance of a sample to that one cycle earlier.
+    Return the rms difference of a signal to itself one cycle earlier, over its rms.
 
-    As a share of the rms of the signal; about 0 for a closed orbit, 1.4 for noise.
+    About 0 for a closed orbit, 1.4 for noise.
     """
     earlier = np.interp(time_s - 1.0 / frequency_hz, time_s, values, left=np.nan)
     difference = (values - earlier)[np.isfinite(earlier)]

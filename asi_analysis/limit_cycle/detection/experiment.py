@@ -1,9 +1,9 @@
 """
 `asi run --experiment isolation`: the two runs that show whether a limit cycle is isolated.
 
-From inside: a step from rest, so that the cycle has to grow. From outside: a sine about the same
-force that ends by itself, slower than the cycle, since the actuator cannot be driven much beyond
-its cycle at the cycle's own frequency.
+From inside: a step from rest, after which the cycle grows. From outside: a sine about the same
+force for DRIVEN_S, slower than the cycle, because at the frequency of the cycle the actuator
+cannot be driven much beyond its amplitude.
 """
 
 from dataclasses import replace
@@ -24,9 +24,9 @@ DRIVEN_S: Final = 0.3
 
 def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> LimitCycles:
     """
-    Return the bags of both runs and the segments of both, judged together.
+    Return the bags of both runs and their segments, analysed together.
 
-    experiment: its reference is a step, whose size is the force held in both runs.
+    experiment: its reference is a step; both runs hold the force of that step.
     """
     held = float(experiment.controller.get('reference.amplitude', 100.0))
     sine: dict[str, Value] = {

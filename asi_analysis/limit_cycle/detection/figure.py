@@ -1,4 +1,4 @@
-"""A picture of a judged record: the signal in time with its verdicts, and its orbit."""
+"""Figure of a recording: the signal over time with the verdicts, and its orbit."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -14,7 +14,7 @@ from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, WI
 
 COLOUR: Final = {'limit_cycle': ORANGE, 'saturating': PURPLE, 'forced': GREEN,
                  'decaying': BLUE, 'growing': BLUE, 'noise': GREY, 'unsteady': GREY}
-# Cycles of the orbit that are drawn: more would cover each other.
+# Cycles of the orbit that are drawn; more would overlap.
 DRAWN_CYCLES: Final = 12
 
 
@@ -26,18 +26,18 @@ def drawn(runs: Sequence[Run], document: dict[str, Any]) -> dict[str, tuple[Figu
 
 
 def draw(run: Run, document: dict[str, Any]) -> Figure:
-    """Draw the segments of `document` that are of `run`; the orbits below, if there are any."""
+    """Draw the segments of a run, and below the orbits of those that oscillate."""
     segments = [s for s in document['segments'] if s['source'] == run.source]
-    swings = [s for s in segments if s['frequency_hz'] is not None]
+    oscillations = [s for s in segments if s['frequency_hz'] is not None]
     name, values = response_of(run, segments[0]['signal'])
     label, unit = name.replace('_', ' '), run.unit(name)
     with style():
-        figure = Figure(figsize=(WIDTH_IN, 5.6 if swings else 2.8), layout='constrained')
-        axes = figure.subplots(2 if swings else 1, 1, squeeze=False)[:, 0]
+        figure = Figure(figsize=(WIDTH_IN, 5.6 if oscillations else 2.8), layout='constrained')
+        axes = figure.subplots(2 if oscillations else 1, 1, squeeze=False)[:, 0]
         _in_time(axes[0], run, values, segments)
         axes[0].set(xlabel='time (s)', ylabel=f'{label} ({unit})')
-        if swings:
-            _orbits(axes[1], run, values, swings, unit)
+        if oscillations:
+            _orbits(axes[1], run, values, oscillations, unit)
             axes[1].set(xlabel=f'{label} ({unit})', ylabel=f'its rate ({unit}/s)')
             figure.legend(*axes[1].get_legend_handles_labels(), loc='outside lower center')
         return figure
@@ -56,10 +56,10 @@ def _in_time(axes: Axes, run: Run, values: Array, segments: Sequence[dict[str, A
                       xycoords=('data', 'axes fraction'), rotation=30, fontsize=8, color=colour)
 
 
-def _orbits(axes: Axes, run: Run, values: Array, swings: Sequence[dict[str, Any]], unit: str
+def _orbits(axes: Axes, run: Run, values: Array, oscillations: Sequence[dict[str, Any]], unit: str
             ) -> None:
     """Draw the last cycles of each segment that oscillates, against their rate."""
-    for segment in swings:
+    for segment in oscillations:
         part = _part(run, segment)
         rate = np.gradient(values[part], run.time_s[part])
         last = run.time_s[part] > segment['end_s'] - DRAWN_CYCLES / segment['frequency_hz']

@@ -1,9 +1,9 @@
 """
-Is the cycle isolated, as a limit cycle must be? Shown by evidence, across segments and bags.
+Whether a cycle is isolated, as a limit cycle must be, from segments of one or more bags.
 
-A closed orbit alone could be one of a family (a linear loop exactly at its stability limit). It is
+A closed orbit could be one of a continuous family (a linear loop at its stability limit). It is
 isolated if the same orbit is reached from inside and from outside, or again after a disturbance
-has thrown the motion off it (Khalil, Nonlinear Systems, 2002, section 2.4).
+(Khalil, Nonlinear Systems, 2002, section 2.4).
 """
 
 from collections.abc import Sequence
@@ -11,11 +11,11 @@ from typing import Final
 
 from asi_analysis.limit_cycle.detection.verdict import Segment
 
-# Two orbits are the same if they agree this closely, or within their intervals.
+# Two orbits are the same if they differ by less than these shares, or than their half widths.
 SAME_FREQUENCY: Final = 0.02
 SAME_AMPLITUDE: Final = 0.05
-MISSING_RUN: Final = ('closed, isolation not shown: record the loop started once from a smaller '
-                      'and once from a larger oscillation, or pushed off its orbit '
+MISSING_RUN: Final = ('closed orbit, isolation not shown: record the loop once from a smaller '
+                      'and once from a larger oscillation, or disturb it '
                       '(asi run --experiment isolation)')
 
 
@@ -35,9 +35,9 @@ def same_orbit(a: Segment, b: Segment) -> bool:
 
 def judge(segments: Sequence[Segment]) -> list[Segment]:
     """
-    Return the segments, of one bag or several, with `isolated` decided and the reason extended.
+    Return segments with `isolated` set and the reason extended, for limit cycles.
 
-    Only limit cycles are looked at; the segments must be in the order of time within a bag.
+    Segments of a bag must be in chronological order.
     """
     judged = []
     for segment in segments:

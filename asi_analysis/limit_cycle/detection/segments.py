@@ -1,4 +1,4 @@
-"""Where a record changes its ways: steps of the reference, and bends of the envelope."""
+"""Segmentation of a record: at changes of the reference, and of the envelope's growth rate."""
 
 from typing import Final
 
@@ -9,23 +9,23 @@ from asi_analysis.limit_cycle.detection.envelope import Envelope
 
 Array = npt.NDArray[np.float64]
 
-# Windows of the envelope that a piece of its own must have, and the price of one more piece.
+# Least number of windows in a piece, and penalty of one more piece.
 SHORTEST_PIECE: Final = 3
-PRICE: Final = 6.0
-# The first window is cut off if no sine fits it by so many times the usual: a loop that settles.
-UNLIKE: Final = 5.0
+PENALTY: Final = 6.0
+# The first window is cut off if its residual is so many times the median: a transient.
+TRANSIENT: Final = 5.0
 
 
 def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> list[float]:
     """
-    Return the times (s) at which the reference begins or ceases to move, or steps.
+    Return the times (s) at which the reference steps, starts moving or stops moving.
 
-    Steps that follow each other within four cycles belong to one moving reference.
+    Steps less than four cycles apart belong to one moving reference.
     """
     if reference is None:
         return []
-    there = np.isfinite(reference)
-    t, r = time_s[there], reference[there]
+    valid = np.isfinite(reference)
+    t, r = time_s[valid], reference[valid]
     if len(r) < 2 or np.ptp(r) == 0.0:
         return []
     moves = t[1:][np.abs(np.diff(r)) > 1e-6 * np.ptp(r)]
@@ -43,31 +43,31 @@ def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> li
 
 def envelope_cuts(found: Envelope) -> list[float]:
     """
-    Return the times (s) at which the growth of the envelope changes.
+    Return the times (s) at which the growth rate of the envelope changes.
 
-    Each piece is a straight line in the logarithm of the amplitude; dynamic programming finds the
-    pieces of least squared error plus PRICE a piece in units of description length (Jackson et
-    al., IEEE Signal Processing Letters 12, 2005).
+    Each piece is a straight line in the logarithm of the amplitude. Dynamic programming minimises
+    the squared error plus PENALTY for each piece, in units of description length (Jackson et al.,
+    IEEE Signal Processing Letters 12, 2005).
     """
     count = len(found.amplitude)
     if count < 2 * SHORTEST_PIECE:
         return []
     noise_floor = np.maximum(found.deviation, 1e-3 * found.amplitude.max())
     level = np.log(np.maximum(found.amplitude, noise_floor))
-    # What the eye sees from window to window counts as noise too: neighbours share half their
-    # samples, so second differences of white noise have 2.5 instead of 6 times its variance.
-    rough = np.diff(level, 2)
-    scatter = (np.median(np.abs(rough)) / 0.6745) ** 2 / 2.5 if count > 6 else 0.0
+    # Scatter from window to window counts as noise. Neighbours share half their samples, so second
+    # differences of white noise have 2.5 instead of 6 times its variance.
+    second = np.diff(level, 2)
+    scatter = (np.median(np.abs(second)) / 0.6745) ** 2 / 2.5 if count > 6 else 0.0
     weight = 1.0 / ((noise_floor / np.maximum(found.amplitude, noise_floor)) ** 2 + scatter + 1e-6)
     cost = _line_costs(level, weight)
 
-    price = 2.0 * PRICE * np.log(count)   # twice: neighbouring windows are not independent
+    penalty = 2.0 * PENALTY * np.log(count)   # twice: neighbouring windows are correlated
     best = np.full(count + 1, np.inf)
-    best[0] = -price
+    best[0] = -penalty
     origin = np.zeros(count + 1, int)
     for end in range(SHORTEST_PIECE, count + 1):
         starts = np.arange(0, end - SHORTEST_PIECE + 1)
-        totals = best[starts] + cost[starts, end - 1] + price
+        totals = best[starts] + cost[starts, end - 1] + penalty
         origin[end] = starts[np.argmin(totals)]
         best[end] = totals.min()
     cuts, end = set(), count
@@ -75,14 +75,14 @@ def envelope_cuts(found: Envelope) -> list[float]:
         end = int(origin[end])
         cuts.add(0.5 * float(found.time_s[end - 1] + found.time_s[end]))
     settled = float(found.time_s[0]) + 0.5 * found.window_s
-    if (found.deviation[0] > UNLIKE * np.median(found.deviation)
+    if (found.deviation[0] > TRANSIENT * np.median(found.deviation)
             and all(cut > settled + found.window_s for cut in cuts)):
         cuts.add(settled)
     return sorted(cuts)
 
 
 def _line_costs(level: Array, weight: Array) -> Array:
-    """Return [i, j]: the weighted squared error of the best straight line from i to j."""
+    """Return the weighted squared error of the best straight line from i to j, at [i, j]."""
     x = np.arange(len(level), dtype=float)
 
     def sums(values: Array) -> Array:

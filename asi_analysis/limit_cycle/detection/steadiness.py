@@ -1,7 +1,7 @@
 """
-How much steadier an envelope is than that of noise with the same spectrum.
+Surrogate test: whether an envelope is steadier than that of noise with the same spectrum.
 
-By surrogates: Gaussian noises of that spectrum (Theiler et al., Physica D 58, 1992).
+The surrogates are Gaussian noise of that spectrum (Theiler et al., Physica D 58, 1992).
 """
 
 from typing import Final
@@ -14,14 +14,14 @@ from asi_analysis.measures.record import Array, ComplexArray
 from asi_analysis.measures.sinusoid import on_grid
 
 SURROGATES: Final = 200
-# Samples of a record that are compared with surrogates; of a longer one, windows spread over it.
+# Samples that are compared with surrogates; in a longer record in WINDOWS windows.
 COMPARED: Final = 8192
 WINDOWS: Final = 4
 
 
 def steadiness(t: Array, y: Array, frequency: float) -> float:
     """
-    Return how much steadier the envelope is than that of noise of the same spectrum.
+    Return how much steadier the envelope is than that of the surrogates.
 
     In standard deviations of the surrogates; 0 if one of them is as steady.
     """
@@ -32,7 +32,7 @@ def steadiness(t: Array, y: Array, frequency: float) -> float:
     own = _evenness(windows, period, frequency, skip)
     others: list[float] = []
     for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
-        # Each at its own highest peak: that of a record stands out where a burst happens to be.
+        # Each at its own highest peak, as the record, where a random burst can be the peak.
         others.append(_evenness(rows, period, _highest_peak(rows, period), skip))
         if others[-1] >= own:
             return 0.0
@@ -40,7 +40,7 @@ def steadiness(t: Array, y: Array, frequency: float) -> float:
 
 
 def _windows(even: Array) -> Array:
-    """Return windows of a record, a row each: all of it if it is short."""
+    """Return windows of a record as rows; a short record as one row."""
     if len(even) <= COMPARED:
         return even[None]
     size = COMPARED // WINDOWS
@@ -49,9 +49,9 @@ def _windows(even: Array) -> Array:
 
 
 def _evenness(windows: Array, period: float, frequency: float, skip: int) -> float:
-    """Return how even the power about a frequency is; skip: samples left out at either end."""
-    kept = slice(skip, windows.shape[1] - skip)
-    power = np.abs(analytic_signal(windows, period, frequency)[:, kept]) ** 2
+    """Return the steadiness of the power about a frequency; skip: samples omitted at each end."""
+    inner = slice(skip, windows.shape[1] - skip)
+    power = np.abs(analytic_signal(windows, period, frequency)[:, inner]) ** 2
     return -float(np.log(power.var() / power.mean() ** 2))
 
 
@@ -63,9 +63,9 @@ def _highest_peak(windows: Array, period: float) -> float:
 
 
 def analytic_signal(values: Array, period: float, frequency: float) -> ComplexArray:
-    """Return the analytic signal of what values (along the last axis) hold about a frequency."""
+    """Return the analytic signal of values (along the last axis), band-passed at a frequency."""
     band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), 1e-3, 0.98)
-    around = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
-                                values - values.mean(-1, keepdims=True),
-                                padlen=min(15, values.shape[-1] - 1))
-    return np.asarray(signal.hilbert(around))
+    filtered = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
+                                  values - values.mean(-1, keepdims=True),
+                                  padlen=min(15, values.shape[-1] - 1))
+    return np.asarray(signal.hilbert(filtered))

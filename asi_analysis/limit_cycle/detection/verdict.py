@@ -1,10 +1,10 @@
 """
-The verdict on each stretch of a record: what kind of oscillation, if any, with what confidence.
+The verdict on each segment of a record: the kind of oscillation, if any, and the confidence.
 
-First the record is described, in the fewest bits, as coloured noise, as one oscillation, or as
-pieces of both; then each oscillation is told apart by what a linear loop could not do. A limit
-cycle is claimed only if a linear loop close to its stability limit is ruled out: by harmonics,
-which a linear loop left alone cannot make, or by a decay that must be smaller than chance allows.
+The record is modelled, by minimum description length, as coloured noise, as one oscillation, or
+as pieces of both. An oscillation is a limit cycle only if a linear loop close to its stability
+limit is ruled out: by harmonics, which an undriven linear loop cannot produce, or by a decay rate
+that is too small to be likely.
 """
 
 from typing import Any, Final, NamedTuple
@@ -33,39 +33,39 @@ RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command'
 FEWEST_CYCLES: Final = 3.0
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
-# Bits, times 2 ln 2, that an oscillation must spare: noise is one 20 times as readily.
+# Gain in description length (-2 ln likelihood) that an oscillation needs: prior odds of 1 to 20.
 MARGIN: Final = 6.0
-# A recording cleaner than this share of its size is treated as if it had that noise (50 dB).
+# Noise floor relative to the signal, assumed for cleaner recordings (50 dB).
 CLEANEST: Final = 10.0 ** (-2.5)
-# A linear loop that oscillates visibly may be as close to its limit as this, or this far: prior
-# of its damping ratio, even in the logarithm. So a pure sine that merely does not decay visibly
-# is not yet a limit cycle.
+# Range of the damping ratio of an oscillating linear loop; the prior is uniform in its logarithm.
+# So a pure sine without visible decay is not yet a limit cycle.
 LEAST_DAMPING: Final = 1e-8
 MOST_DAMPING: Final = 0.1
-# Prior odds of a linear loop, against a limit cycle, once it did what a linear loop cannot.
+# Prior odds of a linear loop against a limit cycle, given evidence of a nonlinearity.
 LINEAR_AFTER_ALL: Final = 0.02
-# Change of the amplitude over a nonlinear record that does not count as decay.
+# Relative change of the amplitude over a nonlinear record that does not count as decay.
 STEADY_CHANGE: Final = 0.03
+# Least probability of a verdict.
 CLAIM: Final = 0.9
-# Harmonics count from this share of a step to which values are rounded. The error of rounding has
-# 0.29 steps rms, a sine of 0.41; of it not all is harmonic.
-ROUNDED: Final = 0.41
-# An orbit that was reached must have lasted as long to be called settled.
+# Harmonics must be larger than this share of the quantisation step. The quantisation error has
+# 0.29 steps rms, as a sine of amplitude 0.41; not all of it is harmonic.
+QUANTISED: Final = 0.41
+# Cycles that an orbit must last after its approach to be called settled.
 SETTLED_CYCLES: Final = 8.0
-# Confidence in a limit cycle at most, if no reference is there to show that nothing drives it.
+# Largest confidence in a limit cycle without a recorded reference, which may drive it.
 UNDRIVEN: Final = 0.8
-# Harmonics so much larger than the fundamental are an oscillation at another frequency.
+# Above this THD the oscillation is at another frequency.
 MOST_THD: Final = 3.0
-# Standard deviations of the surrogates by which an envelope must stand out.
-TELLING: Final = 4.0
-# Least change of a swing's logarithm that is judged by itself, and how sure it must be.
-LEAST_FALL: Final = 0.2
-SURE_FALL: Final = 0.97
+# Least steadiness of an envelope, in standard deviations of the surrogates.
+STEADIER: Final = 4.0
+# Least change of the logarithm of the swing that is a decay, and its confidence.
+LEAST_DECAY: Final = 0.2
+SURE_DECAY: Final = 0.97
 
 
 class Segment(NamedTuple):
     """
-    A stretch of a record and the verdict on it.
+    A segment of a record and its verdict.
 
     Frequency, amplitude and envelope rate come with intervals at 95 %; the amplitude is that of
     the fundamental, in `unit`. `came_from`: 'inside', 'outside' or '' — how the orbit was
@@ -99,30 +99,30 @@ class Segment(NamedTuple):
 class _Piece(NamedTuple):
     time_s: Array
     values: Array
-    frequency_hz: float            # about which it was looked at
+    frequency_hz: float            # initial guess
     kind: str                      # 'noise' or 'line'
     steady: HarmonicFit | None     # fitted at constant amplitude
-    moving: HarmonicFit | None     # fitted with a rate of its envelope
+    moving: HarmonicFit | None     # fitted with a growth rate
     description: float
     noise: Autoregression
 
 
 def response_of(run: Run, name: str | None = None) -> tuple[str, Array]:
-    """Return name and values of the signal to judge: the first of RESPONSES that is there."""
+    """Return name and values of the signal to analyse, by default the first of RESPONSES."""
     present = run.signals()
-    wanted = [name] if name else [*RESPONSES, 'reference']
-    for candidate in wanted:
+    candidates = [name] if name else [*RESPONSES, 'reference']
+    for candidate in candidates:
         if candidate in present and np.isfinite(present[candidate]).sum() > 1:
             return candidate, present[candidate]
-    raise InputError(f'{run.source or "the run"}: no signal {" or ".join(wanted)}; there is '
+    raise InputError(f'{run.source or "the run"}: no signal {" or ".join(candidates)}; there is '
                      + (', '.join(present) or 'none'))
 
 
 def judge_run(run: Run, name: str | None = None) -> list[Segment]:
     """
-    Return the segments of a run, each with its verdict, in the order of time.
+    Return the segments of a run, each with its verdict, in chronological order.
 
-    name: signal to judge, by default the first of RESPONSES. Raises InputError if it is absent.
+    name: signal to analyse, by default the first of RESPONSES. Raises InputError if it is absent.
     """
     chosen, values = response_of(run, name)
     time_s, values = known(run.time_s, values)
@@ -145,7 +145,7 @@ def judge_run(run: Run, name: str | None = None) -> list[Segment]:
 
 
 def _unless_driven(segment: Segment) -> Segment:
-    """Return a segment of a run without a reference: what drives it from outside is not seen."""
+    """Return a segment of a run without a reference: an external drive cannot be excluded."""
     if segment.verdict != 'limit_cycle':
         return segment
     return segment._replace(
@@ -221,11 +221,11 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
 def _noise_or_short(piece: _Piece) -> tuple[str, float, str, dict[str, Any]]:
     if (piece.time_s[-1] - piece.time_s[0]) * piece.frequency_hz < 0.9 * FEWEST_CYCLES:
         return *TOO_SHORT, {}
-    return 'noise', 0.9, 'coloured noise describes it in fewer bits', {}
+    return 'noise', 0.9, 'coloured noise has the shorter description', {}
 
 
 def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
-    """Return a piece that is noise about the frequency of its stretch, or what it has instead."""
+    """Return a piece that is noise at the first guess, or its oscillation at another frequency."""
     frequency = dominant_frequency(time_s, values)
     cycles = frequency * (time_s[-1] - time_s[0])
     if not cycles >= FEWEST_CYCLES or np.ptp(values) == 0.0:
@@ -237,37 +237,37 @@ def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
 
 def _forced(run: Run, t: Array, y: Array, frequency: float
             ) -> tuple[str, float, str, dict[str, Any]] | None:
-    """Return the verdict on a motion if a linear answer to the reference explains it."""
+    """Return the verdict on a motion that a linear response to the reference explains."""
     share = drive.explained_by_reference(run, t, y, frequency)
     if share < drive.FOLLOWS:
         return None
     return 'forced', float(np.clip(share, 0.5, 0.99)), (
-        f'a linear answer to the reference explains {100 * share:.0f} % of the motion about '
+        f'a linear response to the reference explains {100 * share:.0f} % of the motion about '
         f'{frequency:.5g} Hz'), {}
 
 
 def _pieces(t: Array, y: Array, frequency: float) -> list[_Piece]:
-    """Return the shortest description of a stretch: noise, one oscillation, or pieces."""
-    floor = CLEANEST * float(np.std(y))
-    whole = _describe(t, y, frequency, floor)
+    """Return the shortest description of a signal: noise, one oscillation, or pieces."""
+    noise_floor = CLEANEST * float(np.std(y))
+    whole = _describe(t, y, frequency, noise_floor)
     cuts = seg.envelope_cuts(env.envelope(t, y, frequency))
     if not cuts:
         return [whole]
     edges = np.searchsorted(t, [-np.inf, *cuts, np.inf])
-    pieces = [_describe(t[a:b], y[a:b], frequency, floor)
+    pieces = [_describe(t[a:b], y[a:b], frequency, noise_floor)
               for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    price = len(cuts) * np.log(len(y))
-    if sum(piece.description for piece in pieces) + price < whole.description:
+    penalty = len(cuts) * np.log(len(y))
+    if sum(piece.description for piece in pieces) + penalty < whole.description:
         return pieces
     return [whole]
 
 
-def _describe(t: Array, y: Array, frequency: float, floor: float) -> _Piece:
-    """Return a piece as noise or as an oscillation, whichever takes fewer bits."""
-    hiss = floor * np.random.default_rng(len(y)).standard_normal(len(y))
+def _describe(t: Array, y: Array, frequency: float, noise_floor: float) -> _Piece:
+    """Return a piece as noise or as an oscillation, whichever has the shorter description."""
+    added = noise_floor * np.random.default_rng(len(y)).standard_normal(len(y))
 
     def describe(residual: Array, parameters: int) -> Autoregression:
-        return autoregression(on_grid(t, residual + hiss)[0], parameters)
+        return autoregression(on_grid(t, residual + added)[0], parameters)
 
     drift = np.polynomial.polynomial.Polynomial.fit(t, y, 1)(t)
     best = describe(y - drift, 2)
@@ -278,13 +278,13 @@ def _describe(t: Array, y: Array, frequency: float, floor: float) -> _Piece:
             continue
         if oscillation.thd > MOST_THD:
             continue
-        # The frequency was searched for among as many as there are samples: ln n once more.
+        # One more for the search of the frequency among as many as there are samples.
         parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1
         noise = describe(y - oscillation.at(t), parameters)
         if noise.description < best.description - (MARGIN if kind == 'noise' else 0.0):
             kind, best = 'line', noise
     if steady and moving and steady.cycles < 0.8 * FEWEST_CYCLES:
-        steady = moving   # what decays fast may lead a steady fit astray
+        steady = moving   # fast decay: the fit of constant amplitude is at a wrong frequency
     return _Piece(t, y, frequency, kind, steady, moving, best.description, best)
 
 
@@ -307,10 +307,10 @@ def _figures(piece: _Piece) -> dict[str, Any]:
 
 def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
     """
-    Return how the orbit was reached, from the record before it in the same bag.
+    Return how the orbit was approached, from the record before it in the same bag.
 
-    Words of 'inside', 'outside' and 'disturbed': the swing was smaller, or larger, by a fifth and
-    came to it without a break; 'disturbed' if the orbit had been left.
+    'inside' or 'outside': the swing was smaller, or larger, by a fifth just before it; with
+    'disturbed' if the motion had been on the orbit earlier.
     """
     if piece.steady is None or len(before[0]) < 8:
         return ''
@@ -324,7 +324,7 @@ def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
     off = np.flatnonzero((ratio < 0.8) | (ratio > 1.2))
     if not len(off):
         return ''
-    # Only one cycle that is large is a jump of the force from one level to another.
+    # A single large cycle is a step of the mean force.
     jump = ratio[off[-1]] > 1.2 and (off[-1] == 0 or ratio[off[-1] - 1] < 1.2)
     if jump and len(off) < 2:
         return ''
@@ -343,66 +343,67 @@ def _judge_line(run: Run, name: str, piece: _Piece, came_from: str) -> tuple[str
     if forced := _forced(run, piece.time_s, piece.values, steady.frequency_hz):
         return forced[:3]
     change = abs(moving.rate) * (piece.time_s[-1] - piece.time_s[0])
-    if change < 1.0 and (stop := drive.at_stop(run, piece.time_s[0], piece.time_s[-1])):
-        return 'saturating', 0.95, stop
+    if change < 1.0 and (limit := drive.at_limit(run, piece.time_s[0], piece.time_s[-1])):
+        return 'saturating', 0.95, limit
     settled = came_from and steady.cycles >= SETTLED_CYCLES
     evidence = _harmonics(run, name, piece) or ('an amplitude that settles' if settled else '')
     limit_cycle, decaying, growing = _decay_probabilities(piece, bool(evidence))
     if decaying >= CLAIM:
-        return 'decaying', decaying, f'the envelope falls at {-moving.rate:.3g} 1/s'
+        return 'decaying', decaying, f'the envelope decays at {-moving.rate:.3g} 1/s'
     if growing >= CLAIM:
         return 'growing', growing, f'the envelope grows at {moving.rate:.3g} 1/s'
     if limit_cycle >= CLAIM and evidence:
         return 'limit_cycle', limit_cycle, (
             f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
             + evidence)
-    if evenly := _falls_evenly(piece.time_s, piece.values, steady.frequency_hz):
-        return evenly
+    if decay := _steady_decay(piece.time_s, piece.values, steady.frequency_hz):
+        return decay
     return 'unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing), (
-        f'steady as far as {steady.cycles:.3g} cycles show, but so might a linear loop close to '
-        'its stability limit be: a longer or cleaner record would tell')
+        f'steady over {steady.cycles:.3g} cycles, but a linear loop close to its stability limit '
+        'is not ruled out: record a longer or cleaner run')
 
 
-def _falls_evenly(t: Array, y: Array, frequency: float) -> tuple[str, float, str] | None:
+def _steady_decay(t: Array, y: Array, frequency: float) -> tuple[str, float, str] | None:
     """
-    Return the verdict on a motion whose swing falls or grows evenly.
+    Return the verdict on a motion whose swing decays or grows steadily.
 
-    Its frequency may follow its amplitude, so that no one sine fits it; the swing is plain.
+    Also for a frequency that depends on the amplitude, which no single sine fits.
     """
-    fall, chance = env.fall_of_swing(t, y, frequency)
-    if abs(fall) < LEAST_FALL or chance > 1.0 - SURE_FALL:
+    decay, p_value = env.decay_of_swing(t, y, frequency)
+    if abs(decay) < LEAST_DECAY or p_value > 1.0 - SURE_DECAY:
         return None
-    return ('decaying' if fall > 0.0 else 'growing', min(1.0 - chance, 0.99),
-            f'the swing changes by a factor {np.exp(-fall):.3g}, evenly')
+    return ('decaying' if decay > 0.0 else 'growing', min(1.0 - p_value, 0.99),
+            f'the swing changes steadily, by a factor {np.exp(-decay):.3g}')
 
 
 def _harmonics(run: Run, name: str, piece: _Piece) -> str:
-    """Return which signal has harmonics that are its own, and how much; empty if none has."""
+    """Return which signal has significant harmonics, and their size; empty if none has."""
     assert piece.steady is not None
     inside = run.between(piece.time_s[0], piece.time_s[-1] + 0.5 * run.period_s)
-    if len(piece.steady.harmonics) > 1 and _its_own(piece.steady, inside.signal(name)):
+    if len(piece.steady.harmonics) > 1 and _significant(piece.steady, inside.signal(name)):
         return f'harmonics of {100 * piece.steady.thd:.2g} %'
     if inside.command_n is None:
         return ''
     command = fit(*reduce(*known(inside.time_s, inside.command_n), piece.steady.frequency_hz),
                   piece.steady.frequency_hz)
-    if command is None or len(command.harmonics) < 2 or not _its_own(command, inside.command_n):
+    if (command is None or len(command.harmonics) < 2
+            or not _significant(command, inside.command_n)):
         return ''
     return f'harmonics of {100 * command.thd:.2g} % in the command'
 
 
-def _its_own(oscillation: HarmonicFit, values: Array) -> bool:
-    """Return whether harmonics are larger than all that rounding makes of a pure sine."""
-    step = drive.rounding(values[np.isfinite(values)])
-    return oscillation.thd * oscillation.amplitude > ROUNDED * step
+def _significant(oscillation: HarmonicFit, values: Array) -> bool:
+    """Return whether the harmonics are larger than the quantisation error of a pure sine."""
+    step = drive.quantisation(values[np.isfinite(values)])
+    return oscillation.thd * oscillation.amplitude > QUANTISED * step
 
 
 def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, float]:
     """
     Return the probabilities of a limit cycle, a decaying and a growing oscillation.
 
-    Bayes with the measured damping ratio: exactly steady, or of any size between LEAST_DAMPING
-    and MOST_DAMPING on either side.
+    Bayesian comparison by the measured damping ratio: zero, or from LEAST_DAMPING to MOST_DAMPING
+    of either sign.
     """
     steady, moving = piece.steady, piece.moving
     if steady is None or moving is None:
@@ -435,25 +436,25 @@ def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, 
 def _judge_noise(t: Array, y: Array, frequency: float
                  ) -> tuple[str, float, str, dict[str, Any]]:
     """
-    Return verdict, confidence, reason and figures of a stretch that a noise model describes best.
+    Return verdict, confidence, reason and figures of a segment that a noise model describes best.
 
-    An oscillation that noise keeps out of step, or whose frequency follows its amplitude, ends up
-    here too. The swing of the one falls more evenly than a random walk, the envelope of the other
-    is steadier than that of Gaussian noise of the same spectrum, as surrogates show.
+    It may still be an oscillation whose frequency depends on its decaying amplitude: its swing
+    decays more steadily than a random walk. Or one whose phase noise disturbs: its envelope is
+    steadier than that of surrogates.
     """
-    if evenly := _falls_evenly(t, y, frequency):
-        return *evenly, _figures(_describe(t, y, frequency, 0.0))
+    if decay := _steady_decay(t, y, frequency):
+        return *decay, _figures(_describe(t, y, frequency, 0.0))
     steadier = steadiness(t, y, frequency)
-    if steadier > TELLING:
+    if steadier > STEADIER:
         piece = _describe(t, y, frequency, 0.0)
         confidence = float(np.clip(stats.norm.cdf(steadier - 2.0), 0.5, 0.99))
         verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
         figures = _figures(piece) | _cycle_figures(piece, frequency)
         return verdict, confidence, (
-            f'out of step from cycle to cycle, but its envelope is {steadier:.1f} standard '
+            f'irregular phase, but its envelope is {steadier:.1f} standard '
             'deviations steadier than that of noise with the same spectrum'), figures
     return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadier)), 0.5, 0.99)), (
-        'coloured noise with a resonance describes it in fewer bits than any oscillation'), {}
+        'coloured noise with a resonance has a shorter description than any oscillation'), {}
 
 
 def _cycle_figures(piece: _Piece, frequency: float) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Which nonlinearity: the paper's argument as a table, and the shape of foreign oscillations."""
+"""Attribution of a limit cycle: ablation of the model, and shape of other loops' recordings."""
 
 import json
 
@@ -12,17 +12,17 @@ from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked, information
 from asi_analysis.limit_cycle.attribution import figure, valves
 from asi_analysis.limit_cycle.attribution.ablation import NONLINEARITIES, attribute_model, shapley
-from asi_analysis.limit_cycle.attribution.calibration import WEIGHTS, examples, judged
+from asi_analysis.limit_cycle.attribution.calibration import WEIGHTS, examples, validate
 from asi_analysis.limit_cycle.attribution.loops import (
     VALVES,
+    Inputs,
     Plant,
     Valve,
-    Weather,
     _oscillates,
     _plant,
     loop,
     run_loop,
-    still,
+    run_without_noise,
     ultimate_gain,
 )
 from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
@@ -107,8 +107,9 @@ def test_fault_is_the_cause_of_the_simulated_swing(world):
     random = np.random.default_rng(3)
     plant = _plant(world, random)
     plant = plant._replace(gain=0.3 * ultimate_gain(plant, 4000))
-    assert not _oscillates(still(plant, Valve(), 1e9, 4000)[1])
-    assert _oscillates(still(plant._replace(gain=8.0 * plant.gain), Valve(), 1.0, 4000)[1])
+    assert not _oscillates(run_without_noise(plant, Valve(), 1e9, 4000)[1])
+    unstable = plant._replace(gain=8.0 * plant.gain)
+    assert _oscillates(run_without_noise(unstable, Valve(), 1.0, 4000)[1])
 
 
 def test_document_and_picture_of_a_foreign_loop(tmp_path):
@@ -124,20 +125,20 @@ def test_document_and_picture_of_a_foreign_loop(tmp_path):
 
 def test_weights_are_right_on_loops_of_other_equations():
     features, causes = examples('judge', 5, seed=99)
-    judged_ = judged(features, causes, json.loads(WEIGHTS.read_text()))
-    assert judged_['right'] > 0.5      # six causes: chance is 0.17
+    found = validate(features, causes, json.loads(WEIGHTS.read_text()))
+    assert found['right'] > 0.5      # six causes: chance is 0.17
     # What it says of itself is not better than what it is.
-    assert judged_['mean_probability'] < judged_['right'] + 0.15
+    assert found['mean_probability'] < found['right'] + 0.15
 
 
 def test_no_valve_is_blamed_for_a_tight_loop_that_its_sensor_shakes():
     # As Choudhury, Shah, Thornhill (Automatica 40, 2004): 3 exp(-10 s) / (10 s + 1), PI, gain
     # close to the limit. A play explains what a coarse linear model leaves over.
     none = np.zeros(4000)
-    hiss = 0.3 * np.random.default_rng(0).standard_normal(4000)
+    noise = 0.3 * np.random.default_rng(0).standard_normal(4000)
     plant = Plant((10.0, 0.05, 0.05), 10.0, False, 0.0, 1.0, 10.0, 0.0, 0.0)
     plant = plant._replace(gain=0.93 * ultimate_gain(plant, 2000))
-    command, output = run_loop(plant, Valve(), 1e9, Weather(none, none, hiss, none), start=0.0)
+    command, output = run_loop(plant, Valve(), 1e9, Inputs(none, none, noise, none), start=0.0)
     found = attribute_cycle(Run(np.arange(4000.0), command_n=command, force_n=output))
     assert found['causes'][0]['nonlinearity'] == 'tight_tuning'
     assert found['causes'][0]['probability'] > 0.8
