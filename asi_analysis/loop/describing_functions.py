@@ -23,38 +23,41 @@ SETTLING: Final = 3
 
 
 @jit
-def _hysteresis(amplitude, frequency, bias, limit, samples, p):
+def _hysteresis(amplitude, frequency, limit, samples, p):
     step = 1.0 / (frequency * samples)
     decay = rate_decay(p, step)
     # Of a command that moves in straight lines the rate filter lags by this, exactly.
     lag = (1.0 - decay) / (2.0 * math.pi * p.valve_hysteresis_rate_filter * step)
+    half = samples // 2
     flux = filtered = 0.0
+    before = min(max(amplitude * math.sin(-2.0 * math.pi / samples), -limit), limit)
     total = 0.0 + 0.0j
-    # The first period finds the periodic state of the filter, the second settles the play.
-    for k in range(3 * samples):
-        if k == samples:
-            filtered /= 1.0 - decay ** samples
+    # The block is odd, so half a period tells the other. The first half finds the periodic state
+    # of the filter, the second settles the play, the third is projected.
+    for k in range(3 * half):
+        if k == half:
+            filtered /= 1.0 + decay ** half
         angle = 2.0 * math.pi * k / samples
-        before = min(max(bias + amplitude * math.sin(angle - 2.0 * math.pi / samples), -limit),
-                     limit)
-        command = min(max(bias + amplitude * math.sin(angle), -limit), limit)
+        sine = math.sin(angle)
+        command = min(max(amplitude * sine, -limit), limit)
         filtered = command - lag * (command - before) + (filtered - before) * decay
-        if k >= samples:
+        before = command
+        if k >= half:
             flux = valve_hysteresis(flux, command, filtered, p)
-        if k >= 2 * samples:
-            total += saturated(flux, p) * complex(math.sin(angle), math.cos(angle))
-    return total * 2.0 / (samples * amplitude)
+        if k >= 2 * half:
+            total += saturated(flux, p) * complex(sine, math.cos(angle))
+    return total * 2.0 / (half * amplitude)
 
 
-def hysteresis(amplitude_n: float, frequency_hz: float, bias_n: float, p: np.void,
-               limit_n: float = math.inf, samples: int = SAMPLES) -> complex:
+def hysteresis(amplitude_n: float, frequency_hz: float, p: np.void, limit_n: float = math.inf,
+               samples: int = SAMPLES) -> complex:
     """
-    Return N of the magnetic circuit (N/N) for a command bias + A sin, cut at ± limit.
+    Return N of the magnetic circuit (N/N) for a command A sin, cut at ± limit.
 
     In continuous time. Play, rate filter and saturation have no common closed form: the block
-    function is run at so many samples a period.
+    function is run at so many samples a period, an even number.
     """
-    return complex(_hysteresis(amplitude_n, frequency_hz, bias_n, limit_n, samples, p))
+    return complex(_hysteresis(amplitude_n, frequency_hz, limit_n, samples, p))
 
 
 @jit

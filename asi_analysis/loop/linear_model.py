@@ -20,7 +20,7 @@ from asi_actuator.model.valve_flexure import flexure_gain
 from asi_actuator.parameters import as_record
 from asi_analysis.experiments.step_tests import LOCKED
 from asi_analysis.loop.bench import Values
-from asi_common.jit import FULL, LINEAR
+from asi_common.jit import FULL, LINEAR, jit
 
 Array = npt.NDArray[np.floating]
 Complex = npt.NDArray[np.complex128]
@@ -142,25 +142,61 @@ def damping_slope(p: np.void, opening: float = 0.0) -> float:
     return float(damping_force(0.0, damping_curve(opening, p), p)[1])
 
 
-def hold(frequency_hz: npt.ArrayLike, period_s: float) -> Complex:
-    """Return the response of a zero-order hold of `period_s` s (its fundamental, no images)."""
-    f = np.asarray(frequency_hz, float)
-    turn: Complex = np.exp(-1j * np.pi * f * period_s)
-    return turn * np.sinc(f * period_s)
-
-
-def plant(frequency_hz: npt.ArrayLike, p: np.void, period_s: float = 0.0, damping: float = 0.0,
-          seals_stuck: bool = False) -> Complex:
+class Series(NamedTuple):
     """
-    Return valve command to measured force at frequencies (Hz), hysteresis and limits left out.
+    Blocks in series, as compiled code takes them.
+
+    numerators, denominators: m blocks x the coefficients of polynomials in s, highest power first
+    after zeros; delay_s: of all blocks; hold_s: of a zero-order hold, 0 for none.
+    """
+
+    numerators: npt.NDArray[np.float64]
+    denominators: npt.NDArray[np.float64]
+    delay_s: float
+    hold_s: float
+
+    def __call__(self, frequency_hz: npt.ArrayLike) -> Complex:
+        """Return the response at frequencies (Hz), delay and hold exact."""
+        f = np.asarray(frequency_hz, float)
+        response: Complex = _respond(f.ravel(), *self).reshape(f.shape)
+        return response
+
+
+@jit
+def _respond(frequencies, numerators, denominators, delay, held):
+    out = np.empty(frequencies.size, np.complex128)
+    for k in range(frequencies.size):
+        s = 2j * math.pi * frequencies[k]
+        turn = math.pi * frequencies[k] * held
+        # Half the hold is a delay; the rest of its fundamental has no phase.
+        response = np.exp(-s * (delay + 0.5 * held)) * (math.sin(turn) / turn if turn else 1.0)
+        for block in range(len(numerators)):
+            above = below = 0.0j
+            for power in range(numerators.shape[1]):
+                above = above * s + numerators[block, power]
+                below = below * s + denominators[block, power]
+            response *= above / below
+        out[k] = response
+    return out
+
+
+def plant(p: np.void, period_s: float = 0.0, damping: float = 0.0, seals_stuck: bool = False
+          ) -> Series:
+    """
+    Return valve command to measured force, hysteresis and limits left out.
 
     period_s: of a zero-order hold on the command, 0 for a loop in continuous time; damping and
     seals_stuck: as for `piston`. Each block is evaluated by itself: the product of polynomials of
     order 10 would lose digits.
     """
-    f = np.asarray(frequency_hz, float)
-    return (hold(f, period_s) * flexure(p)(f) * p['valve_characteristic_gain']
-            * piston(p, damping, seals_stuck)(f) * sensor(p)(f) * card(p)(f))
+    blocks = (_gain(p['valve_characteristic_gain']), flexure(p), piston(p, damping, seals_stuck),
+              sensor(p), card(p))
+    above, below = ([block.numerator for block in blocks], [block.denominator for block in blocks])
+    order = max(map(len, above + below))
+    numerators, denominators = (
+        np.array([np.pad(each, (order - len(each), 0)) for each in polynomials])
+        for polynomials in (above, below))
+    return Series(numerators, denominators, sum(block.delay_s for block in blocks), period_s)
 
 
 class LinearModel(NamedTuple):

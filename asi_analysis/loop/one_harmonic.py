@@ -8,7 +8,8 @@ Vander Velde 1968, section 3.5).
 
 import math
 from collections.abc import Callable, Iterable
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -34,7 +35,8 @@ COMMANDS_N: Final = np.geomspace(60.0, 1.6e4, 36)
 VELOCITIES_M_S: Final = np.geomspace(1e-4, 2.0, 12)
 
 
-class OneHarmonic(NamedTuple):
+@dataclass(frozen=True)
+class OneHarmonic:
     """
     A loop as the one-harmonic prediction takes it.
 
@@ -48,10 +50,15 @@ class OneHarmonic(NamedTuple):
     limited: bool = True
     samples: int = describing.SAMPLES
 
+    @cached_property
+    def plant(self) -> linear.Series:
+        """Valve command to measured force, without the hysteresis."""
+        return linear.plant(self.loop.plant, self.loop.period_s if self.held else 0.0)
+
     def per_gain(self, frequency_hz: npt.ArrayLike) -> Complex:
         """Return L: the loop without its gain, its sign and its hysteresis."""
         loop = self.loop
-        return (linear.plant(frequency_hz, loop.plant, loop.period_s if self.held else 0.0)
+        return (self.plant(frequency_hz)
                 * frequency_response(loop.compensator, frequency_hz, 1.0 / loop.period_s)
                 / loop.compensator['gain'])
 
@@ -63,8 +70,8 @@ class OneHarmonic(NamedTuple):
 
     def hysteresis(self, amplitude_n: float, frequency_hz: float) -> complex:
         """Return N of the hysteresis for a command of an amplitude."""
-        return describing.hysteresis(amplitude_n, frequency_hz, 0.0, self.loop.plant,
-                                     self.limit_n, self.samples)
+        return describing.hysteresis(amplitude_n, frequency_hz, self.loop.plant, self.limit_n,
+                                     self.samples)
 
 
 class Intersection(NamedTuple):

@@ -46,7 +46,7 @@ class Margin(NamedTuple):
 
 def hysteresis_table(p: np.void, amplitudes_n: Array = AMPLITUDES_N) -> Complex:
     """Return N of the hysteresis: amplitudes x FREQUENCIES_HZ."""
-    table = np.array([[describing.hysteresis(a, f, 0.0, p) for f in N_FREQUENCIES_HZ]
+    table = np.array([[describing.hysteresis(a, f, p) for f in N_FREQUENCIES_HZ]
                       for a in amplitudes_n])
     at, from_ = np.log(FREQUENCIES_HZ), np.log(N_FREQUENCIES_HZ)
     return np.array([np.interp(at, from_, row.real) + 1j * np.interp(at, from_, row.imag)
@@ -56,7 +56,7 @@ def hysteresis_table(p: np.void, amplitudes_n: Array = AMPLITUDES_N) -> Complex:
 def plant(p: np.void, bias_n: float, period_s: float) -> Complex:
     """Return command to measured force at FREQUENCIES_HZ, without hysteresis, seals sliding."""
     opening = float(np.clip(bias_n / p['valve_characteristic_maximum_force'], -1.0, 1.0))
-    return linear.plant(FREQUENCIES_HZ, p, period_s, linear.damping_slope(p, opening))
+    return linear.plant(p, period_s, linear.damping_slope(p, opening))(FREQUENCIES_HZ)
 
 
 def plants(actuator: Values, rate_hz: float) -> Iterator[tuple[str, float, Complex]]:

@@ -21,12 +21,12 @@ def test_play_is_python_controls(amplitude):
     p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
     # Its backlash: b is the whole width. One amplitude at a time: it forgets.
     closed = control.friction_backlash_nonlinearity(28.0).describing_function(amplitude)
-    assert describing.hysteresis(amplitude, 50.0, 0.0, p) == pytest.approx(closed, abs=2e-3)
+    assert describing.hysteresis(amplitude, 50.0, p) == pytest.approx(closed, abs=2e-3)
 
 
 def test_play_passes_nothing_of_a_sine_within_it():
     p = as_record(STUDY | {'valve_hysteresis.lag_time': 0.0})
-    assert abs(describing.hysteresis(10.0, 50.0, 0.0, p)) < 1e-12
+    assert abs(describing.hysteresis(10.0, 50.0, p)) < 1e-12
 
 
 @pytest.mark.parametrize('amplitude, bias', [
