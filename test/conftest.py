@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from asi_analysis.experiments.running import claimed
+from asi_analysis.experiments.running import reserve
 
 ROOT = Path(__file__).parents[1]
 # Domains whose ports stay below those that Linux gives to clients.
@@ -136,7 +136,7 @@ class NodeProcess:
 def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
     """Give the test a domain id that no other test on this machine has; return the environment."""
     for domain in DOMAINS:
-        if claim := claimed(f'asi_test_domain_{domain}'):
+        if claim := reserve(f'asi_test_domain_{domain}'):
             break
     else:
         pytest.fail(f'all domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use')

@@ -1,1 +1,1 @@
-"""Recordings: a run as arrays, read from and written to bags."""
+"""Recordings: `Run`, the arrays of one recording, and its bag; nodes that record and replay."""

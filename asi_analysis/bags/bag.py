@@ -1,4 +1,4 @@
-"""Bag → `Run`, `Run` → bag."""
+"""Read a bag into a `Run`, and write a `Run` as a bag."""
 
 import shutil
 import warnings
@@ -39,23 +39,23 @@ class Series(NamedTuple):
 
 def read_bag(path: str | Path) -> Run:
     """
-    Return what a bag of this package, or one that `ros2 bag record` made of its topics, holds.
+    Return the recording in a bag of this package, or in one of `ros2 bag record` of its topics.
 
     path: rosbag2 directory, .mcap or .db3 file. The time base is that of the stamps of
-    joint_states (or, without it, of the first of force, valve_command, ... that is there), from
-    0; what is published with other stamps is held until the next message. Whatever a damaged
-    file still holds is returned, with an InputWarning. Raises InputError if that is nothing.
+    joint_states (without it, of the first topic of TIME_BASES in the bag), from 0; a message
+    with another stamp holds until the next one. Of a damaged file the readable part is returned,
+    with an InputWarning. Raises InputError if no message can be read.
 
     >>> import asi_analysis as asi
     >>> run = asi.read_bag('runs/demo/lead_lag/bag')                      # doctest: +SKIP
     """
     path = Path(path)
-    contents = read_contents(path, lambda name: _base(name) in (*SIGNAL_TOPICS, DIAGNOSTICS))
+    contents = read_contents(path, lambda name: _base_name(name) in (*SIGNAL_TOPICS, DIAGNOSTICS))
     problems = list(contents.problems)
     series: dict[str, Series] = {}
     changes = []
     for topic in contents.topics.values():
-        name = _base(topic.name)
+        name = _base_name(topic.name)
         if name == DIAGNOSTICS:
             changes = _state_changes(topic)
         elif topic.type != SIGNAL_TOPICS[name].type:
@@ -87,10 +87,10 @@ def read_bag(path: str | Path) -> Run:
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
     """
-    Write a run as the bag that a recorder would have made; the first stamp is one period.
+    Write a run as a recorder would; the first stamp is one period.
 
-    information: what the bag says of its run; that of the run itself if None.
-    Raises InputError if the bag exists already.
+    information: the metadata `asi.run` of the bag; `run.information` if None. Raises InputError
+    if the bag exists already.
 
     >>> import tempfile
     >>> import asi_analysis as asi
@@ -104,24 +104,24 @@ def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None 
     try:
         _write(run, writer, run.information if information is None else information)
     except BaseException:
-        # Nothing half written that would stand in the way of the next try.
+        # An incomplete bag would make the next call fail.
         writer.abandon()
         shutil.rmtree(path, ignore_errors=True)
         raise
 
 
 def _write(run: Run, writer: BagWriter, information: Mapping[str, Any]) -> None:
-    """Write the messages of a run, a block of samples at a time."""
+    """Write the messages of a run in blocks of samples."""
     writer.add_information(information)
     stamps = np.round((run.time_s - run.time_s[0]) * 1e9).astype(np.int64)
     stamps += round((run.period_s if len(run) > 1 else 1e-3) * 1e9)
     channels = {name: writer.add_topic(f'/{name}', TOPICS[name].type)
-                for name in _outgoing(run[:0])}
+                for name in _topic_values(run[:0])}
     numbers = dict.fromkeys(channels, 0)
     for start in range(0, len(run), BLOCK_SAMPLES):
         block = slice(start, start + BLOCK_SAMPLES)
         rows: list[tuple[int, int, int, bytes]] = []
-        for name, values in _outgoing(run[block]).items():
+        for name, values in _topic_values(run[block]).items():
             known = (np.arange(len(stamps[block])) if name == 'joint_states' else np.flatnonzero(
                 np.any([~np.isnan(column) for column in values.values()], axis=0)))
             messages = _encode(TOPICS[name].type, stamps[block][known],
@@ -134,76 +134,77 @@ def _write(run: Run, writer: BagWriter, information: Mapping[str, Any]) -> None:
     writer.close()
 
 
-def _base(topic: str) -> str:
+def _base_name(topic: str) -> str:
     return topic.rpartition('/')[2]
 
 
-def numbers_of_a_run(place: cdr.Layout) -> dict[str, cdr.Path]:
-    """Return where the numbers are that a run is made of, by a name for each."""
-    joints = {path[1]: name for path, name in place.strings.items() if path[0] == 'name'}
-    named: dict[str, cdr.Path] = {}
-    for path in place.numbers:
+def signal_paths(layout: cdr.Layout) -> dict[str, cdr.Path]:
+    """Return the paths of the numbers that a run uses, named as in `asi_common.topics`."""
+    joints = {path[1]: name for path, name in layout.strings.items() if path[0] == 'name'}
+    paths: dict[str, cdr.Path] = {}
+    for path in layout.numbers:
         match path:
             case ('header', 'stamp', part):
-                named[str(part)] = path
+                paths[str(part)] = path
             case ('wrench', 'force', 'x') | ('data',):
-                named['value'] = path
+                paths['value'] = path
             case (str(quantity), int(joint)) if joint in joints:
-                named[f'{joints[joint]} {quantity}'] = path
-    return named
+                paths[f'{joints[joint]} {quantity}'] = path
+    return paths
 
 
-def decode(topic: Topic, named: Callable[[cdr.Layout], dict[str, cdr.Path]] = numbers_of_a_run
+def decode(topic: Topic, select: Callable[[cdr.Layout], dict[str, cdr.Path]] = signal_paths
            ) -> Series:
     """
-    Decode the messages of a topic, those of one layout at a time. Raises cdr.LayoutError.
+    Decode the messages of a topic, those of one layout together. Raises cdr.LayoutError.
 
-    named: says which numbers of a layout are wanted, and their names; `sec`, `nanosec`: the stamp.
+    select: returns the paths of the numbers to decode, by name; `sec` and `nanosec`: the stamp.
     """
     count = len(topic)
     stamp_ns = np.zeros(count, np.int64)
     values: dict[str, Array] = {}
     layouts: dict[bytes, cdr.Layout] = {}      # by a message of that layout
-    for places, table in topic.tables():
-        left = np.ones(len(places), bool)
-        while left.any():
-            template = _known(layouts, topic.type, table[np.argmax(left)])
-            group = left & cdr.same_layout(table, template, layouts[template])
-            left &= ~group
-            paths = named(layouts[template])
+    for indices, table in topic.tables():
+        remaining = np.ones(len(indices), bool)
+        while remaining.any():
+            template = _layout_key(layouts, topic.type, table[np.argmax(remaining)])
+            group = remaining & cdr.same_layout(table, template, layouts[template])
+            remaining &= ~group
+            paths = select(layouts[template])
             found = dict(zip(paths, cdr.columns(
                 topic.type, table if group.all() else table[group], list(paths.values()),
                 layouts[template]), strict=True))
             if 'sec' in found:
-                stamp_ns[places[group]] = (found.pop('sec').astype(np.int64) * 10**9
+                stamp_ns[indices[group]] = (found.pop('sec').astype(np.int64) * 10**9
                                            + found.pop('nanosec').astype(np.int64))
             for name, column in found.items():
-                values.setdefault(name, np.full(count, np.nan))[places[group]] = column
+                values.setdefault(name, np.full(count, np.nan))[indices[group]] = column
     return Series(stamp_ns, topic.publish_ns, values)
 
 
-def _known(layouts: dict[bytes, cdr.Layout], type_: str, message: npt.NDArray[np.uint8]) -> bytes:
-    """Return the key of a message's layout, which is added if it is a new one."""
-    for template, place in layouts.items():
-        if len(template) == len(message) and cdr.same_layout(message[None], template, place)[0]:
+def _layout_key(layouts: dict[bytes, cdr.Layout], type_: str,
+                message: npt.NDArray[np.uint8]) -> bytes:
+    """Return the key of a message's layout in `layouts`; a new layout is added."""
+    for template, layout in layouts.items():
+        if len(template) == len(message) and cdr.same_layout(message[None], template, layout)[0]:
             return template
     template = message.tobytes()
-    layouts[template] = cdr.layout(type_, template)
+    layouts[template] = cdr.layout_of(type_, template)
     return template
 
 
 def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
-    """Return the changes of the actuator's state that /diagnostics tells, by their stamps (ns)."""
+    """Return the state changes of the actuator in /diagnostics, with their stamps (ns)."""
     if topic.type != DIAGNOSTIC_ARRAY:
         return []
     changes = []
     for data in (data for data in topic.data if f'{STATE}\0'.encode() in data):
         try:
             message: Any = typestore().deserialize_cdr(data, DIAGNOSTIC_ARRAY)
-        except Exception:  # noqa: B902 - whatever rosbags makes of bytes that are damaged
+        except Exception:  # noqa: B902 - rosbags raises anything for damaged bytes
             continue
         stamp = message.header.stamp
-        # The same status beside that of the loop is the periodic one, which changes nothing.
+        # A periodic message has the status of the loop too; a change of state comes alone.
         for status in message.status if len(message.status) == 1 else ():
             values = {pair.key: pair.value for pair in status.values}
             if status.name.endswith(STATE) and 'state' in values:
@@ -214,7 +215,7 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
 
 def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
               information: dict[str, Any]) -> Run:
-    """Put the topics onto one time base."""
+    """Return the run: the topics aligned to one time base."""
     base = time_base(next(series[name] for name in (*TIME_BASES, *SIGNAL_TOPICS)
                           if name in series))
     signals: dict[str, Any] = {}
@@ -223,15 +224,15 @@ def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange
             number = topic.signals.get(signal.name)
             if topic.name not in series or number not in series[topic.name].values:
                 continue
-            values = onto(base, series[topic.name], series[topic.name].values[number],
-                          lasting=signal.name in ('reference', 'command'))
+            values = align(base, series[topic.name], series[topic.name].values[number],
+                          hold=signal.name in ('reference', 'command'))
             if not np.isnan(values).all():
                 signals[signal.field] = values
                 break
     state = series.get('joint_states')
     if 'command_n' not in signals and state is not None and 'valve effort' in state.values:
         # The applied command of a state is the answer to the state before.
-        applied = onto(base, state, state.values['valve effort'], lasting=False)
+        applied = align(base, state, state.values['valve effort'], hold=False)
         if not np.isnan(applied).all():
             signals['command_n'] = np.append(applied[1:], np.nan)
     time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
@@ -241,43 +242,43 @@ def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange
 
 
 def time_base(series: Series) -> Series:
-    """Return the times that a run is put on: rising stamps, or times of publication."""
+    """Return the time base of a run: unique stamps, or times of publication without stamps."""
     ticks = series.stamp_ns if series.stamp_ns.any() else series.publish_ns
     ticks, first = np.unique(ticks, return_index=True)
     return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
 
 
-def onto(base: Series, series: Series, values: Array, lasting: bool) -> Array:
+def align(base: Series, series: Series, values: Array, hold: bool) -> Array:
     """
-    Return values on the time base, NaN where there is none.
+    Return values on the time base, NaN where there is no message.
 
-    A message goes to the tick with its stamp; without a stamp, to the tick published next to it.
-    It lasts from the tick next to it until the next message where most ticks have none, or most
-    messages no tick; and so does, if it is `lasting`, one without a stamp, and one of real time:
-    there a state that has no answer leaves the valve as it was. In lock-step every state has one,
-    so a gap is a loss.
+    A message belongs to the tick with its stamp; without a stamp, to the tick that was published
+    nearest in time. Values are held until the next message if fewer than half of the ticks, or of
+    the messages, have a partner. With `hold` they are also held if they have no stamps, or
+    were recorded in real time: a state without an answer leaves the valve as it was. In lock-step
+    every state has an answer, so a missing one is a lost message and stays NaN.
     """
     ticks, times = base.stamp_ns, series.stamp_ns
     if not times.any():
         ticks, times = base.publish_ns, series.publish_ns
-        place, hold = _nearest(ticks, times), lasting
+        position, held = _nearest(ticks, times), hold
     else:
-        place = np.minimum(np.searchsorted(ticks, times), len(ticks) - 1)
-        own = ticks[place] == times
+        position = np.minimum(np.searchsorted(ticks, times), len(ticks) - 1)
+        own = ticks[position] == times
         if not own.any() and (times.max() < ticks[0] or times.min() > ticks[-1]):
-            # Stamps of another clock.
+            # The stamps are of another clock.
             ticks, times = base.publish_ns, series.publish_ns
         lockstep = np.array_equal(series.publish_ns, series.stamp_ns)
-        hold = (own.sum() < 0.5 * max(len(ticks), len(times))) or (lasting and not lockstep)
-        place = np.where(own, place, -1)
-    if hold:
+        held = (own.sum() < 0.5 * max(len(ticks), len(times))) or (hold and not lockstep)
+        position = np.where(own, position, -1)
+    if held:
         order = np.argsort(times, kind='stable')
-        # What is stamped as it is sent, a little after the tick that it answers, is that tick's.
+        # A message stamped when sent, up to half a period after a tick, belongs to that tick.
         late = ticks + int(np.median(np.diff(ticks))) // 2 if len(ticks) > 1 else ticks
         last = np.searchsorted(times[order], late, side='right') - 1
         return np.where(last >= 0, values[order][last], np.nan)
     out = np.full(len(ticks), np.nan)
-    out[place[place >= 0]] = values[place >= 0]
+    out[position[position >= 0]] = values[position >= 0]
     return out
 
 
@@ -288,8 +289,8 @@ def _nearest(ticks: Nanoseconds, times: Nanoseconds) -> npt.NDArray[np.intp]:
     return np.where(times - ticks[after - 1] < ticks[after] - times, after - 1, after)
 
 
-def _outgoing(run: Run) -> dict[str, dict[str, Array]]:
-    """Return the numbers of each topic that a run fills."""
+def _topic_values(run: Run) -> dict[str, dict[str, Array]]:
+    """Return the numbers of each topic that a run has signals for."""
     present = run.signals()
     other = 'reference' if run.unit('reference') == 'N' else 'force_reference'
     topics = {topic.name: {number: present[signal] for signal, number in topic.signals.items()
@@ -299,24 +300,24 @@ def _outgoing(run: Run) -> dict[str, dict[str, Array]]:
 
 
 def _encode(type_: str, stamps: Nanoseconds, values: Mapping[str, Array]) -> list[bytes]:
-    """Return one message a stamp (ns)."""
+    """Return one message for each stamp (ns)."""
     if not len(stamps):
         return []
     types = typestore().types
     stamp = types['builtin_interfaces/msg/Time'](0, 0)
     header = types['std_msgs/msg/Header'](stamp, FRAME)
     if type_ == TOPICS['joint_states'].type:
-        gap = np.full(2, np.nan)
-        message = types[type_](header, list(JOINTS), gap, gap, gap)
+        missing = np.full(2, np.nan)
+        message = types[type_](header, list(JOINTS), missing, missing, missing)
     elif type_ == TOPICS['force'].type:
         zero = types['geometry_msgs/msg/Vector3'](0.0, 0.0, 0.0)
         message = types[type_](header, types['geometry_msgs/msg/Wrench'](zero, zero))
     else:
         message = types[type_](0.0)
     template = bytes(typestore().serialize_cdr(message, type_))
-    place = cdr.layout(type_, template)
-    paths = numbers_of_a_run(place)
+    layout = cdr.layout_of(type_, template)
+    paths = signal_paths(layout)
     numbers: dict[cdr.Path, npt.NDArray] = {paths[key]: column for key, column in values.items()}
     if 'sec' in paths:
         numbers |= {paths['sec']: stamps // 10**9, paths['nanosec']: stamps % 10**9}
-    return cdr.filled(template, place, numbers)
+    return cdr.filled(template, layout, numbers)

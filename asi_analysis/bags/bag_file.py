@@ -1,4 +1,4 @@
-"""The messages of a bag: whatever rosbag2 has written, also if it was killed or cut off."""
+"""Read the messages of a bag of rosbag2 or of this package, also a damaged or truncated one."""
 
 import json
 import os
@@ -28,7 +28,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.errors import InputError
 
-# What broken bytes make the libraries raise.
+# What the libraries raise for damaged files.
 BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError,
                  RuntimeError, KeyError, IndexError, TypeError, AssertionError, MemoryError,
                  OverflowError, EOFError, AttributeError, RecursionError, yaml.YAMLError,
@@ -36,26 +36,26 @@ BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.Zst
 _RECORD: Final = struct.Struct('<BQ')
 _MESSAGE: Final = struct.Struct('<HIQQ')
 _INDEX: Final = struct.Struct('<HI')
-# The head of a record, and that of the message in it.
-_HEAD: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
+# Header of a record, and of the message in it.
+_HEADER: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                          ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
 _MESSAGE_OPCODE: Final = bytes([Opcode.MESSAGE])
-# As much fits a processor's cache.
-ENOUGH_BYTES: Final = 2**20
-# Limits: what the chunks of a file may unpack to, and metadata.yaml.
+# Chunks are decoded in batches of about this size, which fits a processor's cache.
+BATCH_BYTES: Final = 2**20
+# Limits: of the unpacked chunks of a file (bytes; times its size), and of metadata.yaml (bytes).
 MOST_UNPACKED: Final = 256_000_000
 MOST_RATIO: Final = 30
 MOST_METADATA: Final = 2**24
 
 
 class _Index(NamedTuple):
-    """Where the messages of one channel are in the chunk before: still as bytes."""
+    """Message index of one channel in the preceding chunk, not yet decoded."""
 
     data: bytes
 
 
 class _Records(StreamReader):
-    """The records of a file; an index is not taken apart, which would take as long as all else."""
+    """The records of a file; message indices stay bytes, as decoding them doubles the time."""
 
     def _read_record(self, opcode: int, length: int) -> Any:
         if opcode == Opcode.MESSAGE_INDEX:
@@ -64,7 +64,7 @@ class _Records(StreamReader):
 
 
 class Messages(NamedTuple):
-    """Messages of one topic: times (ns) and bytes, in a table if all n have one length."""
+    """Messages of one topic: times (ns) and bytes, as a table if all n have the same length."""
 
     log_ns: npt.NDArray[np.int64]
     publish_ns: npt.NDArray[np.int64]
@@ -89,11 +89,11 @@ class Topic:
         self._single.append((log_ns, publish_ns, data))
 
     def add_many(self, messages: Messages) -> None:
-        """Add messages that were found together."""
+        """Add a batch of messages."""
         self.parts().append(messages)
 
     def parts(self) -> list[Messages]:
-        """Return the messages as they were found together."""
+        """Return the messages in batches."""
         if self._single:
             log_ns, publish_ns, data = zip(*self._single, strict=True)
             self._parts.append(Messages(np.array(log_ns, np.uint64).astype(np.int64),
@@ -118,7 +118,7 @@ class Topic:
         return [bytes(data) for part in self.parts() for data in part.data]
 
     def tables(self) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.uint8]]]:
-        """Yield messages of one length each: which of the topic, and as a table n x length."""
+        """Yield groups of messages of one length: their indices, and their bytes, n x length."""
         begin = 0
         for part in self.parts():
             places = np.arange(begin, begin + len(part.data))
@@ -134,16 +134,16 @@ class Topic:
 
 
 class Contents(NamedTuple):
-    """What a bag holds; `problems` says in words what could not be read."""
+    """The contents of a bag; `problems`: a sentence for each part that could not be read."""
 
     topics: dict[str, Topic]
     information: dict[str, Any]
     problems: list[str]
 
 
-def read_contents(path: Path, wanted: Callable[[str], bool]) -> Contents:
+def read_contents(path: Path, select: Callable[[str], bool]) -> Contents:
     """
-    Return the messages of the topics whose name is `wanted`, and what the bag says of its run.
+    Return the messages of the topics whose name passes `select`, and the metadata `asi.run`.
 
     path: rosbag2 directory (MCAP or sqlite3, with or without metadata.yaml), .mcap or .db3 file.
     Reads as far as a damaged file can be read. Raises InputError if `path` is no bag.
@@ -152,7 +152,7 @@ def read_contents(path: Path, wanted: Callable[[str], bool]) -> Contents:
     for file in _files(path, contents.problems):
         read = _read_mcap if file.suffix == '.mcap' else _read_by_rosbags
         try:
-            read(file, wanted, contents)
+            read(file, select, contents)
         except OSError as error:
             raise InputError(f'{file} cannot be read: {error.strerror or error}') from None
         except BROKEN as error:
@@ -162,7 +162,7 @@ def read_contents(path: Path, wanted: Callable[[str], bool]) -> Contents:
 
 
 def _files(path: Path, problems: list[str]) -> list[Path]:
-    """Return what has to be read one after the other."""
+    """Return the files to read, in order."""
     if not path.exists():
         raise InputError(f'{path} does not exist: expected a bag')
     if path.is_file():
@@ -198,66 +198,66 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
 
 
 def _number(file: Path) -> tuple[int, str]:
-    """Sort name_2 before name_10."""
+    """Return a sort key that puts name_2 before name_10."""
     digits = file.stem.rpartition('_')[2]
     return (int(digits) if digits.isdigit() else 0), file.name
 
 
-def _read_mcap(file: Path, wanted: Callable[[str], bool], contents: Contents) -> None:
+def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) -> None:
     size = file.stat().st_size
-    found = _Found(wanted, contents, max(MOST_UNPACKED, MOST_RATIO * size))
-    announced = None
+    decoder = _McapDecoder(select, contents, max(MOST_UNPACKED, MOST_RATIO * size))
+    expected = None
     with file.open('rb') as stream:
         try:
             for record in _Records(stream, emit_chunks=True, record_size_limit=size).records:
                 if isinstance(record, _Index):
-                    found.indices.append(record)
+                    decoder.indices.append(record)
                     continue
-                found.finish_chunk()
+                decoder.finish_chunk()
                 if isinstance(record, Chunk):
-                    found.begin_chunk(record)
+                    decoder.begin_chunk(record)
                 elif isinstance(record, Message):
-                    found.add(record.channel_id, record.log_time, record.publish_time,
+                    decoder.add(record.channel_id, record.log_time, record.publish_time,
                               record.data)
                 elif isinstance(record, Schema):
-                    found.schemas[record.id] = record.name
+                    decoder.schemas[record.id] = record.name
                 elif isinstance(record, Channel):
-                    found.add_channel(record)
+                    decoder.add_channel(record)
                 elif isinstance(record, Metadata) and record.name == INFORMATION:
                     contents.information.update(
                         {name: json.loads(value) for name, value in record.metadata.items()})
                 elif isinstance(record, Statistics):
-                    announced = record.message_count
+                    expected = record.message_count
         finally:
-            found.finish_chunk()
-            found.finish()
-    if announced not in (None, found.count):
-        contents.problems.append(f'{file} is damaged: {found.count} of its {announced} messages '
+            decoder.finish_chunk()
+            decoder.finish()
+    if expected not in (None, decoder.count):
+        contents.problems.append(f'{file} is damaged: {decoder.count} of its {expected} messages '
                                  'are there')
 
 
-class _Found:
+class _McapDecoder:
     """
-    What has been found in a file so far.
+    Decodes the records of an MCAP file into `contents`.
 
-    Chunks that hold nothing but messages wait until there are many bytes: numpy cuts them out
-    together, at the places that the indices behind the chunks tell. Only if those account for
-    every byte; where they do not, a chunk is walked, record by record.
+    Chunks that contain only messages are buffered; numpy extracts the messages of a batch at the
+    offsets in the message indices after the chunks. If these do not cover every byte, the chunks
+    are decoded record by record.
     """
 
-    def __init__(self, wanted: Callable[[str], bool], contents: Contents,
+    def __init__(self, select: Callable[[str], bool], contents: Contents,
                  most_bytes: int) -> None:
-        self.wanted = wanted
-        self.most_bytes = most_bytes        # that the chunks to come may unpack to
+        self.select = select
+        self.most_bytes = most_bytes        # limit for the remaining chunks, unpacked
         self.contents = contents
         self.schemas: dict[int, str] = {}
-        self.channels: dict[int, Topic | None] = {}     # None: not wanted
+        self.channels: dict[int, Topic | None] = {}     # None: not selected
         self.count = 0
-        self.indices: list[_Index] = []     # of the chunk
+        self.indices: list[_Index] = []     # of the current chunk
         self._chunk: bytes | None = None
-        self._waiting: list[bytes] = []
+        self._buffered: list[bytes] = []
         self._size = 0
-        self._places: dict[int, list[npt.NDArray[np.int64]]] = {}
+        self._offsets: dict[int, list[npt.NDArray[np.int64]]] = {}
 
     def add(self, channel: int, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message."""
@@ -267,16 +267,16 @@ class _Found:
             topic.add(log_ns, publish_ns, data)
 
     def add_channel(self, channel: Channel) -> None:
-        """Note whose messages a channel holds."""
+        """Add a channel, to its topic if that is selected."""
         self.channels[channel.id] = None
-        if self.wanted(channel.topic):
+        if self.select(channel.topic):
             topic = self.contents.topics.setdefault(
                 channel.topic, Topic(channel.topic, self.schemas[channel.schema_id]))
             topic.offered = _offered(channel, self.contents.problems)
             self.channels[channel.id] = topic
 
     def begin_chunk(self, chunk: Chunk) -> None:
-        """Take the bytes of a chunk; its indices come next. Raises if its checksum is wrong."""
+        """Unpack a chunk, whose indices follow. Raises ValueError for a wrong checksum."""
         plain = replace(chunk, compression='', data=_unpacked(chunk, self.most_bytes))
         stream, size = get_chunk_data_stream(plain, validate_crc=True)
         self.most_bytes -= size
@@ -284,41 +284,41 @@ class _Found:
         self.indices = []
 
     def finish_chunk(self) -> None:
-        """Put the chunk to those that wait, or walk it."""
+        """Buffer the chunk if its indices can be used; decode it by records otherwise."""
         if self._chunk is None:
             return
         chunk, self._chunk = self._chunk, None
-        places = [_places(index.data) for index in self.indices]
-        if (places and chunk[:1] == _MESSAGE_OPCODE
-                and all(channel in self.channels for channel, _ in places)):
-            for channel, starts in places:
-                self._places.setdefault(channel, []).append(starts + self._size)
-            self._waiting.append(chunk)
+        offsets = [_index_offsets(index.data) for index in self.indices]
+        if (offsets and chunk[:1] == _MESSAGE_OPCODE
+                and all(channel in self.channels for channel, _ in offsets)):
+            for channel, starts in offsets:
+                self._offsets.setdefault(channel, []).append(starts + self._size)
+            self._buffered.append(chunk)
             self._size += len(chunk)
-            if self._size > ENOUGH_BYTES:
+            if self._size > BATCH_BYTES:
                 self.finish()
         else:
             self.finish()
-            self._walk(chunk)
+            self._decode_records(chunk)
 
     def finish(self) -> None:
-        """Take the messages of all the chunks that wait."""
-        waiting, self._waiting, self._size = self._waiting, [], 0
-        places = {channel: np.concatenate(starts) for channel, starts in self._places.items()}
-        self._places = {}
-        data = b''.join(waiting)
-        if _accounted(data, places):
-            for channel, starts in places.items():
+        """Decode the buffered chunks."""
+        chunks, self._buffered, self._size = self._buffered, [], 0
+        offsets = {channel: np.concatenate(starts) for channel, starts in self._offsets.items()}
+        self._offsets = {}
+        data = b''.join(chunks)
+        if _covers_all_bytes(data, offsets):
+            for channel, starts in offsets.items():
                 self.count += len(starts)
                 topic = self.channels[channel]
                 if topic is not None:
-                    topic.add_many(_cut(data, starts))
+                    topic.add_many(_extract(data, starts))
         else:
-            for chunk in waiting:
-                self._walk(chunk)
+            for chunk in chunks:
+                self._decode_records(chunk)
 
-    def _walk(self, data: bytes) -> None:
-        """Take the records of a chunk one by one. Raises EndOfFile if the last is not whole."""
+    def _decode_records(self, data: bytes) -> None:
+        """Decode a chunk record by record. Raises EndOfFile if the last one is incomplete."""
         start, size = 0, len(data)
         while start < size:
             opcode, length = _RECORD.unpack_from(data, start)
@@ -338,7 +338,7 @@ class _Found:
 
 
 def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
-    """Return the bytes of a chunk. Raises ValueError if they are more than it says, or allowed."""
+    """Return the unpacked bytes of a chunk. Raises ValueError for a wrong or too large size."""
     size = chunk.uncompressed_size
     if not chunk.compression:
         return chunk.data
@@ -358,7 +358,7 @@ def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
 
 
 def _offered(channel: Channel, problems: list[str]) -> list[dict[str, Any]]:
-    """Return the QoS that a channel says its publishers offer, [] if that cannot be read."""
+    """Return the QoS offered by the publishers of a channel, [] if it cannot be read."""
     try:
         offered = yaml.safe_load(channel.metadata.get('offered_qos_profiles', '')) or []
     except BROKEN:
@@ -369,44 +369,43 @@ def _offered(channel: Channel, problems: list[str]) -> list[dict[str, Any]]:
     return offered
 
 
-def _places(index: bytes) -> tuple[int, npt.NDArray[np.int64]]:
-    """Return the channel of an index, and where its messages begin in their chunk."""
+def _index_offsets(index: bytes) -> tuple[int, npt.NDArray[np.int64]]:
+    """Return the channel of a message index, and the offsets of its messages in the chunk."""
     channel, length = _INDEX.unpack_from(index)
     pairs = np.frombuffer(index[_INDEX.size:_INDEX.size + length // 16 * 16], '<i8')
     return channel, pairs[1::2]
 
 
-def _heads(data: bytes, starts: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-    """Return what stands before each message."""
-    everything = np.frombuffer(data, np.uint8)
-    rows = sliding_window_view(everything, _HEAD.itemsize)[starts]
-    return rows.view(_HEAD)[:, 0]
+def _headers(data: bytes, starts: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+    """Return the record and message headers at these offsets."""
+    rows = sliding_window_view(np.frombuffer(data, np.uint8), _HEADER.itemsize)[starts]
+    return rows.view(_HEADER)[:, 0]
 
 
-def _accounted(data: bytes, places: Mapping[int, npt.NDArray[np.int64]]) -> bool:
-    """Tell whether the messages at the places, of these channels, fill the data without a gap."""
-    if not places:
+def _covers_all_bytes(data: bytes, offsets: Mapping[int, npt.NDArray[np.int64]]) -> bool:
+    """Return whether messages at these offsets, by channel, cover the data without a gap."""
+    if not offsets:
         return not data
-    starts = np.concatenate(list(places.values()))
-    channels = np.repeat(list(places), [len(found) for found in places.values()])
+    starts = np.concatenate(list(offsets.values()))
+    channels = np.repeat(list(offsets), [len(found) for found in offsets.values()])
     order = np.argsort(starts)
     starts, channels = starts[order], channels[order]
-    if starts[0] != 0 or starts[-1] > len(data) - _HEAD.itemsize:
+    if starts[0] != 0 or starts[-1] > len(data) - _HEADER.itemsize:
         return False
-    heads = _heads(data, starts)
-    ends = starts + _RECORD.size + heads['length'].astype(np.int64)
-    return bool((heads['opcode'] == Opcode.MESSAGE).all()
-                and (heads['channel'] == channels).all()
-                and (heads['length'] >= _MESSAGE.size).all()
+    headers = _headers(data, starts)
+    ends = starts + _RECORD.size + headers['length'].astype(np.int64)
+    return bool((headers['opcode'] == Opcode.MESSAGE).all()
+                and (headers['channel'] == channels).all()
+                and (headers['length'] >= _MESSAGE.size).all()
                 and (ends[:-1] == starts[1:]).all() and ends[-1] == len(data))
 
 
-def _cut(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
-    """Return the messages of one channel that begin at some places."""
-    heads = _heads(data, starts)
-    log_ns, publish_ns = heads['log_ns'].astype(np.int64), heads['publish_ns'].astype(np.int64)
-    lengths = heads['length'].astype(np.int64) - _MESSAGE.size
-    begins = starts + _HEAD.itemsize
+def _extract(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
+    """Return the messages of one channel at these offsets."""
+    headers = _headers(data, starts)
+    log_ns, publish_ns = headers['log_ns'].astype(np.int64), headers['publish_ns'].astype(np.int64)
+    lengths = headers['length'].astype(np.int64) - _MESSAGE.size
+    begins = starts + _HEADER.itemsize
     if (lengths == lengths[0]).all() and lengths[0]:
         windows = sliding_window_view(np.frombuffer(data, np.uint8), lengths[0])
         return Messages(log_ns, publish_ns, windows[begins])
@@ -414,10 +413,10 @@ def _cut(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
         data[begin:end] for begin, end in zip(begins, begins + lengths, strict=True)])
 
 
-def _read_by_rosbags(path: Path, wanted: Callable[[str], bool], contents: Contents) -> None:
-    """Read sqlite3, and compressed files; they tell no time of publication."""
+def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Contents) -> None:
+    """Read sqlite3 and compressed files, which have no times of publication."""
     with Reader(path) as reader:
-        connections = [c for c in reader.connections if wanted(c.topic)]
+        connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
             topic = contents.topics.setdefault(connection.topic,
                                                Topic(connection.topic, connection.msgtype))

@@ -1,9 +1,8 @@
 """
-Writes a rosbag2 directory: metadata.yaml (version 9) and one MCAP file of profile ros2.
+Write a rosbag2 directory: metadata.yaml (version 9) and one MCAP file of profile ros2.
 
-On the `mcap` library rather than the writer of rosbags, because that one puts chunks of a
-megabyte on the disk without ever flushing, and knows no sequence numbers and no metadata records
-of our own; the writer of mcap-ros2-support leaves out the QoS.
+Based on the `mcap` library: the writer of rosbags writes chunks of a megabyte without flushing,
+and has neither sequence numbers nor custom metadata; mcap-ros2-support leaves out the QoS.
 """
 
 import functools
@@ -24,14 +23,14 @@ from rosbags.typesys.store import Typestore
 from asi_analysis.errors import InputError
 from asi_common.files import write_text
 
-# A kill loses the chunk that is open: about a hundred ticks of the loop, or at low rates this
-# time. Both go by the messages, not by the clock, so that the same messages make the same file.
+# A killed recorder loses the open chunk: about a hundred ticks, or at low rates this time. Both
+# limits depend on the messages only, so that the same messages give the same file.
 CHUNK_BYTES: Final = 64 * 1024
 CHUNK_NS: Final = 250_000_000
 INFORMATION: Final = 'asi.run'
 
 _NEVER: Final = {'sec': 9223372036, 'nsec': 854775807}
-# As a recorder hears of it: DDS does not tell the history.
+# QoS as a subscriber sees it: DDS does not transmit the history.
 RELIABLE: Final[dict[str, Any]] = {
     'history': 'unknown', 'depth': 0, 'reliability': 'reliable', 'durability': 'volatile',
     'deadline': {**_NEVER}, 'lifespan': {**_NEVER}, 'liveliness': 'automatic',
@@ -52,9 +51,9 @@ def typestore() -> Typestore:
 
 class _ChunkIndices:
     """
-    The index of the chunks, as the bytes that end the file.
+    The chunk indices as bytes, which are written at the end of the file.
 
-    mcap keeps an object for each until then, eight times as much: 40 MB an hour at 1 kHz.
+    The list of objects that mcap keeps takes eight times the memory: 40 MB an hour at 1 kHz.
     """
 
     def __init__(self) -> None:
@@ -99,7 +98,7 @@ class BagWriter:
         self._chunk_ns = 0
 
     def add_information(self, information: Mapping[str, Any]) -> None:
-        """Add to what the bag says of its run: plain data by name, each kept as JSON."""
+        """Add metadata to `asi.run`: plain data by name, each stored as JSON."""
         self._writer.add_metadata(INFORMATION, {
             name: json.dumps(value) for name, value in information.items()})
 
@@ -120,7 +119,7 @@ class BagWriter:
 
     def write(self, channel: int, log_ns: int, publish_ns: int, sequence: int,
               data: bytes) -> None:
-        """Add a message as it came from the wire."""
+        """Add a serialised message."""
         if log_ns - self._chunk_ns > CHUNK_NS:
             self._writer.flush()
             self._chunk_ns = log_ns
@@ -132,7 +131,7 @@ class BagWriter:
             self._end_ns = log_ns
 
     def flush(self) -> None:
-        """Hand the finished chunks to the system, where a kill of this process leaves them."""
+        """Hand the finished chunks to the operating system, so that a kill does not lose them."""
         self._file.flush()
 
     def counts(self) -> dict[str, int]:
@@ -140,7 +139,7 @@ class BagWriter:
         return {self._topics[channel].name: count for channel, count in self._counts.items()}
 
     def close(self) -> None:
-        """Finish the bag: summary, index, metadata.yaml."""
+        """Finish the bag: write summary, index and metadata.yaml."""
         self._writer.finish()
         self._file.close()
         text = yaml.safe_dump({'rosbag2_bagfile_information': self._description()},
@@ -148,7 +147,7 @@ class BagWriter:
         write_text(self._directory / 'metadata.yaml', text)
 
     def abandon(self) -> None:
-        """Leave the bag as it is, after an error: readable up to the last whole chunk."""
+        """Close the file after an error; it can be read up to the last complete chunk."""
         with suppress(OSError):
             self._file.close()
 

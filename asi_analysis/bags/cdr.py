@@ -1,9 +1,9 @@
 """
-Numbers out of many serialised messages at once, and into them.
+Read and write the numbers of many serialised messages (CDR) at once.
 
-Messages of one type that have the same strings and the same lengths of their sequences hold
-every number at the same place. So one is walked, and the numbers of all are cut out by numpy:
-some fifty times faster than decoding each (bench/recording.py).
+Messages of one type with equal strings and sequence lengths have every number at the same offset.
+One message is parsed; numpy then takes the numbers of all from a table of bytes, about fifty times
+faster than decoding each message (bench/recording.py).
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,34 +29,34 @@ class LayoutError(ValueError):
 
 
 class Layout(NamedTuple):
-    """Where a message keeps its numbers (offset, numpy type), its strings and its lengths."""
+    """Offsets of a message: numbers (offset, numpy type), strings, lengths of sequences."""
 
     numbers: dict[Path, tuple[int, np.dtype]]
     strings: dict[Path, str]
-    structure: list[tuple[int, int]]    # the bytes that must be the same in every message
+    structure: list[tuple[int, int]]    # byte ranges that are equal in every message
 
 
-def layout(type_: str, data: bytes) -> Layout:
+def layout_of(type_: str, data: bytes) -> Layout:
     """Return the layout of a message of a type of Jazzy. Raises LayoutError if it is none."""
-    walk = _Walk(data)
+    parser = _LayoutParser(data)
     try:
-        walk.visit((Nodetype.NAME, type_), ())
+        parser.visit((Nodetype.NAME, type_), ())
     except (IndexError, UnicodeDecodeError) as error:
         raise LayoutError(f'not a {type_}: {error}') from None
-    return Layout(walk.numbers, walk.strings, walk.structure)
+    return Layout(parser.numbers, parser.strings, parser.structure)
 
 
 def columns(type_: str, table: npt.NDArray[np.uint8], paths: Sequence[Path],
-            place: Layout) -> list[npt.NDArray[np.float64]]:
+            layout: Layout) -> list[npt.NDArray[np.float64]]:
     """
-    Return the numbers at some paths of n messages, which must have the layout `place`: arrays n.
+    Return the numbers at some paths of n messages of one layout: arrays n.
 
-    table: n x length. The first and the last message are decoded by rosbags too. Raises
-    LayoutError if they differ.
+    table: n x length. Compared with what rosbags decodes of the first and the last message; raises
+    LayoutError if that differs.
     """
     found = []
     for path in paths:
-        offset, kind = place.numbers[path]
+        offset, kind = layout.numbers[path]
         cut = np.ascontiguousarray(table[:, offset:offset + kind.itemsize])
         found.append(cut.view(kind)[:, 0])
     for i in (0, -1):
@@ -66,26 +66,26 @@ def columns(type_: str, table: npt.NDArray[np.uint8], paths: Sequence[Path],
             raise LayoutError(f'not a {type_}: {error}') from None
         for path, values in zip(paths, found, strict=True):
             if not np.array_equal(_at(message, path), values[i], equal_nan=True):
-                raise LayoutError(f'{type_}: {path} is not at its place')
+                raise LayoutError(f'{type_}: {path} is not at its offset')
     return found
 
 
-def same_layout(table: npt.NDArray[np.uint8], template: bytes, place: Layout
+def same_layout(table: npt.NDArray[np.uint8], template: bytes, layout: Layout
                 ) -> npt.NDArray[np.bool_]:
     """Tell which messages (n x length) have the layout of the template, which is as long."""
     same = np.ones(len(table), bool)
-    for start, end in place.structure:
+    for start, end in layout.structure:
         for offset in range(start, end):
             same &= table[:, offset] == template[offset]
     return same
 
 
-def filled(template: bytes, place: Layout, values: Mapping[Path, npt.NDArray]) -> list[bytes]:
+def filled(template: bytes, layout: Layout, values: Mapping[Path, npt.NDArray]) -> list[bytes]:
     """Return n copies of a message with the numbers at some paths replaced, arrays n."""
     count = len(next(iter(values.values())))
     table = np.tile(np.frombuffer(template, np.uint8), (count, 1))
     for path, column in values.items():
-        offset, kind = place.numbers[path]
+        offset, kind = layout.numbers[path]
         table[:, offset:offset + kind.itemsize] = np.ascontiguousarray(
             column, kind).view(np.uint8).reshape(count, -1)
     return [row.tobytes() for row in table]
@@ -97,8 +97,8 @@ def _at(message: Any, path: Path) -> Any:
     return message
 
 
-class _Walk:
-    """Goes through one message along the definition of its type (XCDR 1)."""
+class _LayoutParser:
+    """Parses one message by the definition of its type (XCDR 1)."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < _HEADER or data[0] != 0 or data[1] > 1:

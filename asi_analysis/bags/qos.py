@@ -20,7 +20,7 @@ MOST_DEPTH = 10_000
 
 
 def as_dictionary(profile: QoSProfile) -> dict[str, Any]:
-    """Return what a bag says of a profile."""
+    """Return a profile as a bag stores it."""
     return {
         'history': profile.history.name.lower(),
         'depth': profile.depth,
@@ -36,9 +36,9 @@ def as_dictionary(profile: QoSProfile) -> dict[str, Any]:
 
 def as_profile(offered: dict[str, Any]) -> QoSProfile:
     """
-    Return the profile that a bag describes; the history is not told over DDS, so it is ours.
+    Return the profile stored in a bag, with our history, as DDS does not transmit that.
 
-    With an InputWarning that of the streams, if the description is damaged.
+    Returns STREAM_QOS, with an InputWarning, if the description is damaged.
     """
     try:
         return _profile(offered)

@@ -1,4 +1,4 @@
-"""A recording as named arrays: what every analysis works on."""
+"""`Run`: a recording as named arrays, the input of every analysis."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 class StateChange(NamedTuple):
-    """State of the actuator's node from a time on; reason: of a fault, else ''."""
+    """A new state of the actuator's node; reason: of a fault, else ''."""
 
     time_s: float
     state: str      # disabled, enabled or fault

@@ -1,1 +1,1 @@
-"""Experiments over ROS: what is to be run, and running it as processes."""
+"""Experiments over ROS: their parameters, and running them with the nodes as processes."""

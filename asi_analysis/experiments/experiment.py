@@ -1,5 +1,5 @@
 """
-What is to be run: an experiment, and its parameters from files, --set and options.
+`Experiment`: parameters, duration and mode of a run, from files, --set and options.
 
 `running.py` runs it.
 """
@@ -24,11 +24,13 @@ from asi_controller.parameters import (
 
 CONTROLLER_PARAMETERS: Final = COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS
 TABLES: Final = {'actuator': ACTUATOR_PARAMETERS, 'controller': CONTROLLER_PARAMETERS}
-OF_THE_NODE: Final = frozenset(
+NODE_PARAMETERS: Final = frozenset(
     parameter.name for parameter in ACTUATOR_NODE_PARAMETERS + CONTROLLER_NODE_PARAMETERS)
+
+
 @dataclass(frozen=True)
 class Experiment:
-    """What is to be run: parameters by name, the rest at their defaults."""
+    """An experiment: parameters by name, the others at their defaults."""
 
     actuator: Mapping[str, Value] = field(default_factory=dict)
     controller: Mapping[str, Value] = field(default_factory=dict)
@@ -38,18 +40,18 @@ class Experiment:
 
     @property
     def control_rate_hz(self) -> float:
-        """The rate at which the loop is closed."""
+        """Control rate, Hz."""
         return self.rate_hz or DEFAULT_RATE_HZ[self.mode]
 
     @property
-    def of_the_node(self) -> dict[str, Value]:
-        """What the actuator's node is told around the physics."""
+    def node_parameters(self) -> dict[str, Value]:
+        """Parameters of the actuator's node that are not of the physics."""
         return {'mode': self.mode, 'rate_hz': float(self.rate_hz),
                 'duration': float(self.duration_s)}
 
     @property
     def ticks(self) -> int:
-        """How many states the actuator is to publish."""
+        """Number of states that the actuator publishes."""
         return round(self.duration_s * self.control_rate_hz)
 
 
@@ -57,7 +59,7 @@ def checked(experiment: Experiment) -> Experiment:
     """Return the experiment with every parameter; raises InputError if one is not allowed."""
     try:
         from asi_controller.compensator import design, discretise
-        completed(experiment.of_the_node, ACTUATOR_NODE_PARAMETERS)
+        completed(experiment.node_parameters, ACTUATOR_NODE_PARAMETERS)
         controller = completed(experiment.controller, CONTROLLER_PARAMETERS)
         discretise(design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS}),
                    experiment.control_rate_hz)
@@ -81,7 +83,7 @@ def planned(actuator: Mapping[str, Value], controller: Mapping[str, Value], dura
 def stepping(actuator: Mapping[str, Value], controller: Mapping[str, Value], *rates_hz: float
              ) -> dict[str, Value]:
     """
-    Return the controller's parameters, with a step as reference if none is given.
+    Return the controller's parameters, with a step as reference by default.
 
     Raises InputError for a parameter of either that is not allowed at one of the rates.
     """
@@ -106,7 +108,7 @@ def read_parameters(path: Path, which: str) -> dict[str, Value]:
         raise InputError(str(error)) from None
     known = {parameter.name: parameter for parameter in TABLES[which]}
     return {name: with_its_type(known[name], value) if name in known else value
-            for name, value in values.items() if name not in OF_THE_NODE}
+            for name, value in values.items() if name not in NODE_PARAMETERS}
 
 
 def parse_setting(text: str) -> tuple[str, str, Value]:
@@ -137,8 +139,8 @@ def gather(files: Mapping[str, Path | None], settings: list[str],
     """
     Return the parameters of 'actuator' and 'controller' from files, --set and named options.
 
-    The later wins; a named option that is None is not given. With no reference at all it is a
-    step; a chirp or ramp without a duration of its own lasts to the end of the run.
+    Later ones take precedence; an option that is None is ignored. The default reference is a step;
+    a chirp or ramp without a duration lasts to the end of the run.
     """
     values = {which: read_parameters(path, which) if (path := files.get(which)) else {}
               for which in TABLES}
@@ -156,7 +158,7 @@ def gather(files: Mapping[str, Path | None], settings: list[str],
 
 
 def information(experiment: Experiment) -> dict[str, Any]:
-    """Return what goes into the bag as `asi.run`; the same experiment gives the same."""
+    """Return the metadata `asi.run` of the bag; it depends on the experiment only."""
     return {
         'experiment': {'mode': experiment.mode, 'rate_hz': experiment.control_rate_hz,
                        'duration_s': experiment.duration_s, 'ticks': experiment.ticks},

@@ -1,8 +1,8 @@
 """
-`asi run`: one experiment. Recorder, controller and actuator as processes, from start to stop.
+`asi run`: one experiment, with recorder, controller and actuator as processes.
 
-The actuator ends by itself when the time is up; the others are asked to (SIGINT). Whatever
-happens, Ctrl-C and errors included, no process is left behind and the bag so far is whole.
+The actuator ends at the end of the experiment; the others are ended by SIGINT. After an error or
+Ctrl-C too, no process is left running and the bag so far is complete.
 """
 
 import ctypes
@@ -28,14 +28,14 @@ from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.parameter_file import write_parameters
 
-# Started in this order, asked to end in the reverse: while the recorder waits for the last
-# messages, the controller is still there to send a lost one again.
+# Started in this order, ended in the reverse: while the recorder waits for the last messages, the
+# controller can still send a lost one again.
 MODULES: Final = {'controller': 'asi_controller.controller_node',
                   'recorder': 'asi_analysis.bags.nodes.recorder_node',
                   'actuator': 'asi_actuator.actuator_node'}
-# The ports of these domains are clear of those that Linux hands out.
+# The ports of these domains do not overlap the ephemeral ports of Linux.
 DOMAINS: Final = range(42, 102)
-# A node that is asked to end and does not within this time is killed.
+# A node that has not ended this long after SIGINT is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
 # Loaded here, not between fork and exec, where a lock of another thread may be held.
@@ -43,27 +43,27 @@ LIBC: Final = ctypes.CDLL(None)
 
 
 class RunFailedError(RuntimeError):
-    """A node failed; the text names it and its last words."""
+    """A node failed; the text names it and the last line of its log."""
 
 
 def run_experiment(experiment: Experiment, out: Path, progress: Progress = silent) -> Path:
     """
     Run an experiment over ROS and return its bag.
 
-    out: a directory that does not exist or is empty; gets `bag`, `log`, and what was run:
-    `experiment.json` and the parameter files of the nodes. Raises InputError for what cannot be
-    run, RunFailedError if a node fails. Its ROS domain is ROS_DOMAIN_ID, or one of its own.
+    out: a directory that does not exist or is empty; gets `bag`, `log`, `experiment.json` and the
+    parameter files of the nodes. The ROS domain is ROS_DOMAIN_ID, or a free one. Raises InputError
+    for an experiment that cannot be run, RunFailedError if a node fails.
     """
     experiment = checked(experiment)
     bag = out / 'bag'
     with (_environment() as environment,
-          _nodes(experiment, out, environment) as nodes, _watched(environment) as heard):
+          _nodes(experiment, out, environment) as nodes, _watched(environment) as status):
         progress('starting the nodes', None)
         while nodes['actuator'].poll() is None:
-            _complain_of_dead(nodes, out)
-            actuator = heard()
+            _raise_if_ended(nodes, out)
+            actuator = status()
             if actuator.state == 'fault':
-                # From there on the valve was shut.
+                # The valve is shut from then on.
                 raise RunFailedError(f'the actuator ended in a {actuator.text}; '
                                      f'the bag so far: {bag}')
             if actuator.ticks:
@@ -72,21 +72,21 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
             else:
                 progress(actuator.text, None)
         if nodes['actuator'].returncode:
-            raise RunFailedError(_last_words('actuator', nodes['actuator'], out)
+            raise RunFailedError(_failure('actuator', nodes['actuator'], out)
                                  + f'; the bag so far: {bag}')
         progress('finishing the bag', 1.0)
     return bag
 
 
 def _prepare(experiment: Experiment, out: Path) -> None:
-    """Write what the nodes are to read."""
+    """Write the parameter files of the nodes, and experiment.json."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
         (out / 'log').mkdir()
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
-        node = experiment.of_the_node | {'await_recorder': True}
+        node = experiment.node_parameters | {'await_recorder': True}
         write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
         del node['duration']
         write_parameters(out / 'controller.yaml', 'asi_controller',
@@ -98,9 +98,9 @@ def _prepare(experiment: Experiment, out: Path) -> None:
 @contextmanager
 def _environment() -> Iterator[dict[str, str]]:
     """
-    Give the environment of the nodes: by default alone on this machine, in a free domain.
+    Yield the environment of the nodes: by default limited to this machine, in a free ROS domain.
 
-    No other `asi run` uses that domain meanwhile: its nodes would answer ours, and be recorded.
+    The domain is reserved: nodes of another `asi run` in it would answer ours and be recorded.
     """
     given = os.environ.get('ROS_DOMAIN_ID')
     if given is not None and not (given.isascii() and given.isdigit() and int(given) <= 232):
@@ -108,7 +108,7 @@ def _environment() -> Iterator[dict[str, str]]:
                          'from 0 to 232')
     domains = DOMAINS if given is None else [int(given)]
     for domain in domains:
-        if claim := claimed(f'asi_run_domain_{domain}'):
+        if claim := reserve(f'asi_run_domain_{domain}'):
             break
     else:
         raise InputError('another asi run is using ' + (
@@ -118,11 +118,11 @@ def _environment() -> Iterator[dict[str, str]]:
                'ROS_DOMAIN_ID': str(domain)}
 
 
-def claimed(name: str) -> socket.socket | None:
+def reserve(name: str) -> socket.socket | None:
     """
-    Return what keeps a name ours until it is closed; None if another process has it.
+    Reserve a name until the returned socket is closed; None if another process has it.
 
-    The kernel gives the name once, to whichever user, in a network (as far as DDS reaches).
+    An abstract socket name is unique in a network namespace, which is as far as DDS reaches.
     """
     claim = socket.socket(socket.AF_UNIX)
     try:
@@ -134,7 +134,7 @@ def claimed(name: str) -> socket.socket | None:
 
 
 def _end_with_parent() -> None:
-    """Have Linux send SIGINT to this node when the process that started it dies."""
+    """Let Linux send SIGINT to this node when the process that started it dies."""
     if sys.platform == 'linux':
         LIBC.prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
 
@@ -142,7 +142,7 @@ def _end_with_parent() -> None:
 @contextmanager
 def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
            ) -> Iterator[dict[str, subprocess.Popen]]:
-    """Start the nodes; at the end, whatever happened, ask them to end and see that they do."""
+    """Start the nodes; at the end, also after an error, end them and wait for that."""
     _prepare(experiment, out)
     arguments = {
         'recorder': ['-p', f'output:={out / "bag"}',
@@ -154,7 +154,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
     try:
         for name, module in MODULES.items():
             with open(out / 'log' / f'{name}.log', 'w') as log:
-                # A session of its own: Ctrl-C in the terminal comes to us alone.
+                # In a new session, so that Ctrl-C in the terminal reaches only this process.
                 nodes[name] = subprocess.Popen(
                     [sys.executable, '-m', module, '--ros-args', *arguments[name]],
                     stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
@@ -164,7 +164,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
         _stop(nodes)
     failed = [name for name, process in nodes.items() if process.returncode]
     if failed:
-        raise RunFailedError(_last_words(failed[0], nodes[failed[0]], out))
+        raise RunFailedError(_failure(failed[0], nodes[failed[0]], out))
 
 
 def _stop(nodes: Mapping[str, subprocess.Popen]) -> None:
@@ -180,14 +180,14 @@ def _stop(nodes: Mapping[str, subprocess.Popen]) -> None:
             process.wait()
 
 
-def _complain_of_dead(nodes: Mapping[str, subprocess.Popen], out: Path) -> None:
+def _raise_if_ended(nodes: Mapping[str, subprocess.Popen], out: Path) -> None:
     for name, process in nodes.items():
         if name != 'actuator' and process.poll() is not None:
-            raise RunFailedError(_last_words(name, process, out))
+            raise RunFailedError(_failure(name, process, out))
 
 
-def _last_words(name: str, process: subprocess.Popen, out: Path) -> str:
-    """Say how a node ended and the last line of its log."""
+def _failure(name: str, process: subprocess.Popen, out: Path) -> str:
+    """Return how a node ended, and the last line of its log."""
     path = out / 'log' / f'{name}.log'
     lines = [line for line in path.read_text(errors='replace').splitlines() if line.strip()]
     status = process.returncode
@@ -196,8 +196,8 @@ def _last_words(name: str, process: subprocess.Popen, out: Path) -> str:
     return f'the {name} {how}: {lines[-1] if lines else "it said nothing"} (see {path})'
 
 
-class Heard(NamedTuple):
-    """What the actuator last published: its ticks, its state, and how it does in words."""
+class ActuatorStatus(NamedTuple):
+    """The last diagnostics of the actuator: its ticks, its state, and the message."""
 
     ticks: int = 0
     state: str = ''
@@ -205,11 +205,11 @@ class Heard(NamedTuple):
 
 
 @contextmanager
-def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], Heard]]:
+def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorStatus]]:
     """
-    Give a function that waits a moment and returns what the actuator last published of itself.
+    Yield a function that waits up to POLL_S and returns the last diagnostics of the actuator.
 
-    From /diagnostics, which comes twice a second: the loop does not notice.
+    /diagnostics has two messages a second: to listen does not disturb the loop.
     """
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE',
                           environment['ROS_AUTOMATIC_DISCOVERY_RANGE'])
@@ -220,31 +220,31 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], Heard]]:
 
     from asi_common.node.diagnostics import LOOP
 
-    heard = Heard()
+    last = ActuatorStatus()
 
-    def hear(message: DiagnosticArray) -> None:
-        nonlocal heard
+    def receive(message: DiagnosticArray) -> None:
+        nonlocal last
         for status in message.status:
             if status.name == f'asi_actuator{LOOP}':
                 values = {value.key: value.value for value in status.values}
-                heard = Heard(int(values.get('ticks', 0)), values.get('state', ''),
-                              status.message)
+                last = ActuatorStatus(int(values.get('ticks', 0)), values.get('state', ''),
+                                      status.message)
 
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
                signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
                              start_parameter_services=False)
-    node.create_subscription(DiagnosticArray, '/diagnostics', hear, 10)
+    node.create_subscription(DiagnosticArray, '/diagnostics', receive, 10)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
-    def look() -> Heard:
+    def status() -> ActuatorStatus:
         executor.spin_once(timeout_sec=POLL_S)
-        return heard
+        return last
 
     try:
-        yield look
+        yield status
     finally:
         executor.shutdown()
         node.destroy_node()
@@ -272,7 +272,7 @@ def run(actuator: Mapping[str, Value], controller: Mapping[str, Value], duration
 
 
 class RunSummary(Analysis):
-    """What `asi run` prints: the keys of `analyze`, and bag, mode, ticks and compensator."""
+    """Result of `asi run`: the keys of `analyze`, and bag, mode, ticks and compensator."""
 
     def parts(self) -> Iterator[str | Table]:
         yield f'{self.compensator}, {self.mode}, {self.ticks} ticks'
@@ -294,7 +294,7 @@ def directory_of(experiment: Experiment, out: str | Path | None) -> Path:
 
 
 def free_directory(parent: Path, name: str) -> Path:
-    """Return runs/<time>-<name>, a directory that does not exist."""
+    """Return PARENT/TIME-NAME, a directory that does not exist."""
     stem = f'{time.strftime("%Y-%m-%d_%H-%M-%S")}-{name}'
     for number in range(1, 1000):
         path = parent / (stem if number == 1 else f'{stem}-{number}')

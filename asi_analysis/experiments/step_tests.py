@@ -1,4 +1,4 @@
-"""The step tests of the paper's Table 1; what the paper does not give was chosen here, once."""
+"""The step tests of the paper's Table 1, with our choices where the paper gives no value."""
 
 from collections.abc import Mapping
 from typing import Final, NamedTuple
@@ -10,7 +10,7 @@ SPRING: Final[Mapping[str, Value]] = {'load.type': 'spring'}
 
 
 class StepTest(NamedTuple):
-    """A step of the desired force (N), what controls it, and what the piston pushes against."""
+    """A step of the desired force (N), with its controller and its load."""
 
     controller: Mapping[str, Value]
     amplitude_n: float

@@ -1,1 +1,1 @@
-"""Import of other people's recordings, and export as tables."""
+"""Import of recordings of other systems (CSV, MAT, rosbag2, ...), and export as tables."""

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import TypesysError, get_types_from_msg
 
 from asi_analysis.bags import cdr
-from asi_analysis.bags.bag import Series, decode, onto, time_base
+from asi_analysis.bags.bag import Series, align, decode, time_base
 from asi_analysis.bags.bag_file import BROKEN, Topic, read_contents
 from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.table_file import Table
@@ -22,28 +22,28 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix in ('.mcap', '.db3')
 
 
-def read_bag_table(path: Path, wanted: Sequence[str]) -> Table:
+def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
     """
-    Return the numbers of the topics that `wanted` columns are of, and `time`, s.
+    Return all numbers of the topics to which `columns` belong, and `time`, s.
 
-    The times are those of the topic of the first column; what another topic holds lasts until its
+    The time base is the topic of the first column; numbers of other topics are held until their
     next message. Raises InputError.
     """
     present: dict[str, None] = {}
 
-    def named(topic: str) -> bool:
+    def selected(topic: str) -> bool:
         present[topic] = None
-        return any(column.startswith(f'{topic}/') for column in wanted)
+        return any(column.startswith(f'{topic}/') for column in columns)
 
-    contents = read_contents(path, named)
+    contents = read_contents(path, selected)
     for problem in contents.problems:
         warnings.warn(problem, InputWarning, stacklevel=3)
     if missing := {topic.type for topic in contents.topics.values()} - set(typestore().fielddefs):
         _learn_types(path, missing)
     series = {topic.name: _decoded(topic, path) for topic in contents.topics.values()
               if len(topic)}
-    # The longest that fits: there may be both /arm and /arm/wrist.
-    first = next((name for column in wanted for name in sorted(series, key=len, reverse=True)
+    # The longest name that fits: a bag may have both /arm and /arm/wrist.
+    first = next((name for column in columns for name in sorted(series, key=len, reverse=True)
                   if column.startswith(f'{name}/')), None)
     if first is None:
         raise InputError(f'{path}: no message of a topic is mapped, as SIGNAL=TOPIC/FIELD or '
@@ -52,15 +52,15 @@ def read_bag_table(path: Path, wanted: Sequence[str]) -> Table:
     table: Table = {'time': (base.stamp_ns - base.stamp_ns[0]) / 1e9}
     for name, one in series.items():
         for field, values in one.values.items():
-            table[f'{name}/{field}'] = onto(base, one, values, lasting=name != first)
+            table[f'{name}/{field}'] = align(base, one, values, hold=name != first)
     return table
 
 
 def _learn_types(path: Path, missing: set[str]) -> None:
     """
-    Define the message types that a bag brings with it: since Iron rosbag2 writes them down.
+    Define the message types that a bag contains: since Iron rosbag2 stores their definitions.
 
-    rosbags makes code of them; its grammar lets nothing but names, numbers and literals through.
+    rosbags makes code of them; its grammar allows only names, numbers and literals.
     """
     with suppress(TypesysError, SyntaxError, *BROKEN), Reader(path) as reader:
         for connection in reader.connections:
@@ -76,21 +76,21 @@ def _decoded(topic: Topic, path: Path) -> Series:
         raise InputError(f'{path}: {topic.name} is of type {topic.type}, which neither the bag '
                          'nor ROS 2 Jazzy defines')
     try:
-        return decode(topic, _names)
-    except (SyntaxError, *BROKEN) as error:   # a type of the bag's own may be anything
+        return decode(topic, _number_paths)
+    except (SyntaxError, *BROKEN) as error:   # the bag may define any type
         raise InputError(f'{path}: {topic.name} cannot be read as {topic.type}: {error}') from None
 
 
-def _names(place: cdr.Layout) -> dict[str, cdr.Path]:
-    """Return where the numbers of a message are, by JOINT/FIELD, or by FIELD."""
-    joints = {path[1]: name for path, name in place.strings.items()
+def _number_paths(layout: cdr.Layout) -> dict[str, cdr.Path]:
+    """Return the paths of the numbers of a message, named JOINT/FIELD or FIELD."""
+    joints = {path[1]: name for path, name in layout.strings.items()
               if len(path) == 2 and path[0] == 'name'}
-    named: dict[str, cdr.Path] = {}
-    for path in place.numbers:
+    paths: dict[str, cdr.Path] = {}
+    for path in layout.numbers:
         if path[:2] == ('header', 'stamp'):
-            named[str(path[2])] = path
+            paths[str(path[2])] = path
         elif len(path) == 2 and path[1] in joints:
-            named[f'{joints[path[1]]}/{path[0]}'] = path
+            paths[f'{joints[path[1]]}/{path[0]}'] = path
         else:
-            named['/'.join(map(str, path))] = path
-    return named
+            paths['/'.join(map(str, path))] = path
+    return paths

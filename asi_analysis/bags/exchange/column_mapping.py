@@ -1,4 +1,4 @@
-"""What the columns of a table are, by texts such as `force=CHANNEL1*9806.65[N]`."""
+"""Map columns of a table to signals by texts such as `force=CHANNEL1*9806.65[N]`."""
 
 import math
 import re
@@ -16,9 +16,9 @@ from asi_analysis.bags.exchange.units import conversion
 from asi_analysis.bags.run import SIGNALS, Array
 from asi_analysis.errors import InputError, InputWarning
 
-# A joint may turn; a servo's reference is in the unit of what it controls; a drive may be
-# commanded by a voltage, a current or a share of what it has (PWM).
-TAKES: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
+# A joint may be rotary, a reference have the unit of any controlled signal, and the command of a
+# drive be a voltage, a current or a duty cycle.
+UNITS_OF: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
                 'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s')}
@@ -38,18 +38,18 @@ class Assignment(NamedTuple):
 
 
 def parse_mapping(text: str) -> Assignment:
-    """Return the parts of a mapping. Raises InputError if it is none."""
+    """Parse the text of a mapping. Raises InputError if it has another form."""
     signal, equals, term = text.partition('=')
     signal, term, unit = signal.strip(), term.strip(), ''
     if not equals or not term:
         raise InputError(f'{text!r} is not a mapping: expected '
                          'SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]')
-    if signal not in TAKES:
-        raise InputError(f'{text!r}: there is no signal {signal}; there are {", ".join(TAKES)}')
+    if signal not in UNITS_OF:
+        raise InputError(f'{text!r}: there is no signal {signal}; there are {", ".join(UNITS_OF)}')
     if found := re.fullmatch(r'(.*?)\s*\[([^\[\]]*)\]', term):
         term, unit = found[1], found[2].strip()
         converted = conversion(unit)
-        if converted is None or converted[0] not in TAKES[signal]:
+        if converted is None or converted[0] not in UNITS_OF[signal]:
             si = converted[0] if converted else ''
             hint = ('a commanded motion is a reference'
                     if signal == 'command' and si in ('m', 'rad', 'm/s', 'rad/s') else
@@ -57,22 +57,22 @@ def parse_mapping(text: str) -> Assignment:
                     if signal == 'force' and si == 'Pa' else
                     'scale other quantities, as in force=volts*250[N] or '
                     'position=counts*0.088[deg]')
-            raise InputError(f'{text!r}: {signal} takes {", ".join(TAKES[signal])} and their '
+            raise InputError(f'{text!r}: {signal} takes {", ".join(UNITS_OF[signal])} and their '
                              f'multiples, not {unit!r}; {hint}')
-    return Assignment(text, signal, term, unit or TAKES[signal][0])
+    return Assignment(text, signal, term, unit or UNITS_OF[signal][0])
 
 
 def own_mapping(table: Table) -> list[str]:
     """Return the mappings of the columns that `asi export` writes."""
     names = {f'{signal}_{unit.replace("/", "_").lower()}': f'{signal}={{}}[{unit}]'
-             for signal, units in TAKES.items() for unit in units}
+             for signal, units in UNITS_OF.items() for unit in units}
     return [names[column].format(column) for column in table if column in names]
 
 
 def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:
     """Return the values of a mapping in SI units, and the unit. Raises InputError."""
     whole = mapping.text.partition('=')[2].strip()
-    # The unit may stand in the header: `torque [Nm]`.
+    # The header may contain the unit: `torque [Nm]`.
     term, scale, offset = whole if whole in table else mapping.term, 1.0, 0.0
     if term not in table:
         found = _TERM.fullmatch(term)
@@ -119,7 +119,7 @@ def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
         values = np.ravel(column).astype(float)
     else:
         values = np.full(len(column), np.nan)
-        prefixed = 0
+        with_prefix = 0
         for row, cell in enumerate(map(str, column)):
             try:
                 values[row] = float(cell)
@@ -132,9 +132,9 @@ def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
                     raise InputError(f'{path}: column {name}, row {row + 1}: {cell!r} is not a '
                                      f'number{hint}') from None
                 values[row] = float(found[1]) * SI_PREFIX[found[2]]
-                prefixed += 1
-        if prefixed:
-            warnings.warn(f'{path}: column {name}: {prefixed} cells such as -19m are read with '
+                with_prefix += 1
+        if with_prefix:
+            warnings.warn(f'{path}: column {name}: {with_prefix} cells such as -19m are read with '
                           'their SI prefix', InputWarning, stacklevel=2)
     if np.isinf(values).any():
         raise InputError(f'{path}: column {name}, row {int(np.argmax(np.isinf(values))) + 1}: '

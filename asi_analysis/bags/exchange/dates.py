@@ -1,4 +1,4 @@
-"""Columns of dates and times of day as seconds since the first."""
+"""Convert columns of dates or times of day to seconds since the first."""
 
 import re
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ def since_first(name: str, column: npt.NDArray, path: Path) -> npt.NDArray[np.fl
         return None
     if not _MOMENT.fullmatch(str(column[0]).strip()):
         return None
-    days: set[tuple[int, int]] = set()      # as they stand, if the year is last
+    days: set[tuple[int, int]] = set()      # day and month in the order of the text, year last
     zones: set[str] = set()
     for each in _moments(column):
         if each is not None:
@@ -40,7 +40,7 @@ def since_first(name: str, column: npt.NDArray, path: Path) -> npt.NDArray[np.fl
     if len(zones) > 1:
         raise InputError(f'{path}: column {name} has times of several zones: '
                          + ', '.join(sorted(zones)))
-    # 3.4.2020 is the third of April; of 3/4/2020 a number above 12 tells.
+    # 3.4.2020 is the third of April; 3/4/2020 is ambiguous unless one number exceeds 12.
     first, second = (max((pair[k] for pair in days), default=13) for k in (0, 1))
     dotted = '.' in str(column[0]).partition(':')[0]
     if not dotted and first <= 12 and second <= 12 and len(days) > 1:
@@ -59,7 +59,7 @@ def _moments(column: npt.NDArray) -> Iterator[re.Match[str] | None]:
 
 
 def _iso(moment: re.Match[str], month_first: bool) -> str:
-    """Return a moment as numpy reads it."""
+    """Return a moment as ISO 8601."""
     part = moment.groupdict()
     hour = int(part['hour'])
     if part['half']:
@@ -69,6 +69,6 @@ def _iso(moment: re.Match[str], month_first: bool) -> str:
         day, month = part['first'], part['second_']
         if month_first:
             month, day = day, month
-    # Of a time of day any date will do.
+    # A time of day without a date gets an arbitrary one.
     date = f'{year}-{int(month):02}-{int(day):02}' if year else '1970-01-01'
     return f'{date}T{hour:02}:{part["minute"]}:{part["second"] or "00"}.{part["part"] or "0"}'

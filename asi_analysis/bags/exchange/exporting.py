@@ -1,4 +1,4 @@
-"""`Run` → CSV or Parquet, with the units in the names of the columns."""
+"""Export a `Run` as CSV or Parquet, with the units in the column names."""
 
 import csv
 import json
@@ -18,8 +18,8 @@ def export(run: Run, path: str | Path) -> None:
     """
     Write a run to a .csv or .parquet file, a missing sample as an empty cell or null.
 
-    Every number is written in full: importing the file gives the same run. Raises InputError for
-    another kind of file, or one that exists or cannot be written.
+    Numbers have full precision: importing the file gives the same run. Raises InputError for
+    another suffix, or a file that exists or cannot be written.
 
     >>> import tempfile
     >>> import asi_analysis as asi

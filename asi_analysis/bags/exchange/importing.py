@@ -1,4 +1,4 @@
-"""Recordings of others (CSV, MAT, rosbag2, …) to `Run` and bag; doc/how_to/importing.md."""
+"""Import a recording of another system as `Run` and bag; see doc/how_to/importing.md."""
 
 import warnings
 from collections.abc import Sequence
@@ -29,13 +29,13 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
                      columns: Sequence[str] | None = None, zero_s: float = 0.0,
                      out: str | Path | None = None) -> Run:
     r"""
-    Return someone else's recording as a run; written as the bag `out` too, if that is given.
+    Return a recording of another system as a run; also written as the bag `out`, if given.
 
     path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet or a bag; mapping: texts
-    `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for the columns that `asi export` writes;
-    rate_hz: samples a second, where no column is mapped to time (a bag has times of its own);
-    skip_lines: lines before the header; columns: names for a file without a header; zero_s:
-    subtract from each signal its mean over so many seconds from the start. Raises InputError.
+    `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for a file of `asi export`; rate_hz: sampling
+    rate, if no column is mapped to time (a bag has its own times); skip_lines: lines before the
+    header; columns: names for a file without a header; zero_s: subtract from each signal its mean
+    over this time from the start, s. Raises InputError.
 
     >>> import pathlib, tempfile
     >>> import asi_analysis as asi
@@ -59,19 +59,19 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     signals = _evaluated(mappings, table, path)
     length = len(next(iter(signals.values()))[0])
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
-    new = np.isfinite(time_s)
-    new[new] = np.diff(time_s[new], prepend=-1.0) > 0.0
-    if not new.all():
-        warnings.warn(f'{path}: {np.sum(~new)} of {length} samples have no time, or that of the '
+    valid = np.isfinite(time_s)
+    valid[valid] = np.diff(time_s[valid], prepend=-1.0) > 0.0
+    if not valid.all():
+        warnings.warn(f'{path}: {np.sum(~valid)} of {length} samples have no time, or that of the '
                       'one before, and are left out', InputWarning, stacklevel=2)
-    time_s = time_s[new]
+    time_s = time_s[valid]
     # Stamps are whole nanoseconds in 64 bits.
     if len(time_s) < 2 or time_s[-1] > LONGEST_S or np.diff(time_s).min() < 1e-9:
         raise InputError(f'{path}: its {len(time_s)} samples last {time_s[-1]:g} s: expected '
                          f'samples at least 1 ns apart, {LONGEST_S:g} s at most; is the unit of '
                          'time, or the rate, right?')
     units = {name: unit for name, (_, unit) in signals.items()}
-    values = {name: column[new] - _start(column[new], time_s, zero_s, name, path)
+    values = {name: column[valid] - _start_mean(column[valid], time_s, zero_s, name, path)
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
         'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
@@ -88,7 +88,7 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
 
 def _evaluated(mappings: Sequence[Assignment], table: Table, path: Path
                ) -> dict[str, tuple[Array, str]]:
-    """Return values and unit of each signal, of one length. Raises InputError."""
+    """Return values and unit of each signal, all of one length. Raises InputError."""
     signals = {each.signal: evaluate(each, table, path) for each in mappings}
     if not signals.keys() - {'time'}:
         raise InputError(f'{path}: no signal is mapped; it has the columns {", ".join(table)}')
@@ -119,8 +119,8 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
     return mapped[0] - mapped[0][known[0]]
 
 
-def _start(values: Array, time_s: Array, zero_s: float, name: str, path: Path) -> float:
-    """Return the mean of the first `zero_s` seconds; 0 for none."""
+def _start_mean(values: Array, time_s: Array, zero_s: float, name: str, path: Path) -> float:
+    """Return the mean over the first `zero_s` seconds; 0 for zero_s = 0."""
     if not zero_s:
         return 0.0
     first = values[time_s < zero_s]

@@ -1,4 +1,4 @@
-"""What `asi import` and `asi export` print."""
+"""The results of `asi import` and `asi export`."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A file of someone else's (CSV, TSV, MAT, NPZ, Parquet) as columns by name."""
+"""Read a table of another system (CSV, TSV, MAT, NPZ, Parquet) as columns by name."""
 
 import csv
 import os
@@ -18,7 +18,7 @@ from asi_analysis.bags.exchange.text_file import read_text, unpacked_limit
 from asi_analysis.errors import InputError
 
 MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
-# What broken bytes make the libraries raise.
+# What the libraries raise for damaged files.
 BROKEN: Final = (OSError, ValueError, EOFError, NotImplementedError, TypeError, KeyError,
                  IndexError, MemoryError, OverflowError, RecursionError, csv.Error, zlib.error,
                  zipfile.BadZipFile)
@@ -63,7 +63,7 @@ def _read_mat(path: Path) -> Table:
     """
     Return the arrays of numbers of a MAT file.
 
-    scipy reads it in a process of its own: damaged files have ended it inside compiled code.
+    scipy reads it in a separate process, as damaged files have crashed its compiled code.
     """
     script = ('import sys; from asi_analysis.bags.exchange import table_file; '
               'table_file.convert_mat(sys.argv[1], int(sys.argv[2]))')
@@ -71,8 +71,8 @@ def _read_mat(path: Path) -> Table:
                           capture_output=True, check=False,
                           env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)})
     if done.returncode:
-        said = done.stderr.decode(errors='replace').strip().splitlines()
-        raise ValueError(said[-1].removeprefix('ValueError: ') if said and done.returncode == 1
+        lines = done.stderr.decode(errors='replace').strip().splitlines()
+        raise ValueError(lines[-1].removeprefix('ValueError: ') if lines and done.returncode == 1
                          else 'it is damaged')
     with np.load(BytesIO(done.stdout)) as arrays:
         return {str(name): arrays[f'arr_{number}'] for number, name in enumerate(arrays['names'])}
@@ -90,7 +90,7 @@ def convert_mat(path: str, most_bytes: int) -> None:
                             if not name.startswith('__')})
         written = BytesIO()
         np.savez(written, *columns.values(), names=np.array(list(columns), str))
-    except Exception as error:  # noqa: B902 - whatever scipy makes of bytes that are damaged
+    except Exception as error:  # noqa: B902 - scipy raises anything for damaged bytes
         sys.exit(' '.join(str(error).split()) or type(error).__name__)
     sys.stdout.buffer.write(written.getbuffer())
 
@@ -109,9 +109,9 @@ def _columns(variables: Mapping[str, npt.NDArray]) -> Table:
 
 def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArray]]:
     """
-    Yield what a variable holds: a vector, columns name#1 ..., fields name.x.
+    Yield the columns of a variable: a vector, columns name#1 ..., or fields name.x.
 
-    Of a cell array, or an array of structures, each element: name#1, name#1.x ...
+    Elements of a cell array or an array of structures are name#1, name#1.x ...
     """
     if values.dtype.names or values.dtype == object:
         for number, element in enumerate(np.ravel(values)[:MOST_COLUMNS], 1):

@@ -1,4 +1,4 @@
-"""A text of someone else's (CSV, TSV, ...) as columns by name, read a block of rows at a time."""
+"""Read a text file (CSV, TSV, ...) as columns by name, in blocks of rows."""
 
 import codecs
 import csv
@@ -18,10 +18,10 @@ from asi_analysis.errors import InputError
 
 COMMENT: Final = ('#', '%')
 MISSING: Final = frozenset(('', 'na', 'n/a', '#n/a', 'null', 'none', '-', 'nan'))
-# Lines at the start of a file by which delimiter, header and first row of data are found.
+# Lines at the start of a file in which delimiter, header and first row of data are looked for.
 HEAD_LINES: Final = 1000
 BLOCK_ROWS: Final = 20_000
-# Limits: characters of a line, columns, and what a compressed file may unpack to.
+# Limits: characters of a line, columns, unpacked bytes, and their ratio to the compressed ones.
 MOST_LINE: Final = 2**20
 MOST_COLUMNS: Final = 4096
 MOST_UNPACKED: Final = 100_000_000
@@ -38,14 +38,14 @@ codecs.register_error('windows-1252', lambda error: (   # as older programs writ
 
 
 def unpacked_limit(path: Path) -> int:
-    """Return how many bytes the compressed data of a file may unpack to."""
+    """Return the largest number of bytes to which the compressed data of a file may unpack."""
     return max(MOST_UNPACKED, MOST_RATIO * path.stat().st_size)
 
 
 def read_text(path: Path, skip_lines: int, delimiter: str | None,
               columns: Sequence[str] | None) -> dict[str, npt.NDArray]:
     """
-    Return the columns of a text by name: of floats, or of texts where a cell is no number.
+    Return the columns of a text file by name: floats, or texts if a cell is no number.
 
     A missing cell of a column of floats is NaN. Raises InputError, csv.Error, OSError, EOFError.
     """
@@ -77,7 +77,7 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
 
 
 def is_number(cell: str) -> bool:
-    """Tell whether a cell holds a number, or nothing."""
+    """Return whether a cell is a number or empty."""
     try:
         float(cell or 'nan')
     except ValueError:
@@ -121,9 +121,9 @@ def _columns(rows: Iterable[list[str]], names: list[str], path: Path) -> list[np
 
 def _fit(row: list[str], number: int, width: int, path: Path) -> None:
     """
-    Give a row as many cells as there are columns, or raise InputError.
+    Give a row one cell for each column, or raise InputError.
 
-    A last column of remarks may be left out, or hold the delimiter; numbers may not.
+    A last column of remarks may be missing or contain the delimiter; one of numbers may not.
     """
     if len(row) < width - 1:
         raise InputError(f'{path}: row {number} has {len(row)} cells, expected {width}')
@@ -135,7 +135,7 @@ def _fit(row: list[str], number: int, width: int, path: Path) -> None:
 
 
 def _as_array(cells: Sequence[str]) -> npt.NDArray:
-    """Return cells as floats, NaN where one is missing; as texts if one is no number."""
+    """Return cells as floats, NaN for a missing one; as texts if a cell is no number."""
     try:
         return np.array(cells, float)
     except ValueError:
@@ -146,7 +146,7 @@ def _as_array(cells: Sequence[str]) -> npt.NDArray:
 
 
 def _joined(parts: list[npt.NDArray]) -> npt.NDArray:
-    """Return the blocks of a column as one, and let go of them."""
+    """Return the blocks of a column as one array; empties `parts` to free their memory."""
     if any(part.dtype != float for part in parts):
         parts[:] = [part.astype(np.dtypes.StringDType()) for part in parts]
     column = np.concatenate(parts)
@@ -155,23 +155,23 @@ def _joined(parts: list[npt.NDArray]) -> npt.NDArray:
 
 
 def _delimiter(line: str) -> str:
-    """Return what separates the cells of a row of data: that which makes most numbers of it."""
+    """Return the delimiter that splits a row of data into most numbers."""
     return max('\t;, ', key=lambda mark: sum(map(is_number, next(_cells([line], mark), []))))
 
 
 def _first_of_data(rows: list[list[str]]) -> int:
-    """Return the first row that is like one in the middle; before it stand remarks and header."""
+    """Return the index of the first row of data, which is like one in the middle of the file."""
     usual = rows[len(rows) // 2]
-    enough = 0.5 * sum(map(is_number, usual))
+    fewest = 0.5 * sum(map(is_number, usual))
     return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1
-                 and sum(map(is_number, row)) > enough), len(rows))
+                 and sum(map(is_number, row)) > fewest), len(rows))
 
 
 def _header(before: list[str], delimiter: str, width: int) -> list[str]:
     """
-    Return the names of `width` columns: the last line before the data that may hold them.
+    Return the names of `width` columns: the last line before the data that can be a header.
 
-    It is not one of units; and where blanks part the cells, none of the names may hold one.
+    A line of units is no header. With blanks as delimiter, names may not contain blanks.
     """
     for line in reversed(before):
         names = next(_cells([line.lstrip('#% ')], delimiter), [])
@@ -182,7 +182,7 @@ def _header(before: list[str], delimiter: str, width: int) -> list[str]:
 
 
 def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    if delimiter in ' ,':   # a row of Matlab's
+    if delimiter in ' ,':   # Matlab ends rows with a semicolon
         lines = (line.rstrip(' ;\r\n') for line in lines)
     if delimiter != ',':
         lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line else line for line in lines)

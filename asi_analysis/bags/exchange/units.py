@@ -1,4 +1,4 @@
-"""The units that a recording may be in."""
+"""Units of imported recordings, and their conversion to SI."""
 
 import functools
 import math
@@ -19,7 +19,7 @@ UNITS: Final = {
     'V': ('V', 1.0), 'mV': ('V', 1e-3), 'A': ('A', 1.0), 'mA': ('A', 1e-3),
     'Pa': ('Pa', 1.0), 'bar': ('Pa', 1e5),
     '1': ('1', 1.0), '%': ('1', 1e-2)}
-# SI unit → how pint writes it; angles have no dimension, so their units are all in the table
+# SI unit → its name in pint. Angles have no dimension in pint: UNITS lists all of theirs.
 _PINT: Final = {'s': 's', 'N': 'N', 'm': 'm', 'm/s': 'm/s', 'Nm': 'N*m', 'V': 'V', 'A': 'A',
                 'Pa': 'Pa'}
 
@@ -27,9 +27,9 @@ _PINT: Final = {'s': 's', 'N': 'N', 'm': 'm', 'm/s': 'm/s', 'Nm': 'N*m', 'V': 'V
 @functools.cache
 def conversion(unit: str) -> tuple[str, float] | None:
     """
-    Return the SI unit that a unit is converted to, and its factor; None if it is no unit.
+    Return the SI unit and the factor of a unit; None if it is unknown.
 
-    Beyond the table above it takes what pint knows, such as kip, ft, psi or bar*cm^2.
+    Other units than those of UNITS are looked up in pint, such as kip, ft, psi or bar*cm^2.
     """
     if unit in UNITS:
         return UNITS[unit]
@@ -38,5 +38,5 @@ def conversion(unit: str) -> tuple[str, float] | None:
         quantity = pint.get_application_registry().Quantity(1.0, unit)
         return next(((si, float(quantity.to(name).magnitude)) for si, name in _PINT.items()
                      if quantity.is_compatible_with(name)), None)
-    except Exception:  # noqa: B902 - whatever pint makes of a text that is no unit
+    except Exception:  # noqa: B902 - pint raises anything for a text that is no unit
         return None

@@ -1,10 +1,10 @@
 """
-The order and the times in which a recorder writes what has come.
+Order and log times of recorded messages.
 
-In real time: the order and the times of receipt. In lock-step every tick has a stamp k T, and its
-messages come from two processes over several topics. They are held until every topic has come
-that far, then written tick by tick, at the time of the tick, in the order of the topics; so two
-runs of the same experiment give the same file, however they were scheduled.
+In real time: those of receipt. In lock-step every tick has a stamp k T, and its messages come from
+two processes over several topics. They are held back until every topic has reached the tick, then
+written tick by tick, with its stamp as log time, in the order of the topics. So two runs of the
+same experiment give the same file, however their processes were scheduled.
 """
 
 import heapq
@@ -13,20 +13,20 @@ from collections import Counter, deque
 from collections.abc import Iterable, Set
 from typing import Final, NamedTuple
 
-# A topic that is silent this long (s) is not waited for; a kill loses this much and one chunk.
+# A tick waits this long (s) for a topic; a killed recorder loses this much and one chunk.
 HOLD_S: Final = 0.3
-# Unless it has spoken in most ticks: then a message was lost on the way, and DDS sends it again
-# when it next compares notes (Fast DDS: after 3 s, with our fastdds.xml 50 ms).
+# It waits longer for a topic with messages in most ticks: one was lost, and DDS sends it again
+# after its heartbeat period (Fast DDS: 3 s, with our fastdds.xml 50 ms).
 PATIENCE_S: Final = 5.0
 FEW_TICKS: Final = 10
-# Written ticks that are remembered, to know a late repetition when it comes.
+# Number of written ticks that are kept, to recognise late repetitions.
 REMEMBERED: Final = 1000
-# A stamp this far (ns) from another is not of the same clock.
+# Stamps further apart than this (ns) are of different clocks.
 OTHER_CLOCK_NS: Final = 3600 * 10**9
 
 
 class Arrival(NamedTuple):
-    """A message as it came: topic (index), number on its topic, times (ns), CDR bytes."""
+    """A received message: topic (index), number on its topic, times (ns), CDR bytes."""
 
     topic: int
     number: int
@@ -37,7 +37,7 @@ class Arrival(NamedTuple):
 
 
 class Item(NamedTuple):
-    """A message as it goes into the bag."""
+    """A message to be written."""
 
     topic: int
     number: int
@@ -47,13 +47,13 @@ class Item(NamedTuple):
 
 
 class ReceiptOrder:
-    """Real time: messages in the order of their receipt, whose times never go back."""
+    """Real time: messages in the order of receipt, with log times that never decrease."""
 
     def __init__(self) -> None:
         self._last_ns = 0
 
     def ready(self, arrivals: Iterable[Arrival], now_s: float) -> list[Item]:
-        """Return what can be written: everything."""
+        """Return the messages that can be written: all."""
         items = []
         for arrival in sorted(arrivals, key=lambda arrival: arrival.received_ns):
             self._last_ns = max(self._last_ns, arrival.received_ns)
@@ -62,15 +62,11 @@ class ReceiptOrder:
         return items
 
     def end(self) -> None:
-        """Do nothing: whatever has come is taken."""
+        """Do nothing: every received message is written."""
 
-    def lacking(self) -> set[int]:
-        """Return the topics whose message is missing in a tick that is held back: none."""
+    def missing_topics(self) -> set[int]:
+        """Return the topics with missing messages: none."""
         return set()
-
-    def waiting(self) -> bool:
-        """Tell whether a tick is held back: never."""
-        return False
 
 
 class _Tick(NamedTuple):
@@ -81,17 +77,17 @@ class _Tick(NamedTuple):
 
 class TickOrder:
     """
-    Lock-step: messages tick by tick; a message that was sent again is left out.
+    Lock-step: messages tick by tick, without repetitions.
 
-    topics: how many there are; guide: index of the stamped topic that the others go by;
-    unawaited: topics that no tick waits for, as their messages come before the tick. Messages
+    topics: their number; guide: index of the stamped topic that defines the ticks; not_awaited:
+    topics for which no tick waits, as their messages come before the tick. Messages
     without a stamp belong to the tick of the guide's message with the same number: the actuator
     publishes `force`, `valve_position` and `velocity` together, and sends none of them again.
     """
 
-    def __init__(self, topics: int, guide: int, unawaited: Set[int] = frozenset()) -> None:
+    def __init__(self, topics: int, guide: int, not_awaited: Set[int] = frozenset()) -> None:
         self._guide = guide
-        self._unawaited = unawaited
+        self._not_awaited = not_awaited
         self._stamps: dict[int, int] = {}       # of the guide's messages, by number
         self._newest = 0
         self._latest = dict.fromkeys(range(topics), -1)
@@ -101,15 +97,15 @@ class TickOrder:
         self._order: list[int] = []             # stamps of the ticks not written, a heap
         self._done: deque[int] = deque()
         self._late: list[Item] = []
-        self._spoken: Counter[int] = Counter()  # ticks in which a topic has spoken
-        self._written = 0                       # ticks
-        self._end: float = math.inf             # stamp of the last tick that is taken
+        self._ticks_with: Counter[int] = Counter()  # ticks with a message, by topic
+        self._written = 0                       # number of written ticks
+        self._end: float = math.inf             # stamp of the last tick to write
 
     def ready(self, arrivals: Iterable[Arrival], now_s: float) -> list[Item]:
         """
-        Take what has come; return, in order, what need not wait any longer.
+        Add received messages; return, in order, those of the ticks that are complete.
 
-        now_s: time since any moment, s; infinite: return everything.
+        now_s: time on any clock, s; infinite: return everything.
         """
         waiting, self._unplaced = self._unplaced, []
         for arrival in arrivals:
@@ -117,7 +113,7 @@ class TickOrder:
         for arrived_s, arrival in waiting:
             self._add(arrival, arrived_s, now_s)
         items, self._late = self._late, []
-        while self._order and self._may_go(self._order[0], now_s):
+        while self._order and self._can_be_written(self._order[0], now_s):
             items += self._release(heapq.heappop(self._order))
         self._forget()
         return items
@@ -130,32 +126,28 @@ class TickOrder:
                 del self._stamps[next(iter(self._stamps))]
 
     def end(self) -> None:
-        """Take no messages of ticks after the newest one: the recording ends there."""
+        """End the recording with the newest tick: later messages are dropped."""
         self._end = self._newest
         self._order = [stamp for stamp in self._order if stamp <= self._end]  # still a heap
 
-    def lacking(self) -> set[int]:
+    def missing_topics(self) -> set[int]:
         """Return the topics whose message is missing in a tick that is held back."""
         last = max(self._order, default=-1)
         return {topic for topic, latest in self._latest.items()
-                if latest < last and topic not in self._unawaited}
+                if latest < last and topic not in self._not_awaited}
 
-    def waiting(self) -> bool:
-        """Tell whether a tick is held back."""
-        return bool(self._order)
-
-    def _may_go(self, stamp: int, now_s: float) -> bool:
-        """Tell whether a tick is complete, or has waited long enough for what may still come."""
+    def _can_be_written(self, stamp: int, now_s: float) -> bool:
+        """Return whether a tick is complete, or has waited long enough for missing messages."""
         behind = [topic for topic, latest in self._latest.items()
-                  if latest < stamp and topic not in self._unawaited]
+                  if latest < stamp and topic not in self._not_awaited]
         age_s = now_s - self._ticks[stamp].arrived_s
         regular = [topic for topic in behind
-                   if self._spoken[topic] > max(FEW_TICKS, self._written / 2)]
+                   if self._ticks_with[topic] > max(FEW_TICKS, self._written / 2)]
         if age_s > PATIENCE_S:
             for topic in regular:
-                self._spoken[topic] = 0
+                self._ticks_with[topic] = 0
             return True
-        # As long as there is no second tick the loop stands still: the answer is on its way.
+        # Before the second tick the loop waits for an answer that is still in flight.
         begun = self._written or stamp < self._newest
         return not behind or bool(begun and age_s > HOLD_S and not regular)
 
@@ -165,7 +157,7 @@ class TickOrder:
         self._done.append(stamp)
         self._written += 1
         items = sorted(tick.items.values(), key=lambda item: item.topic)
-        self._spoken.update({item.topic for item in items})
+        self._ticks_with.update({item.topic for item in items})
         return items
 
     def _add(self, arrival: Arrival, arrived_s: float, now_s: float) -> None:
@@ -199,7 +191,7 @@ class TickOrder:
 
     def _place(self, arrival: Arrival, stamp: int, now_s: float) -> None:
         topic = arrival.topic
-        if stamp > self._end and topic not in self._unawaited:
+        if stamp > self._end and topic not in self._not_awaited:
             return
         self._latest[topic] = max(self._latest.get(topic, -1), stamp)
         tick = self._ticks.get(stamp)

@@ -1,10 +1,10 @@
 """
 The node `asi_recorder`: writes the topics of the loop to a bag, as they come from the wire.
 
-In real time a message is logged at the time of its receipt. In lock-step, which it knows by
-stamps far from the wall clock, at the time of its tick, and in an order of its own (see
-`message_order`), so that the same experiment gives the same file; what nodes say of their loops on
-/diagnostics goes by the wall clock, and only what they say of their states is kept.
+In real time the log time of a message is that of its receipt. In lock-step, recognised by stamps
+far from the wall clock, it is the time of its tick, and messages are put in order
+(`message_order`), so that the same experiment gives the same file. Of /diagnostics only the
+changes of state are then recorded: the rest depends on the wall clock.
 """
 
 import json
@@ -50,22 +50,22 @@ from asi_common.topics import TOPICS
 
 DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
-# Often enough that little waits, seldom enough that one wake-up serves many messages.
+# Short enough that few messages wait, long enough that one wake-up takes many.
 DRAIN_PERIOD_S: Final = 0.01
-LOOK_AROUND_PERIOD_S: Final = 0.2
-# At the end: silence for so long means that nothing is on its way any more. A tick that lacks a
-# message, which DDS would send again within 50 ms, is waited for so long.
-FAREWELL_S: Final = 0.05
+DISCOVERY_PERIOD_S: Final = 0.2
+# At the end: without a message for QUIET_S, none is in flight any more. LAST_TICK_S: longest wait
+# for a tick with a missing message, which DDS sends again within 50 ms.
+QUIET_S: Final = 0.05
 LAST_TICK_S: Final = 1.0
-# What counts at most of the time between two looks at what has come: while this process or the
-# whole machine stands still nothing can come, and nothing is missing.
-LOOK_S: Final = 2.0 * DRAIN_PERIOD_S
-# Messages of one topic that may wait: ten seconds of lock-step.
+# The time between two polls counts at most this much: while this process or the machine stands
+# still, no message can arrive, so none is late.
+LONGEST_POLL_S: Final = 2.0 * DRAIN_PERIOD_S
+# History of a subscription: ten seconds of lock-step.
 DEPTH: Final = 50_000
 
 
 class _Polled(CallbackGroup):
-    """Keeps the executor's hands off: waking for each message costs more than writing it."""
+    """Never run by the executor: waking for each message costs more than writing it."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -78,7 +78,7 @@ class _Polled(CallbackGroup):
 
 
 class _Recorded:
-    """One topic: its subscription, the place of the stamp, what was lost."""
+    """One recorded topic: its subscription, its stamps, its lost messages."""
 
     def __init__(self, node: Node, group: CallbackGroup, name: str, type_: str) -> None:
         self.message = message_class(type_)
@@ -95,18 +95,18 @@ class _Recorded:
         self.subscription = self._subscription(node, group)
 
     def accept_best_effort(self, node: Node, group: CallbackGroup) -> None:
-        """Subscribe again so that a best-effort publisher is heard too."""
+        """Subscribe again so that best-effort publishers match too."""
         node.destroy_subscription(self.subscription)
         self.reliability = ReliabilityPolicy.BEST_EFFORT
         self.subscription = self._subscription(node, group)
 
     def _subscription(self, node: Node, group: CallbackGroup) -> Subscription:
         return node.create_subscription(
-            self.message, self.name, _never,
+            self.message, self.name, _unused_callback,
             QoSProfile(depth=DEPTH, reliability=self.reliability), callback_group=group, raw=True)
 
     def take(self) -> tuple[bytes, dict[str, Any]] | None:
-        """Return the next message that has come, and what DDS says of it."""
+        """Return the next received message and its DDS information; None if there is none."""
         return self.subscription.handle.take_message(self.message, True)
 
     def stamp(self, data: bytes) -> int | None:
@@ -118,7 +118,7 @@ class _Recorded:
 
     def count(self, number: int | None) -> int:
         """Return the number of a message on its topic, and note a gap before it."""
-        if number is None:      # this RMW does not number: then no gap can be seen
+        if number is None:      # this RMW has no sequence numbers: losses are not detected
             number = self.number + 1
         if number <= self.number:
             self.one_publisher = False
@@ -128,16 +128,16 @@ class _Recorded:
         return number
 
 
-# Byte 1 of CDR: 1 for little endian; a stamp, if any, follows the four bytes of this header.
+# Byte 1 of CDR: 1 for little endian. A stamp follows the four bytes of this header.
 _STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
 
 
-def _never(message: object) -> None:
-    """Stand for the callback that rclpy wants; the topics are polled."""
+def _unused_callback(message: object) -> None:
+    """Serve as the callback that rclpy requires; the topics are polled."""
 
 
 class Recorder(Node):
-    """The node; `destroy_node` finishes the bag. Raises InputError for what cannot be used."""
+    """The node; `destroy_node` finishes the bag. Raises InputError for a wrong parameter."""
 
     def __init__(self) -> None:
         super().__init__('asi_recorder')
@@ -163,26 +163,26 @@ class Recorder(Node):
         self._writer = BagWriter(Path(output))
         if information:
             self._writer.add_information(information)
-        # For how long this node has looked; when it saw the first message of the loop.
-        self._looked_for_s, self._first_s = 0.0, math.inf
-        self._last_look_s = time.monotonic()
+        # Time spent polling, s; its value at the first message of the loop.
+        self._polled_s, self._first_s = 0.0, math.inf
+        self._last_poll_s = time.monotonic()
         self._arrived: list[Arrival] = []
         self._order: ReceiptOrder | TickOrder | None = None
-        self._even_clock = SteadyClock()
+        self._steady_clock = SteadyClock()
         self._state_name = f'{self.get_namespace()}/{NODES["actuator"]}'.lstrip('/') + STATE
-        self._unasked = [] if configuration else [
+        self._pending_clients = [] if configuration else [
             (name, AsyncParameterClient(self, node)) for name, node in NODES.items()]
-        # Whatever use_sim_time says: a clock that stands still must not stop the recording.
+        # Not ROS time: under use_sim_time a stopped /clock would stop the recording.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DRAIN_PERIOD_S, self._record, clock=steady)
-        self.create_timer(LOOK_AROUND_PERIOD_S, self._look_around, clock=steady)
+        self.create_timer(DISCOVERY_PERIOD_S, self._discover, clock=steady)
         self.get_logger().info(f'recording to {output}')
 
     def destroy_node(self) -> None:
-        """Write what has come so far, and finish the bag."""
+        """Write the messages received so far, and finish the bag."""
         if not self.failed:
             try:
-                self._await_rest()
+                self._finish_in_flight()
                 self._write(final=True)
                 self._writer.close()
                 self._report()
@@ -190,41 +190,42 @@ class Recorder(Node):
                 self._fail(error)
         super().destroy_node()
 
-    def _await_rest(self) -> None:
+    def _finish_in_flight(self) -> None:
         """
-        Take what was published before now: the recording ends here.
+        Receive what was published before now: the recording ends here.
 
-        In lock-step it ends with the last tick that has begun, whose answer is waited for unless
-        nobody is left who could give it.
+        In lock-step it ends with the tick that has begun; its missing messages are waited for as
+        long as their topics have publishers.
         """
-        ended_ns = self._even_clock.now_ns()
+        ended_ns = self._steady_clock.now_ns()
         self._drain(ended_ns)
         self._write()
         if self._order:
             self._order.end()
-        moment_s = self._looked_for_s + FAREWELL_S
-        end_s = self._looked_for_s + LAST_TICK_S
-        while self._looked_for_s < end_s and (
-                self._looked_for_s < moment_s or self._answer_may_come()):
+        moment_s = self._polled_s + QUIET_S
+        end_s = self._polled_s + LAST_TICK_S
+        while self._polled_s < end_s and (
+                self._polled_s < moment_s or self._answer_may_come()):
             time.sleep(DRAIN_PERIOD_S)
-            known = len(self._arrived)   # and waiting to be written: the first tick has not come
+            known = len(self._arrived)   # received, but not written before the first tick
             self._drain(ended_ns)
-            # What others go on to publish does not count.
+            # Messages published after the end do not count.
             if any(arrival.published_ns <= ended_ns for arrival in self._arrived[known:]):
-                moment_s = self._looked_for_s + FAREWELL_S
+                moment_s = self._polled_s + QUIET_S
             self._write()
 
     def _answer_may_come(self) -> bool:
-        """Return whether a tick lacks a message whose topic still has a publisher."""
+        """Return whether a missing message of a tick has a publisher that may still send it."""
         return self._order is not None and any(
-            self.count_publishers(self._topics[topic].name) for topic in self._order.lacking())
+            self.count_publishers(self._topics[topic].name)
+            for topic in self._order.missing_topics())
 
     def _text(self, name: str, default: str, description: str) -> str:
         return self.declare_parameter(name, default, ParameterDescriptor(
             description=description, read_only=True)).value
 
     def _record(self) -> None:
-        """Write what has come since the last time."""
+        """Receive and write messages."""
         try:
             self._drain()
             self._write()
@@ -234,12 +235,12 @@ class Recorder(Node):
             raise RunError('the recording has ended') from None
 
     def _drain(self, until_ns: float = math.inf) -> None:
-        """Take what has come; of each topic, up to the first message published after a time."""
+        """Receive messages; of each topic, up to the first one published after `until_ns`."""
         now_s = time.monotonic()
-        self._looked_for_s += min(now_s - self._last_look_s, LOOK_S)
-        self._last_look_s = now_s
-        # How far the wall clock was set since the start: log times go on evenly.
-        set_ns = time.time_ns() - self._even_clock.now_ns()
+        self._polled_s += min(now_s - self._last_poll_s, LONGEST_POLL_S)
+        self._last_poll_s = now_s
+        # How far the wall clock was set since the start; log times follow the steady clock.
+        set_ns = time.time_ns() - self._steady_clock.now_ns()
         for index, topic in enumerate(self._topics):
             with topic.subscription.handle:
                 while (taken := topic.take()) is not None:
@@ -248,32 +249,32 @@ class Recorder(Node):
                     self._arrived.append(Arrival(
                         index, topic.count(info['publication_sequence_number']),
                         topic.stamp(data),
-                        # One from just before the clock was set back is not from the future.
+                        # Received just before the clock was set back: not in the future.
                         min((info['received_timestamp'] or time.time_ns()) - set_ns,
-                            self._even_clock.now_ns()),
+                            self._steady_clock.now_ns()),
                         published_ns, data))
                     if published_ns > until_ns:
                         break
 
     def _write(self, final: bool = False) -> None:
-        """Write what has been taken, as far as its turn has come; everything, if `final`."""
+        """Write the messages whose order is known; all of them if `final`."""
         if self._order is None and self._arrived:
             self._order = self._choose_order(final)
         if self._order is None:
             return
         arrived, self._arrived = self._arrived, []
         if isinstance(self._order, TickOrder):
-            arrived = [arrival for arrival in arrived if self._is_of_the_run(arrival)]
-        for item in self._order.ready(arrived, math.inf if final else self._looked_for_s):
+            arrived = [arrival for arrival in arrived if self._is_repeatable(arrival)]
+        for item in self._order.ready(arrived, math.inf if final else self._polled_s):
             topic = self._topics[item.topic]
             if topic.channel is None:
-                self._look_at_publishers(topic)
+                self._update_offered_qos(topic)
                 topic.channel = self._writer.add_topic(topic.name, topic.type, topic.offered)
             self._writer.write(topic.channel, item.log_ns, item.publish_ns, item.number,
                                item.data)
 
-    def _is_of_the_run(self, arrival: Arrival) -> bool:
-        """Return whether a message is the same in each run of an experiment in lock-step."""
+    def _is_repeatable(self, arrival: Arrival) -> bool:
+        """Return whether a message is the same each time an experiment is run in lock-step."""
         if self._topics[arrival.topic].type != DIAGNOSTIC_ARRAY:
             return True
         message = deserialize_message(arrival.data, DiagnosticArray)
@@ -281,37 +282,37 @@ class Recorder(Node):
 
     def _choose_order(self, final: bool) -> ReceiptOrder | TickOrder | None:
         """
-        Tell real time from lock-step by the first stamp; None while there is none.
+        Return the order for real time or lock-step by the first stamp; None without a stamp.
 
-        That of /diagnostics does not count: before the first tick it is wall time in any mode.
+        /diagnostics does not count: before the first tick its stamp is wall time in any mode.
         """
         arrived = [arrival for arrival in self._arrived
                    if self._topics[arrival.topic].type != DIAGNOSTIC_ARRAY]
         for arrival in arrived:
-            self._first_s = min(self._first_s, self._looked_for_s)
+            self._first_s = min(self._first_s, self._polled_s)
             if arrival.stamp_ns:
                 if abs(arrival.stamp_ns - arrival.received_ns) < OTHER_CLOCK_NS:
                     return ReceiptOrder()
                 stamped = [i for i, topic in enumerate(self._topics) if topic.stamped]
                 guides = [i for i in stamped
                           if self._topics[i].type == TOPICS['force'].type] or stamped
-                unawaited = {i for i, topic in enumerate(self._topics)
+                not_awaited = {i for i, topic in enumerate(self._topics)
                              if topic.type == DIAGNOSTIC_ARRAY}
-                return TickOrder(len(self._topics), guides[0], unawaited)
-        waited_s = self._looked_for_s - self._first_s
+                return TickOrder(len(self._topics), guides[0], not_awaited)
+        waited_s = self._polled_s - self._first_s
         return ReceiptOrder() if final or waited_s > HOLD_S else None
 
-    def _look_at_publishers(self, topic: _Recorded) -> None:
-        """Note the different QoS that are offered; those of the past, if nobody is left."""
+    def _update_offered_qos(self, topic: _Recorded) -> None:
+        """Store the different QoS of the publishers; without publishers the last known ones."""
         offered = [as_dictionary(publisher.qos_profile)
                    for publisher in self.get_publishers_info_by_topic(topic.name)]
         topic.offered = [profile for i, profile in enumerate(offered)
                          if profile not in offered[:i]] or topic.offered
 
-    def _look_around(self) -> None:
-        """Adapt to the publishers that there are now, and ask their nodes for parameters."""
+    def _discover(self) -> None:
+        """Adapt to the present publishers, and request the parameters of their nodes."""
         for topic in self._topics:
-            self._look_at_publishers(topic)
+            self._update_offered_qos(topic)
             if (topic.reliability == ReliabilityPolicy.RELIABLE
                     and 'best_effort' in [each['reliability'] for each in topic.offered]):
                 topic.accept_best_effort(self, self._group)
@@ -323,16 +324,16 @@ class Recorder(Node):
             else:
                 self.get_logger().warning(f'{name} is not recorded: its type {types[name][0]} is '
                                           'not one of the common messages')
-        for name, client in list(self._unasked):
+        for name, client in list(self._pending_clients):
             if client.services_are_ready():
-                self._unasked.remove((name, client))
-                client.list_parameters(callback=partial(self._ask, name, client))
+                self._pending_clients.remove((name, client))
+                client.list_parameters(callback=partial(self._request_parameters, name, client))
 
-    def _ask(self, name: str, client: AsyncParameterClient, listed: Future) -> None:
+    def _request_parameters(self, name: str, client: AsyncParameterClient, listed: Future) -> None:
         names = listed.result().result.names
-        client.get_parameters(names, callback=partial(self._keep, name, names))
+        client.get_parameters(names, callback=partial(self._store_parameters, name, names))
 
-    def _keep(self, node: str, names: list[str], values: Future) -> None:
+    def _store_parameters(self, node: str, names: list[str], values: Future) -> None:
         self._writer.add_information({node: {
             name: parameter_value_to_python(value)
             for name, value in zip(names, values.result().values, strict=True)}})
@@ -344,7 +345,7 @@ class Recorder(Node):
                                 'there can be read')
 
     def _report(self) -> None:
-        """Say what was recorded, and what was lost on the way."""
+        """Log the numbers of recorded and lost messages."""
         counts = self._writer.counts()
         self.get_logger().info('recorded ' + (', '.join(
             f'{count} {name}' for name, count in counts.items()) or 'nothing'))
@@ -352,13 +353,13 @@ class Recorder(Node):
             self.get_logger().error(f'{count} messages of {name} were lost')
 
     def lost(self) -> dict[str, int]:
-        """Return how many messages of each topic were lost on the way, if it is known."""
+        """Return the number of lost messages by topic, where there are any and it is known."""
         return {topic.name: topic.lost for topic in self._topics
                 if topic.lost and topic.one_publisher}
 
 
 def _configuration(path: str) -> dict[str, Any]:
-    """Return what the file says. Raises InputError if it is no JSON object."""
+    """Return the contents of the file. Raises InputError if it is no JSON object."""
     try:
         configuration = json.loads(Path(path).read_text())
     except (OSError, ValueError) as error:
@@ -379,7 +380,7 @@ def main() -> int:
             raise ParameterError(' '.join(str(error).split())) from None
         return nodes[0]
 
-    # Writing may also fail at the very end, after the node has been run.
+    # Writing may also fail while the bag is finished, after the node has been run.
     return run_node(make) or int(any(node.failed or node.lost() for node in nodes))
 
 

@@ -1,4 +1,4 @@
-"""The driver that plays a bag's states: a controller is tried on yesterday's data."""
+"""Driver `replay`: the recorded states of a bag, to test a controller on recorded data."""
 
 import sys
 import warnings
@@ -13,7 +13,7 @@ from asi_analysis.bags.bag import read_bag
 from asi_analysis.errors import InputError
 from asi_common.parameter import ParameterError, Value
 
-# The bag's period and the node's may differ by this share.
+# Largest relative difference between the periods of the bag and of the node.
 SAME_PERIOD: Final = 0.01
 
 
@@ -41,7 +41,7 @@ class ReplayedActuator:
                                  f'{path!r}: it takes {1.0 / recorded_s:.6g}, as recorded')
         zero = np.zeros(run.time_s.size)
         signals = (run.force_n, run.valve_position_m, run.position_m, run.velocity_m_s)
-        self._states = np.column_stack([zero if s is None else _held(s) for s in signals])
+        self._states = np.column_stack([zero if s is None else _filled(s) for s in signals])
         self.last_tick = len(self._states)
         self._place = 0
 
@@ -49,7 +49,7 @@ class ReplayedActuator:
         pass
 
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement:
-        """Return the state recorded `periods` later; the last one from the end on."""
+        """Return the state recorded `periods` later; at the end the last one."""
         self._place = min(self._place + periods, len(self._states) - 1)
         force, valve, position, velocity = map(float, self._states[self._place])
         return force, valve, position, velocity
@@ -65,7 +65,7 @@ class ReplayedActuator:
         pass
 
 
-def _held(signal: np.ndarray) -> np.ndarray:
-    """Return a signal whose missing samples (nan) repeat the last one that is there."""
-    there = np.where(np.isnan(signal), 0, np.arange(signal.size))
-    return np.nan_to_num(signal[np.maximum.accumulate(there)])
+def _filled(signal: np.ndarray) -> np.ndarray:
+    """Return a signal with missing samples (nan) replaced by the last one before them."""
+    present = np.where(np.isnan(signal), 0, np.arange(signal.size))
+    return np.nan_to_num(signal[np.maximum.accumulate(present)])

@@ -1,7 +1,7 @@
 """
-The node `asi_replay`: publishes a bag again, with its timing, for people without `ros2 bag play`.
+The node `asi_replay`: publishes a bag with its timing, where `ros2 bag play` is not installed.
 
-The bytes are those of the bag, and so is the QoS. It ends with the bag, unless it loops.
+Messages are published as recorded, with the recorded QoS. It ends with the bag, unless it loops.
 """
 
 import sys
@@ -55,20 +55,20 @@ class Replay(Node):
         super().__init__('asi_replay', automatically_declare_parameters_from_overrides=True)
         self.parameters = RosParameters(self, REPLAY_PARAMETERS)
         values = self.parameters.values
-        self._clocks = (self.create_publisher(ClockMessage, '/clock', STREAM_QOS)
+        self._clock_topic = (self.create_publisher(ClockMessage, '/clock', STREAM_QOS)
                        if values['clock'] else None)
         self._entries = self._load(Path(str(values['bag'])))
-        self._played = [*{entry.publisher for entry in self._entries},
-                        *([self._clocks] if self._clocks else [])]
+        self._publishing = [*{entry.publisher for entry in self._entries},
+                        *([self._clock_topic] if self._clock_topic else [])]
         self._recorder = AwaitedRecorder(self, bool(values['await_recorder']))
-        self._heard = not values['await_recorder']
+        self._subscribed = not values['await_recorder']
         self._start_ns = self._entries[0].log_ns
         self._duration_ns = self._entries[-1].log_ns - self._start_ns
         self._next = 0
         self._position_ns = 0.0
         self._paused = bool(values['start_paused'])
         self._last_s = time.monotonic() + float(values['delay'])
-        self._told_s = self._last_s
+        self._progress_s = self._last_s
         self.create_service(SetBool, '~/pause', self._pause)
         self.create_timer(PERIOD_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f'{values["bag"]}: {len(self._entries)} messages, '
@@ -77,7 +77,7 @@ class Replay(Node):
 
     def _load(self, bag: Path) -> list[_Entry]:
         """Return the messages by time, each with its publisher."""
-        contents = read_contents(bag, lambda name: self._clocks is None or name != '/clock')
+        contents = read_contents(bag, lambda name: self._clock_topic is None or name != '/clock')
         for problem in contents.problems:
             self.get_logger().warning(problem)
         entries: list[_Entry] = []
@@ -102,12 +102,12 @@ class Replay(Node):
         return self.create_publisher(message, topic.name, profile)
 
     def _step(self) -> None:
-        """Publish what is due."""
+        """Publish the messages that are due."""
         now_s = time.monotonic()
         if now_s < self._last_s:
             return
-        if self._paused or not self._heard:
-            self._heard = self._heard or not self._recorder.missing(self._played)
+        if self._paused or not self._subscribed:
+            self._subscribed = self._subscribed or not self._recorder.missing(self._publishing)
             self._last_s = now_s
             return
         self._position_ns += (now_s - self._last_s) * 1e9 * float(self.parameters.values['rate'])
@@ -117,18 +117,18 @@ class Replay(Node):
             entry = self._entries[self._next]
             entry.publisher.publish(entry.data)
             self._next += 1
-        if self._clocks is not None:
+        if self._clock_topic is not None:
             message = ClockMessage()
             set_time(message.clock, self._start_ns + int(min(self._position_ns,
                                                              self._duration_ns)))
-            self._clocks.publish(message)
-        if now_s - self._told_s > PROGRESS_PERIOD_S:
-            self._told_s = now_s
-            self._tell()
+            self._clock_topic.publish(message)
+        if now_s - self._progress_s > PROGRESS_PERIOD_S:
+            self._progress_s = now_s
+            self._log_progress()
         if self._next == len(self._entries):
             self._end()
 
-    def _tell(self) -> None:
+    def _log_progress(self) -> None:
         self.get_logger().info(f'{min(self._position_ns, self._duration_ns) * 1e-9:.1f} of '
                                f'{self._duration_ns * 1e-9:.1f} s'
                                + (', paused' if self._paused else ''))
@@ -140,11 +140,11 @@ class Replay(Node):
         self._next, self._position_ns = 0, 0.0
 
     def _pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-        if self._paused:  # what has gone by since the last step too
+        if self._paused:  # the time since the last step does not count either
             self._last_s = max(self._last_s, time.monotonic())
         self._paused = request.data
         answer.success, answer.message = True, 'paused' if self._paused else 'running'
-        self._tell()
+        self._log_progress()
         return answer
 
 

@@ -84,7 +84,6 @@ def test_a_topic_that_spoke_every_tick_is_waited_for() -> None:
     late = tick(100)
     assert order.ready(late[:4], 0.0) == []
     assert order.ready([], 3.0 * HOLD_S) == []
-    assert order.waiting()
     assert [item.topic for item in order.ready(late[4:], 3.0 * HOLD_S)] == [0, 1, 2, 3, 4]
 
 
@@ -112,11 +111,12 @@ def test_the_end_is_the_last_tick_that_has_begun_and_it_is_known_what_that_lacks
     assert missing.topic == COMMAND
     # Of a tick after the last of the guide, or after the end, nothing is taken.
     written = order.ready([*begun, tick(31)[STATE]], 0.0)
-    assert order.lacking() >= {COMMAND}
+    assert order.missing_topics() >= {COMMAND}
     order.end()
-    assert order.lacking() == {COMMAND}
+    assert order.missing_topics() == {COMMAND}
     written += order.ready([missing, *tick(31)[1:], *tick(32)], 0.0)
-    assert order.lacking() == set() and not order.waiting()
+    assert order.missing_topics() == set()
+    assert order.ready([], math.inf) == []
     written += order.ready([], math.inf)
     assert [(item.topic, item.log_ns) for item in written] == [
         (topic, k * PERIOD_NS) for k in range(1, 31) for topic in range(5)]
