@@ -1,4 +1,4 @@
-"""`asi analyze`: step response, bandwidth and oscillation of a run."""
+"""`analyze`: step response, bandwidth, delay and oscillation of a run together."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -18,15 +18,15 @@ from asi_analysis.measures.quality import Finding, findings, trust
 from asi_analysis.measures.step_response import HEADLINE, StepResponse, step_response
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
-# Share of the samples that a spectrum, or the fit of a sine, may miss.
+# Largest share of missing samples for a spectrum or the fit of a sine.
 LOST_SHARE: Final = 0.01
 
 
 class Analysis(Result):
     """
-    What `asi analyze` measures of a run: `analyze`.
+    The result of `analyze`, with the keys of `asi analyze --json`.
 
-    The keys are those of `asi analyze --json`; `run` is the recording, `step` its step response.
+    `run` is the recording, `step` its step response.
     """
 
     title = 'Analysis of a run'
@@ -81,7 +81,7 @@ def analyze(run: Run) -> Analysis:
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
     figures = _bandwidth(run, width) | {'oscillation': swing.to_dict()}
     reliable = dict(step.reliable)
-    notes += _withhold(run, step, findings(run), figures, reliable)
+    notes += _withhold_doubtful(run, step, findings(run), figures, reliable)
     return Analysis({
         'source': run.source,
         'samples': len(run),
@@ -100,9 +100,9 @@ def analyze(run: Run) -> Analysis:
 
 class Oscillation(Result):
     """
-    The oscillation of the force in the steady part of a run: `oscillation`.
+    The result of `oscillation`.
 
-    sustained is None if that cannot be told; reason says why. `run` is the recording.
+    sustained: None if it cannot be determined; reason says why. `run` is the recording.
     """
 
     title = 'Oscillation'
@@ -142,16 +142,16 @@ def oscillation(run: Run) -> Oscillation:
 
 
 def _bandwidth(run: Run, width: Bandwidth) -> dict[str, Any]:
-    # A step excites too few frequencies of the command.
-    own = actuator_bandwidth(run) if width.method == 'excitation' else None
+    # A step excites too few frequencies of the valve command.
+    actuator = actuator_bandwidth(run) if width.method == 'excitation' else None
     return {'bandwidth_hz': width.bandwidth_hz, 'bandwidth_method': width.method,
-            'actuator_bandwidth_hz': own, 'delay_s': width.delay_s,
+            'actuator_bandwidth_hz': actuator, 'delay_s': width.delay_s,
             'correlation_delay_s': width.correlation_delay_s}
 
 
-def _withhold(run: Run, step: StepResponse, found: Sequence[Finding], figures: dict[str, Any],
-              reliable: dict[str, bool]) -> list[str]:
-    """Take out the figures of the whole run that rest on doubtful samples; return the notes."""
+def _withhold_doubtful(run: Run, step: StepResponse, found: Sequence[Finding],
+                       figures: dict[str, Any], reliable: dict[str, bool]) -> list[str]:
+    """Set figures of the run that rest on doubtful samples to None; return the notes."""
     start, end = float(run.time_s[0]), float(run.time_s[-1])
     output = run.controlled() if run.reference_n is not None else 'force'
     notes: list[str] = []
@@ -163,7 +163,7 @@ def _withhold(run: Run, step: StepResponse, found: Sequence[Finding], figures: d
             ('correlation_delay_s', 'delay by correlation', ('reference', output))):
         trusted = trust(found, run, signals, start, end, LOST_SHARE)
         if by_step and name == 'bandwidth_hz':
-            # It is that of the step response.
+            # It was measured from the step response.
             reliable[name] = step.reliable.get('settling_time_2_s', True)
             if not reliable[name]:
                 figures[name] = None
@@ -187,7 +187,7 @@ def _withhold(run: Run, step: StepResponse, found: Sequence[Finding], figures: d
 
 
 def in_words(swing: Mapping[str, Any], unit: str = 'N') -> str:
-    """Return the oscillation of a document for people."""
+    """Return the oscillation of a JSON document in words."""
     if swing['frequency_hz'] is None:
         return 'none' if swing['sustained'] is False else 'cannot be told'
     return (f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} {unit}, '

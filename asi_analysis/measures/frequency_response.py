@@ -15,21 +15,21 @@ from scipy import ndimage, signal
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.step_response import Step, headline, step_responses
+from asi_analysis.measures.step_response import Step, largest_step, step_responses
 from asi_analysis.reporting.result import Pictures, Result, Table, frame, number
 
 AVERAGED_LINES: Final = 9
-# A line is used if the power of the input there is at least this share of the strongest line's,
+# A line is used if its input power is at least this share of that of the strongest line,
 EXCITED: Final = 1e-4
-# and this share of the strongest within a NEARBY share of the spectrum (between the tones of a
-# multisine it is less),
+# this share of that of the strongest line within a NEARBY share of the spectrum (less between the
+# tones of a multisine),
 EXCITED_NEARBY: Final = 0.03
 NEARBY: Final = 0.01
-# and if the coherence is at least this.
+# and its coherence at least this.
 COHERENT: Final = 0.8
-# Lines of the spectrum of a step response at most.
+# Largest number of lines of the spectrum of a step response.
 MOST_LINES: Final = 2**22
-# A reference of at least so many steps excites as many frequencies as noise does (PRBS).
+# A reference of at least this many steps (PRBS) has a broad spectrum.
 FEWEST_STEPS: Final = 4
 HALF_POWER: Final = np.sqrt(0.5)
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
@@ -66,7 +66,7 @@ def bandwidth(frequency_hz: Array, gain: Array) -> float | None:
     if not below.size or below[0] == 0:
         return None
     k = int(below[0])
-    # Straight in decibels against the logarithm of the frequency, as in a Bode plot.
+    # Linear interpolation of decibels over the logarithm of the frequency.
     x, y = np.log(frequency_hz[k - 1:k + 1]), np.log(gain[k - 1:k + 1])
     return float(np.exp(x[0] + (np.log(level) - y[0]) / (y[1] - y[0]) * (x[1] - x[0])))
 
@@ -109,7 +109,7 @@ def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
         for each in (np.abs(u)**2, np.abs(v)**2, np.conj(u) * v))
     coherence = np.abs(cross)**2 / np.maximum(power * output_power, 1e-300)
     nearby = ndimage.maximum_filter1d(power, max(4 * AVERAGED_LINES, int(NEARBY * power.size)))
-    # The lines nearest to zero are averaged with the mean, which is taken off.
+    # The average of the lowest lines includes the mean, which was subtracted.
     trusted = ((power > EXCITED * power.max()) & (power > EXCITED_NEARBY * nearby)
                & (coherence > COHERENT))
     trusted[:AVERAGED_LINES // 2 + 1] = False
@@ -132,13 +132,13 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
     if step.settling_time_2_s is None or run.force_n is None or step.rise_time_s is None:
         return None
     start = int(np.searchsorted(run.time_s, step.time_s))
-    # Twice the settling time covers slow tails; what follows is noise.
+    # Twice the settling time covers slow tails; after that there is only noise.
     end = start + int(2.0 * step.settling_time_2_s * run.rate_hz) + 2
     force = run.force_n[max(start - 1, 0):end]
     differences = np.diff(force[np.isfinite(force)])
-    # Padded so that a hundred lines lie below the bandwidth of a first-order lag of this rise.
-    wanted = int(100.0 * run.rate_hz * step.rise_time_s / 0.35)
-    lines = max(8 * differences.size, min(wanted, MOST_LINES))
+    # Zero-padded to a hundred lines below the bandwidth of a first-order lag with this rise time.
+    padded = int(100.0 * run.rate_hz * step.rise_time_s / 0.35)
+    lines = max(8 * differences.size, min(padded, MOST_LINES))
     gain = np.abs(np.fft.rfft(differences, lines)).astype(np.float64)
     return bandwidth(np.fft.rfftfreq(lines, run.period_s)[1:].astype(np.float64), gain[1:])
 
@@ -168,7 +168,7 @@ def loop_bandwidth(run: Run) -> Bandwidth:
         missing = 'reference' if run.reference_n is None else run.controlled()
         return Bandwidth(None, None, None, None, f'the run has no {missing}')
     steps = step_responses(run)
-    step = headline(steps)
+    step = largest_step(steps)
     if step is not None and len(steps) < FEWEST_STEPS:
         found = step_bandwidth(run, step)
         return Bandwidth(found, 'step', None, None, None if found else
@@ -187,10 +187,9 @@ def loop_bandwidth(run: Run) -> Bandwidth:
 
 class FrequencyResponse(Result):
     """
-    Frequency response of a run: `frequency_response`.
+    The result of `frequency_response`.
 
-    `run` is the recording; the keys frequency_hz, gain, phase_deg and coherence are lists of m
-    values each.
+    `run` is the recording; frequency_hz, gain, phase_deg and coherence are lists of m values.
     """
 
     title = 'Frequency response'
@@ -221,7 +220,7 @@ def frequency_response(run: Run, input: str = 'reference', output: str | None = 
     Return the frequency response from one signal of a run to another, with its coherence.
 
     run: a recording whose input excites many frequencies (chirp, multisine, PRBS); input, output:
-    names of signals, the output by default the one that is controlled. Gain in units of output
+    names of signals, the output by default the controlled one. Gain in units of output
     over input, phase in degrees, bandwidth in Hz (-3 dB), delay in s. Frequencies without
     excitation, or where the coherence is below 0.8, are left out. Raises InputError for a signal
     that was not recorded, for a reference of a few steps, or if fewer than 3 frequencies are left.

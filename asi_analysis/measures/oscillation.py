@@ -17,7 +17,7 @@ from scipy import optimize, signal, special
 
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.sinusoid import dominant_frequency, fits
-from asi_analysis.measures.step_response import held
+from asi_analysis.measures.step_response import hold_last
 from asi_common.jit import jit
 
 # An amplitude that falls by more than this share a period decays (damping ratio 3e-4).
@@ -187,7 +187,7 @@ def _steady_part(run: Run) -> slice:
     n = run.time_s.size
     start = 0
     if run.reference_n is not None:
-        reference = held(run.reference_n)
+        reference = hold_last(run.reference_n)
         large = np.flatnonzero(np.abs(np.diff(reference)) > 0.2 * max(np.ptp(reference), 1e-12))
         start = int(large[-1]) + 1 if large.size else 0
     return slice(start + int((1.0 - STEADY_SHARE) * (n - start)), n)
@@ -235,7 +235,7 @@ def oscillation(run: Run) -> Oscillation:
         return Oscillation()
     force = signal.detrend(force)
     if run.reference_n is not None:
-        reference = held(run.reference_n)[part][valid]
+        reference = hold_last(run.reference_n)[part][valid]
         own = _without_reference(time, force, reference - reference.mean())
         if own is None:
             return Oscillation(

@@ -1,8 +1,8 @@
 """
-How far the samples of a run can be trusted: gaps, missing samples, clipping, spikes and the like.
+Quality of the samples of a run: gaps, missing samples, clipping, spikes, quantisation and others.
 
-`findings` lists what is wrong with a run; `trust` says whether a figure that is computed from a
-stretch of it is reliable, doubtful or withheld.
+`findings` lists the defects of a run; `trust` says whether a figure that is computed from an
+interval of it is reliable, doubtful or withheld.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,44 +19,45 @@ Interval = tuple[float, float]
 
 DOUBTFUL: Final = 'doubtful'
 NOTE: Final = 'note'
-# Two samples further apart than this many periods have one missing between them.
+# Samples further apart than this many periods have at least one missing between them.
 GAP_PERIODS: Final = 1.5
-# Share of a period by which nine tenths of the samples may be early or late.
+# Largest jitter (90 % quantile) as a share of the period.
 JITTER: Final = 0.1
-# A pause of so many periods, and of so many seconds, is a step of the clock or a second recording.
+# A gap of more periods and more seconds is a step of the clock, or a second recording.
 CLOCK_PERIODS: Final = 1000
 CLOCK_S: Final = 10.0
-# Samples at the largest or smallest value, one after the other, that are clipped.
+# Consecutive samples at the largest or smallest value that count as clipped.
 CLIPPED_SAMPLES: Final = 4
-# A spike is so many times what nine tenths of the samples differ from the median of their five
-# neighbours, and this share of the range without it.
+# Deviation of a spike from the median of five samples: this many times the 90 % quantile of that
+# deviation, and this share of the range of the medians.
 SPIKE: Final = 20.0
 SPIKE_SHARE: Final = 0.2
-# Fewer levels than this are told; fewer than that leave no figure of 2 % of a step.
-TOLD_LEVELS: Final = 100
+# Fewer levels of quantisation give a note; with fewer than FEWEST_LEVELS, 2 % of a step cannot
+# be resolved, and figures are doubtful.
+NOTED_LEVELS: Final = 100
 FEWEST_LEVELS: Final = 25
-# A controlled signal moves less than this many times as far as its reference, and more than the
-# inverse, unless a unit is wrong; told if both move alike.
+# Ratio of the standard deviations of a controlled signal and its reference from which on (or below
+# the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED.
 UNIT_FACTOR: Final = 100.0
-ALIKE: Final = 0.7
-# Share of its change that an output may make before its reference changes.
+CORRELATED: Final = 0.7
+# Largest share of its change that an output may make before the reference changes.
 BEFORE: Final = 0.3
 LOSSES: Final = frozenset(('gap', 'missing'))
-# Intervals that are listed of one finding.
+# Intervals listed in JSON for one finding.
 LISTED: Final = 20
 
 
 class Finding(NamedTuple):
-    """One thing that is wrong with the samples of a signal."""
+    """A defect of the samples of a signal."""
 
     kind: str       # gap, clock_step, time_order, jitter, missing, clipping, spike, ...
     signal: str     # of the run, or 'time'
-    severity: str   # doubtful: figures that rest on it are; note: none is
+    severity: str   # doubtful: figures from these samples are; note: no figure is affected
     intervals_s: tuple[Interval, ...]
     text: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the finding for JSON: the first intervals, and how many there are."""
+        """Return the finding for JSON: the first LISTED intervals, and their number."""
         return {'kind': self.kind, 'signal': self.signal, 'severity': self.severity,
                 'text': self.text, 'count': len(self.intervals_s),
                 'intervals': [{'start_s': start, 'end_s': end}
@@ -64,7 +65,7 @@ class Finding(NamedTuple):
 
 
 def findings(run: Run) -> list[Finding]:
-    """Return what is wrong with the samples of a run (at least 2), the worst first."""
+    """Return the defects of the samples of a run (at least 2), doubtful ones first."""
     found = [*_of_time(run)]
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
@@ -80,14 +81,14 @@ def quality_of(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 class Trust(NamedTuple):
-    """Whether a figure is reliable; if not, whether it is withheld, and the reason."""
+    """Whether a figure is reliable; if not, whether it is withheld, and why."""
 
     reliable: bool
     withheld: bool
     reason: str
 
     def note(self, figure: str) -> list[str]:
-        """Return what is to be said of a figure; nothing if it is reliable."""
+        """Return the note on a figure; none if it is reliable."""
         return [] if self.reliable else [
             f'{figure}: {"withheld" if self.withheld else "doubtful"}, because {self.reason}']
 
@@ -95,20 +96,21 @@ class Trust(NamedTuple):
 def trust(found: Sequence[Finding], run: Run, signals: Sequence[str], start_s: float,
           end_s: float, lost_share: float = 0.0) -> Trust:
     """
-    Return how far a figure can be trusted that is computed from these signals, start to end (s).
+    Return the trust in a figure that is computed from these signals, start to end (s).
 
-    It is doubtful where samples of that stretch are; it is withheld if more than a share of the
-    stretch is missing, or for any other finding.
+    It is doubtful if samples of that interval are lost, and withheld if more than `lost_share` of
+    the interval is lost, or for any other doubtful finding.
     """
-    those = [each for each in found
-             if each.severity == DOUBTFUL and each.signal in ('time', *signals)
-             and any(start <= end_s and end >= start_s for start, end in each.intervals_s)]
+    relevant = [each for each in found
+                if each.severity == DOUBTFUL and each.signal in ('time', *signals)
+                and any(start <= end_s and end >= start_s for start, end in each.intervals_s)]
     lost_s = sum(min(end, end_s) - max(start, start_s) + run.period_s
-                 for each in those if each.kind in LOSSES
+                 for each in relevant if each.kind in LOSSES
                  for start, end in each.intervals_s if start <= end_s and end >= start_s)
-    withheld = (any(each.kind not in LOSSES for each in those)
+    withheld = (any(each.kind not in LOSSES for each in relevant)
                 or lost_s > lost_share * (end_s - start_s))
-    return Trust(not those, bool(those) and withheld, '; '.join(each.text for each in those))
+    return Trust(not relevant, bool(relevant) and withheld,
+                 '; '.join(each.text for each in relevant))
 
 
 def _of_time(run: Run) -> Iterator[Finding]:
@@ -122,7 +124,7 @@ def _of_time(run: Run) -> Iterator[Finding]:
         return
     late = np.abs(steps - period)
     gaps = steps - period > max((GAP_PERIODS - 1.0) * period, 5.0 * float(np.median(late)))
-    usual = float(np.quantile(late[~gaps], 0.9))
+    jitter = float(np.quantile(late[~gaps], 0.9))
     clock = gaps & (steps > max(CLOCK_PERIODS * period, CLOCK_S))
     if (pauses := _intervals(time, clock)):
         yield Finding('clock_step', 'time', DOUBTFUL, pauses,
@@ -133,48 +135,48 @@ def _of_time(run: Run) -> Iterator[Finding]:
         yield Finding('gap', 'time', DOUBTFUL, missing,
                       f'about {lost} samples are missing in {len(missing)} gaps, '
                       f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {_where(missing)}')
-    if usual > JITTER * period:
+    if jitter > JITTER * period:
         yield Finding('jitter', 'time', NOTE, ((float(time[0]), float(time[-1])),),
                       f'the samples are unevenly spaced: a tenth of them more than '
-                      f'{100.0 * usual / period:.0f} % of a period early or late')
+                      f'{100.0 * jitter / period:.0f} % of a period early or late')
 
 
 def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
     known = np.isfinite(values)
     if not known.any():
         return
-    places = np.flatnonzero(known)
+    present = np.flatnonzero(known)
     inside = ~known
-    if name in ('reference', 'command'):    # begin with their first message, end with the last
-        inside[:places[0]] = False
-        inside[places[-1]:] = False
+    if name in ('reference', 'command'):    # valid from the first to the last message
+        inside[:present[0]] = False
+        inside[present[-1]:] = False
     if inside.any():
-        missing = _stretches(run.time_s, inside)
+        missing = _sample_intervals(run.time_s, inside)
         yield Finding('missing', name, DOUBTFUL, missing,
                       f'{int(inside.sum())} of {len(values)} samples of the {_words(name)} are '
                       f'missing {_where(missing)}')
-    if name in ('reference', 'command') or len(places) < 10:
+    if name in ('reference', 'command') or len(present) < 10:
         return
-    time, values = run.time_s[places], values[places]
+    time, values = run.time_s[present], values[present]
     unit = run.unit(name)
     spikes = _spikes(values)
     if spikes.any():
-        where = _stretches(time, spikes)
+        where = _sample_intervals(time, spikes)
         yield Finding('spike', name, DOUBTFUL, where,
                       f'the {_words(name)} has {len(where)} spikes of one or two samples, up to '
                       f'{np.abs(values[spikes]).max():.4g} {unit} {_where(where)}')
     for part, limit, word in zip(_clipped(values[~spikes]), _ends(values[~spikes]),
                                  ('smallest', 'largest'), strict=True):
         if part.any():
-            where = _stretches(time[~spikes], part)
+            where = _sample_intervals(time[~spikes], part)
             yield Finding('clipping', name, DOUBTFUL, where,
                           f'the {_words(name)} stays at its {word} value {limit:.4g} {unit} '
                           f'{_where(where)}: it is clipped, or against a stop')
     level = np.unique(values)
     levels = len(level)
     step = float(np.diff(level).min(initial=np.inf))
-    # A signal that comes to rest repeats itself too, but its values are no even grid.
-    if 1 < levels < TOLD_LEVELS and len(values) > 10 * levels and (
+    # A signal at rest also repeats values, but these are not on an even grid.
+    if 1 < levels < NOTED_LEVELS and len(values) > 10 * levels and (
             step > 1e-3 * (level[-1] - level[0])):
         yield Finding('quantisation', name, DOUBTFUL if levels < FEWEST_LEVELS else NOTE,
                       ((float(time[0]), float(time[-1])),),
@@ -183,7 +185,7 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
 
 
 def _of_reference(run: Run) -> Iterator[Finding]:
-    """Compare the signal that the reference asks for with it: unit, and which comes first."""
+    """Compare the controlled signal with its reference: unit, and order in time."""
     if run.reference_n is None or run.unit('reference') not in CONTROLLED:
         return
     name = run.controlled()
@@ -195,12 +197,12 @@ def _of_reference(run: Run) -> Iterator[Finding]:
         return
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
     whole = ((float(time[0]), float(time[-1])),)
-    asked, got = float(np.std(reference)), float(np.std(values))
-    if asked > 0.0 and got > 0.0 and not 1.0 / UNIT_FACTOR < got / asked < UNIT_FACTOR:
-        alike = np.mean((reference - reference.mean()) * (values - values.mean())) / (asked * got)
-        if abs(alike) > ALIKE:
+    reference_sd, output_sd = float(np.std(reference)), float(np.std(values))
+    ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
+    if not 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
+        if abs(np.corrcoef(reference, values)[0, 1]) > CORRELATED:
             yield Finding('unit', name, DOUBTFUL, whole,
-                          f'the {_words(name)} moves {got / asked:.3g} times as far as its '
+                          f'the {_words(name)} moves {ratio:.3g} times as far as its '
                           'reference: is its unit right?')
             return
     early = _answered_before(time, reference, values)
@@ -211,7 +213,7 @@ def _of_reference(run: Run) -> Iterator[Finding]:
 
 
 def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
-    """Return the jumps of a reference whose answer is there before the jump."""
+    """Return intervals from the response to a jump of the reference to that jump, if later."""
     changes = np.abs(np.diff(reference))
     jumps = np.flatnonzero(changes > 0.2 * max(float(np.ptp(reference)), 1e-300))
     if not 0 < len(jumps) <= 20:
@@ -225,19 +227,20 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
         after = values[jump + (end - jump) // 2:end]
         low, high = float(np.median(before)), float(np.median(after))
         change = high - low
-        restless = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
+        spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
         share = (values[jump - 1] - low) / change if change else 0.0
-        if abs(change) > 3.0 * restless and share > BEFORE:
+        if abs(change) > 3.0 * spread and share > BEFORE:
             first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
             found.append((float(time[first]), float(time[jump])))
     return tuple(found)
 
 
 def _spikes(values: Array) -> npt.NDArray[np.bool_]:
-    """Tell which samples are spikes: one or two that leave their neighbours and come back."""
+    """Return which samples are spikes: one or two that differ from their neighbours."""
     smooth = ndimage.median_filter(values, 5, mode='nearest')
-    off = np.abs(values - smooth)
-    large = off > max(SPIKE * float(np.quantile(off, 0.9)), SPIKE_SHARE * float(np.ptp(smooth)))
+    deviation = np.abs(values - smooth)
+    large = deviation > max(SPIKE * float(np.quantile(deviation, 0.9)),
+                            SPIKE_SHARE * float(np.ptp(smooth)))
     return large if large.sum() <= max(2, 0.01 * len(values)) else np.zeros(len(values), bool)
 
 
@@ -247,10 +250,10 @@ def _ends(values: Array) -> tuple[float, float]:
 
 def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
     """
-    Tell which samples are clipped at the smallest, and at the largest value.
+    Return which samples are clipped at the smallest, and at the largest value.
 
-    Clipped is what stays at that value though it reached it at speed: a signal that settles, or is
-    only quantised or held, reaches it in steps as small as its smallest.
+    A clipped signal stays at the value after reaching it in a large step; one that settles, or is
+    quantised or held, reaches it in its smallest steps.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     lengths = np.diff(begins, append=len(values))
@@ -272,12 +275,12 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
 
 
 def _intervals(time: Array, steps: npt.NDArray[np.bool_]) -> tuple[Interval, ...]:
-    """Return the times before and after the steps from one sample to the next that are marked."""
+    """Return the intervals between consecutive samples where `steps` is true."""
     return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(steps))
 
 
-def _stretches(time: Array, samples: npt.NDArray[np.bool_]) -> tuple[Interval, ...]:
-    """Return the stretches of samples that are marked."""
+def _sample_intervals(time: Array, samples: npt.NDArray[np.bool_]) -> tuple[Interval, ...]:
+    """Return the intervals of consecutive samples where `samples` is true."""
     edges = np.flatnonzero(np.diff(samples.astype(np.int8), prepend=0, append=0))
     return tuple((float(time[a]), float(time[b - 1]))
                  for a, b in zip(edges[::2], edges[1::2], strict=True))

@@ -1,8 +1,8 @@
 """
 Response of the force to a step of the reference: rise, overshoot, settling, steady-state error.
 
-Levels are shares of the way from the force before the step to the force at the end, as in MATLAB's
-stepinfo; the steady-state error is the reference less the force at the end.
+Levels are relative to the change from the force before the step to the steady-state force, as in
+MATLAB's stepinfo. The steady-state error is the reference less the steady-state force.
 """
 
 import math
@@ -18,31 +18,31 @@ from asi_analysis.errors import InputError
 from asi_analysis.measures.quality import LOSSES, Finding, findings, trust
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
-# Share of the plateau after a step, at its end, whose mean is the steady-state force.
+# The mean over this share of the time after a step, at its end, is the steady-state force.
 STEADY_SHARE: Final = 0.2
-# Before and after a step the reference is constant for at least this many samples.
+# Samples for which the reference is constant before and after a step, at least.
 FEWEST_SAMPLES: Final = 5
-# A reference takes at most this many samples for a jump; what takes longer is a ramp.
+# Samples of a jump at most; a longer one is a ramp.
 LONGEST_JUMP: Final = 3
-# Share of the step by which the force may fall during a rise that still counts as monotone.
+# Largest fall of the force during a monotone rise, as a share of the step.
 DIP: Final = 0.05
-# Ratio of the times from 10 to 50 % and from 50 to 90 % above which the response is a jump and a
-# creep, no rise. A first-order lag has 2.7.
+# Ratio of the times from 10 to 50 % and from 50 to 90 % of a jump and a creep, at least.
+# A first-order lag has 2.7.
 CREEP: Final = 5.0
-# Standard deviations of noise that must fit into the settling band.
+# A settling band below this many standard deviations of the noise is missed because of noise.
 NOISE_MARGIN: Final = 4.0
 
 Array = npt.NDArray[np.float64]
 
 
 class Step(NamedTuple):
-    """One step. What could not be measured is None, and `notes` says why."""
+    """One step. A measure that could not be taken is None; `notes` says why."""
 
     time_s: float                       # when the reference jumps
     initial_n: float                    # reference before
     final_n: float                      # reference after
     rise_time_s: float | None           # 10 to 90 %
-    overshoot_percent: float | None     # beyond the steady value, share of the step
+    overshoot_percent: float | None     # beyond the steady-state force, share of the step
     settling_time_2_s: float | None     # from the jump until it stays within 2 % of the step
     settling_time_5_s: float | None
     steady_state_error_n: float | None  # reference less the mean force at the end
@@ -51,12 +51,12 @@ class Step(NamedTuple):
 
     @property
     def monotone_rise(self) -> bool | None:
-        """Whether the force rises in one go; with a dip, spike or creep the rise time misleads."""
+        """Whether the rise is monotone; with a dip, spike or creep the rise time misleads."""
         return None if self.rise_shape is None else self.rise_shape == 'monotone'
 
 
 class _Jump(NamedTuple):
-    """Sample numbers: the plateau before begins, ends; that after begins, ends (exclusive)."""
+    """Indices: first and last sample before the jump; first after it, and end (exclusive)."""
 
     begin: int
     before: int
@@ -65,7 +65,7 @@ class _Jump(NamedTuple):
 
 
 def _jumps(reference: Array) -> list[_Jump]:
-    """Return the steps of a reference: it holds still (to 2 % of the jump) before and after."""
+    """Return the jumps of a reference that is constant (to 2 % of the jump) before and after."""
     span = np.ptp(reference)
     if not span > 0.0:
         return []
@@ -78,21 +78,21 @@ def _jumps(reference: Array) -> list[_Jump]:
     return [_Jump(begins[i], ends[i] - 1, begins[i + 1], ends[i + 1])
             for i, group in enumerate(groups)
             if group.size <= LONGEST_JUMP
-            and all(_still(reference[begins[k]:ends[k]],
+            and all(_is_constant(reference[begins[k]:ends[k]],
                            abs(reference[begins[i + 1]] - reference[ends[i] - 1]))
                     for k in (i, i + 1))]
 
 
-def _still(plateau: Array, jump: float) -> bool:
+def _is_constant(plateau: Array, jump: float) -> bool:
     return plateau.size >= FEWEST_SAMPLES and bool(np.ptp(plateau) <= 0.02 * jump)
 
 
 def noise_level(values: Array) -> float:
     """
-    Return the standard deviation of white noise on a signal that is smooth.
+    Return the standard deviation of white noise on a smooth signal.
 
-    From its sixth difference, which is nearly blind to what moves slower than a tenth of the
-    sampling rate; the median, so that a jump does not count.
+    From its sixth difference, which suppresses frequencies below a tenth of the sampling rate; by
+    the median absolute value, so that jumps do not count.
     """
     if values.size < 7:
         return 0.0
@@ -100,13 +100,13 @@ def noise_level(values: Array) -> float:
 
 
 def _windowed_mean(values: Array) -> float:
-    """Return the mean that an oscillation about it does not shift; nan if all are missing."""
+    """Return the mean by a Hann window, which suppresses oscillations; nan if all are missing."""
     weights = signal.windows.hann(values.size + 2)[1:-1] * np.isfinite(values)
     return float(np.sum(weights * np.nan_to_num(values)) / np.sum(weights))
 
 
 def _crossing(time: Array, share: Array, level: float) -> float | None:
-    """Return when `share` first rises through `level`, between the samples."""
+    """Return when `share` first reaches `level`, interpolated."""
     above = np.flatnonzero(share >= level)
     if not above.size:
         return None
@@ -118,12 +118,12 @@ def _crossing(time: Array, share: Array, level: float) -> float | None:
 
 
 def _settling(time: Array, share: Array, band: float) -> float | None:
-    """Return when `share` enters 1 -+ band for good, between the samples; None if it does not."""
+    """Return when `share` enters 1 -+ band and stays, interpolated; None if it does not."""
     outside = np.flatnonzero(np.abs(share - 1.0) > band)
     if not outside.size:
         return float(time[0])
     k = int(outside[-1])
-    # Still outside in the steady part: it may leave the band again at any time.
+    # Outside the band in the steady part: not settled.
     if k >= share.size - max(1, int(STEADY_SHARE * share.size)):
         return None
     edge = 1.0 + band * np.sign(share[k] - 1.0)
@@ -132,7 +132,7 @@ def _settling(time: Array, share: Array, band: float) -> float | None:
 
 
 def _shape(time: Array, share: Array, ten: float, ninety: float) -> str:
-    """Return whether the way from 10 to 90 % is one rise, or what it is instead."""
+    """Return the shape of the rise from 10 to 90 %: monotone, dip, spike or creep."""
     rise = share[(time >= ten) & (time <= ninety)]
     if rise.size and np.max(np.maximum.accumulate(rise) - rise) > DIP:
         return 'dip'
@@ -149,7 +149,7 @@ def _shape(time: Array, share: Array, ten: float, ninety: float) -> str:
 
 
 def _smoothed(share: Array, noise: float) -> tuple[Array, float]:
-    """Return the response with less noise, and how much of it is left (shares of the step)."""
+    """Return the smoothed response and its remaining noise (shares of the step)."""
     if noise < 2e-3:
         return share, noise
     rise = np.flatnonzero(share >= 0.9)[:1] - np.flatnonzero(share >= 0.1)[:1]
@@ -168,8 +168,8 @@ def _measure(time: Array, reference: Array, force: Array, jump_: _Jump) -> Step:
     notes: list[str] = []
     start = float(time[after])
     nothing = Step(start, initial, final, None, None, None, None, None, None, ())
-    held = max(1, min(before + 1 - begin, int(STEADY_SHARE * (end - after))))
-    low = float(np.nanmean(force[before + 1 - held:before + 1]))
+    before_count = max(1, min(before + 1 - begin, int(STEADY_SHARE * (end - after))))
+    low = float(np.nanmean(force[before + 1 - before_count:before + 1]))
     tail = max(1, int(STEADY_SHARE * (end - after)))
     high = _windowed_mean(force[end - tail:end])
     earlier = _windowed_mean(force[end - 2 * tail:end - tail])
@@ -205,8 +205,8 @@ def _measure(time: Array, reference: Array, force: Array, jump_: _Jump) -> Step:
                 tuple(notes))
 
 
-def held(values: Array) -> Array:
-    """Return a signal whose missing samples keep the value before them (the first, the next)."""
+def hold_last(values: Array) -> Array:
+    """Return a signal with missing samples replaced by the last one before (or the first)."""
     known = np.isfinite(values)
     if not known.any():
         return np.zeros_like(values)
@@ -218,36 +218,35 @@ def step_responses(run: Run) -> list[Step]:
     """
     Return the response to each step of the reference of a run, in order of time.
 
-    Empty without a step, a reference or a force, and if the reference is not that of a force. A
+    Empty without a step, a reference or a force, and if the reference is no force. A
     noisy force is smoothed by a cubic Savitzky-Golay filter over a third of the rise.
     """
     if run.reference_n is None or run.force_n is None or run.controlled() != 'force':
         return []
-    reference = held(run.reference_n)
+    reference = hold_last(run.reference_n)
     return [_measure(run.time_s, reference, run.force_n, jump) for jump in _jumps(reference)]
 
 
-def headline(steps: Sequence[Step]) -> Step | None:
-    """Return the largest step, the first of equals; None if there is no step."""
+def largest_step(steps: Sequence[Step]) -> Step | None:
+    """Return the largest step, of equal ones the first; None if there is none."""
     return max(steps, key=lambda step: round(abs(step.final_n - step.initial_n), 6), default=None)
 
 
-# Of the largest step, in the document of `step_response` and `analyze`.
+# Keys of the largest step in the documents of `step_response` and `analyze`.
 HEADLINE: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'settling_time_5_s',
                    'steady_state_error_n', 'rise_shape', 'monotone_rise')
 
 
 TRANSIENT: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'settling_time_5_s')
-# Share of the samples of the steady part that may be missing.
+# Largest share of missing samples in the steady part.
 LOST_SHARE: Final = 0.1
 
 
 class StepResponse(Result):
     """
-    Step responses of a run: `step_response`.
+    The result of `step_response`, with the keys of `asi analyze` that concern steps.
 
-    The keys are those of `asi analyze` that concern steps; `run` is the recording, `measured` the
-    `Step` of each step.
+    `run` is the recording, `measured` the list of its `Step`s.
     """
 
     title = 'Step response'
@@ -256,7 +255,7 @@ class StepResponse(Result):
     measured: list[Step]
 
     def measures(self) -> list[tuple[str, str]]:
-        """Return name and value of each measure of the largest step that could be measured."""
+        """Return name and value of each measure of the largest step that is not None."""
         return [(name, number(self[key] * scale, unit, 3)) for name, key, unit, scale in (
             ('rise time 10-90 %', 'rise_time_s', 'ms', 1e3),
             ('overshoot', 'overshoot_percent', '%', 1.0),
@@ -271,7 +270,7 @@ class StepResponse(Result):
 
     def pictures(self) -> Pictures:
         from asi_analysis.reporting import figures
-        step = headline(self.measured)
+        step = largest_step(self.measured)
         if step is None or step.final_n == step.initial_n:
             raise InputError(self.notes[0])
         later = [each.time_s for each in self.measured if each.time_s > step.time_s]
@@ -294,20 +293,20 @@ def _why_no_step(run: Run) -> str:
     return 'step: the reference has none'
 
 
-def _trusted(step: Step, run: Run, found: Sequence[Finding],
-             reliable: dict[float, dict[str, bool]]) -> Step:
-    """Return a step without the figures whose samples cannot be trusted; note which are."""
-    time, reference = run.time_s, held(run.signal('reference'))
+def _with_trust(step: Step, run: Run, found: Sequence[Finding],
+                reliable: dict[float, dict[str, bool]]) -> Step:
+    """Return a step without figures that rest on doubtful samples; fill `reliable`."""
+    time, reference = run.time_s, hold_last(run.signal('reference'))
     first = int(np.searchsorted(time, step.time_s, side='right')) - 1
-    left = np.flatnonzero(np.abs(reference[first:] - step.final_n)
-                          > 0.02 * abs(step.final_n - step.initial_n))
-    end = float(time[first + left[0] - 1] if left.size else time[-1])
+    changed = np.flatnonzero(np.abs(reference[first:] - step.final_n)
+                             > 0.02 * abs(step.final_n - step.initial_n))
+    end = float(time[first + changed[0] - 1] if changed.size else time[-1])
     settled = step.settling_time_2_s or step.settling_time_5_s
     signals = ('force', 'reference')
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
                    min(step.time_s + settled, end) if settled else end)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), end, LOST_SHARE)
-    # What is wrong, but not lost, spoils the levels before and after too, and so every figure.
+    # Findings other than lost samples affect the levels, and so every figure.
     begin = step.time_s - STEADY_SHARE * (end - step.time_s)
     levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, end)
     if levels.withheld:
@@ -327,8 +326,8 @@ def step_response(run: Run) -> StepResponse:
     """
     Return rise, overshoot, settling and steady-state error after each step of the reference.
 
-    run: a recording with reference and force, in N (or N m, see `Run.unit`). The headline keys
-    are those of the largest step. What cannot be measured is None, and `notes` says why.
+    run: a recording with reference and force, in N (or N m, see `Run.unit`). The keys outside
+    `steps` are those of the largest step. What cannot be measured is None; `notes` says why.
 
     Rise time and settling time as in MATLAB's stepinfo: from the force before the step to the mean
     force over the last fifth of the time after it.
@@ -347,8 +346,8 @@ def step_response(run: Run) -> StepResponse:
     """
     found = findings(run)
     reliable: dict[float, dict[str, bool]] = {}
-    steps = [_trusted(step, run, found, reliable) for step in step_responses(run)]
-    largest = headline(steps)
+    steps = [_with_trust(step, run, found, reliable) for step in step_responses(run)]
+    largest = largest_step(steps)
     return StepResponse({
         'unit': run.unit('force'),
         **{key: getattr(largest, key) if largest else None for key in HEADLINE},

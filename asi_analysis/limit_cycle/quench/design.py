@@ -26,7 +26,7 @@ from asi_analysis.limit_cycle.quench.margin import (
 )
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.simulation import Values, loop_of
-from asi_analysis.measures.step_response import headline, step_responses
+from asi_analysis.measures.step_response import largest_step, step_responses
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import defaults
 from asi_controller.compensator import OWN_GAIN, frequency_response
@@ -90,7 +90,7 @@ class Judge:
                              'reference.amplitude': LEAD4.amplitude_n}, DURATION_S, self.rate_hz)
         if not np.isfinite(run.force_n).all():
             return None
-        step = headline(step_responses(Run(run.time_s, run.reference_n, run.command_n,
+        step = largest_step(step_responses(Run(run.time_s, run.reference_n, run.command_n,
                                            run.force_n)))
         if step is None or None in (step.rise_time_s, step.settling_time_2_s):
             return None

@@ -8,7 +8,7 @@ import numpy as np
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.bench import RATE_HZ, step_experiment
-from asi_analysis.measures.step_response import headline, step_responses
+from asi_analysis.measures.step_response import largest_step, step_responses
 from asi_analysis.paper.facts.conditions import StepTest
 from asi_analysis.paper.facts.fact import Fact, Measured, Row, Setup, Stage, around
 from asi_controller.compensator import design
@@ -25,7 +25,7 @@ def step_test(setup: Setup, test: StepTest, name: str) -> Measured:
         {**setup.actuator, **test.load},
         {'feedforward': setup.conditions.feedforward, **test.controller}, test.amplitude_n,
         STEP_S * setup.refinement))
-    step = headline(step_responses(Run(*run)))
+    step = largest_step(step_responses(Run(*run)))
     if step is None or step.rise_time_s is None:
         return {f'{name}_rise_s': math.inf, f'{name}_overshoot_percent': math.inf,
                 f'{name}_settling_s': math.inf, f'{name}_error_n': math.inf,

@@ -8,7 +8,7 @@ from scipy import optimize
 
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.analysis import analyze
-from asi_analysis.measures.step_response import headline, step_responses
+from asi_analysis.measures.step_response import largest_step, step_responses
 
 RATE_HZ = 5000.0
 
@@ -48,8 +48,8 @@ def exact_settling(zeta, w, band):
 @pytest.mark.parametrize('zeta, w', [(0.2, 300.0), (0.456, 100.0), (0.7, 900.0)])
 @pytest.mark.parametrize('initial, final', [(0.0, 100.0), (300.0, -250.0)])
 def test_second_order_closed_form(zeta, w, initial, final):
-    step = headline(step_responses(step_run(lambda t: second_order(t, zeta, w), initial=initial,
-                                            final=final)))
+    step = largest_step(step_responses(step_run(
+        lambda t: second_order(t, zeta, w), initial=initial, final=final)))
     overshoot = 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
     assert step.rise_time_s == pytest.approx(exact_rise(zeta, w), abs=0.05 / RATE_HZ)
     assert step.overshoot_percent == pytest.approx(overshoot, abs=0.15)
@@ -61,13 +61,13 @@ def test_second_order_closed_form(zeta, w, initial, final):
 
 def test_steady_state_error_and_levels_of_what_is_reached():
     """A loop that ends 6 N short: the error is 6 N, the rise that of the force reached."""
-    step = headline(step_responses(step_run(lambda t: 0.94 * second_order(t, 0.456, 100.0))))
+    step = largest_step(step_responses(step_run(lambda t: 0.94 * second_order(t, 0.456, 100.0))))
     assert step.steady_state_error_n == pytest.approx(6.0, abs=1e-6)
     assert step.rise_time_s == pytest.approx(exact_rise(0.456, 100.0), rel=2e-3)
 
 
 def test_noise_moves_the_metrics_little():
-    clean, noisy = (headline(step_responses(step_run(
+    clean, noisy = (largest_step(step_responses(step_run(
         lambda t: second_order(t, 0.456, 100.0), noise=noise))) for noise in (0.0, 1.0))
     assert noisy.rise_time_s == pytest.approx(clean.rise_time_s, rel=0.03)
     assert noisy.overshoot_percent == pytest.approx(clean.overshoot_percent, abs=1.0)
@@ -76,7 +76,7 @@ def test_noise_moves_the_metrics_little():
 
 
 def test_noise_wider_than_the_band_is_no_settling_time():
-    step = headline(step_responses(step_run(lambda t: second_order(t, 0.456, 1000.0),
+    step = largest_step(step_responses(step_run(lambda t: second_order(t, 0.456, 1000.0),
                                             noise=4.0)))
     assert step.settling_time_2_s is None
     assert any('2 %' in note and 'noise' in note for note in step.notes)
@@ -92,7 +92,7 @@ def test_noise_wider_than_the_band_is_no_settling_time():
                         - 1.6 * np.exp(-t / 0.001)), 'spike'),
 ])
 def test_artefacts_are_not_called_a_rise(shape, name):
-    step = headline(step_responses(step_run(shape)))
+    step = largest_step(step_responses(step_run(shape)))
     assert step.rise_shape == name
     assert step.monotone_rise is False
     assert any(name in note for note in step.notes)
@@ -106,7 +106,7 @@ def test_every_step_is_measured_and_the_largest_leads():
     steps = step_responses(Run(t, reference_n=reference, force_n=force))
     assert [(step.time_s, step.initial_n, step.final_n) for step in steps] == [
         (0.5, 0.0, 100.0), (1.0, 100.0, -50.0), (1.5, -50.0, 0.0)]
-    assert headline(steps) == steps[1]
+    assert largest_step(steps) == steps[1]
     for step in steps:
         assert step.rise_time_s == pytest.approx(exact_rise(0.5, 300.0), rel=3e-3)
 
@@ -129,6 +129,6 @@ def test_lost_samples_do_not_matter():
     force, reference = whole.force_n.copy(), whole.reference_n.copy()
     force[np.arange(13, force.size, 29)] = np.nan
     reference[np.arange(11, reference.size, 31)] = np.nan
-    holes = headline(step_responses(Run(whole.time_s, reference_n=reference, force_n=force)))
+    holes = largest_step(step_responses(Run(whole.time_s, reference_n=reference, force_n=force)))
     assert holes.rise_time_s == pytest.approx(exact_rise(0.456, 100.0), rel=5e-3)
     assert holes.settling_time_2_s == pytest.approx(exact_settling(0.456, 100.0, 0.02), rel=5e-3)
