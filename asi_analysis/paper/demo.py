@@ -1,4 +1,4 @@
-"""`asi demo`: the paper's experiments over ROS, one after the other, and the report of them."""
+"""`asi demo`: the paper's experiments over ROS, and their report."""
 
 import shutil
 from collections.abc import Iterator
@@ -32,9 +32,9 @@ class Demo(Result):
 
 def run_demo(out: Path, progress: Progress = silent) -> Demo:
     """
-    Run all experiments into `out`, write report.html and its pictures; return what --json prints.
+    Run all experiments into `out`, write report.html and its pictures; return the result.
 
-    An earlier demo in `out` is replaced; raises InputError if there is anything else.
+    An earlier demo in `out` is replaced; raises InputError if `out` holds anything else.
     """
     _clear(out)
     recorded = []
@@ -59,7 +59,7 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
 
 
 def _clear(out: Path) -> None:
-    """Remove an earlier demo, and nothing else."""
+    """Remove an earlier demo. Raises InputError if the directory holds anything else."""
     names = {plan.name for plan in RUNS}
     if out.exists():
         foreign = [path.name for path in out.iterdir() if path.name not in names

@@ -19,9 +19,9 @@ from asi_analysis.reporting import figures
 from asi_analysis.reporting.report import write_report
 from asi_controller.compensator import OWN_GAIN
 
-# Published and simulated figures that differ by less are called alike.
-ALIKE: Final = 0.25
-# A share of a bound that counts as far below it, for the paper's "≪".
+# Relative difference below which published and simulated figures are called similar.
+SIMILAR: Final = 0.25
+# Share of a bound that counts as far below it, for the paper's "≪".
 FAR_BELOW: Final = 0.1
 CAPTIONS: Final = {
     'step_responses': 'Force and valve command after a step, with three compensators',
@@ -35,7 +35,7 @@ class Cell(NamedTuple):
     published: str
     simulated: str
     verdict: str
-    alike: bool
+    similar: bool
 
 
 def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
@@ -90,7 +90,7 @@ def _hysteresis(loop: Loop) -> Figure:
 
 
 def compare(analysis: dict[str, Any], entry: Published) -> Cell:
-    """Put our figure beside the published one and say plainly how they differ."""
+    """Return the published and the simulated figure, and how they differ in words."""
     value = scaled(analysis, entry)
     if value is None:
         return Cell(entry.words, '-', 'not reached', False)
@@ -101,24 +101,24 @@ def compare(analysis: dict[str, Any], entry: Published) -> Cell:
         met = entry.words.startswith('<') or abs(value) < FAR_BELOW * entry.value
         return Cell(entry.words, text, 'as published' if met else 'below, not far below', met)
     if entry.value == 0.0:
-        return Cell(entry.words, text, 'alike' if abs(value) < 2.0 else f'{value:.1f} more',
-                     abs(value) < 2.0)
+        return Cell(entry.words, text, 'similar' if abs(value) < 2.0 else f'{value:.1f} more',
+                    abs(value) < 2.0)
     ratio = abs(value) / entry.value
-    if abs(ratio - 1.0) < ALIKE:
-        return Cell(entry.words, text, 'alike', True)
+    if abs(ratio - 1.0) < SIMILAR:
+        return Cell(entry.words, text, 'similar', True)
     smaller, larger = ('shorter', 'longer') if entry.unit == 'ms' else ('smaller', 'larger')
     return Cell(entry.words, text, f'{ratio:.1f} times {larger}' if ratio > 1.0
                  else f'{1.0 / max(ratio, 1e-3):.1f} times {smaller}', False)
 
 
 def _gain(recorded: Recorded) -> float:
-    """Return the gain that was in use."""
+    """Return the compensator's gain in the run."""
     values = recorded.experiment.controller
     return float(values['gain']) or OWN_GAIN[str(values['compensator'])]
 
 
 def _load(recorded: Recorded) -> str:
-    """Say what the piston pushes against."""
+    """Describe the load of the piston."""
     values = recorded.experiment.actuator
     if values['load.type'] == 'locked':
         return 'piston locked'
@@ -127,6 +127,6 @@ def _load(recorded: Recorded) -> str:
 
 
 def _delay_ms(recorded: Recorded) -> float:
-    """Return the transport delay in the loop (ms): the model's two; lock-step adds none."""
+    """Return the transport delay of the loop (ms): the model's two delays; lock-step adds none."""
     values = recorded.experiment.actuator
     return 1e3 * (float(values['valve_flexure.delay']) + float(values['force_sensor.delay']))

@@ -1,4 +1,4 @@
-"""The experiments of `asi demo`, and what is measured on their bags."""
+"""The experiments of `asi demo`, and the measures of their limit cycle and hysteresis loop."""
 
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -13,7 +13,7 @@ from asi_analysis.paper.facts.conditions import Conditions, StepTest
 
 
 class Published(NamedTuple):
-    """One figure of the paper's Table 1: its words, and the number to compare with."""
+    """One figure of the paper's Table 1, as printed and as a number."""
 
     quantity: str
     key: str        # of `asi analyze`
@@ -33,7 +33,7 @@ class DemoRun(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A run that was made: what the bag holds, and its analysis."""
+    """A completed run: its experiment, its bag, the recording and its analysis."""
 
     plan: DemoRun
     experiment: Experiment   # with every parameter
@@ -66,7 +66,7 @@ RUNS: Final = (
     # Locked piston, as for the paper's Fig. 7; the step starts the cycle.
     DemoRun('limit_cycle', 'Limit cycle, Kp = 8', Experiment(
         {}, {'gain': 8.0, 'reference.shape': 'step', 'reference.amplitude': 100.0}, 1.0)),
-    # Hardly any feedback, and slow: what the command does to the valve, and little else.
+    # Little feedback and a slow command: the response of the valve alone.
     DemoRun('hysteresis', 'Valve hysteresis, slow sine', Experiment(
         {}, {'gain': 1e-3, 'reference.shape': 'sine', 'reference.amplitude': 60.0,
              'reference.frequency': 0.5, 'reference.start': 0.0}, 4.0, rate_hz=500.0)),
@@ -111,8 +111,8 @@ class Loop(NamedTuple):
     valve_position_m: np.ndarray
     slope_m_n: float
     offset_m: float
-    width_n: float     # how far the branches are apart at the middle
-    lag_n: float       # the part of it that the coil's lag alone makes at this rate
+    width_n: float     # distance of the branches at the middle
+    lag_n: float       # the part of it due to the coil's lag at this frequency
 
 
 def hysteresis_loop(recorded: Recorded) -> Loop:
@@ -122,7 +122,7 @@ def hysteresis_loop(recorded: Recorded) -> Loop:
     period = round(run.rate_hz / frequency)
     command, valve = (run.signal(name)[-period:] for name in ('command', 'valve_position'))
     slope, offset = np.polyfit(command, valve, 1)
-    # Where each branch crosses the middle, from the few samples on each side of it.
+    # Command at which each branch crosses the middle.
     rising = np.gradient(command) > 0
     crossings = [np.interp(offset, np.sort(valve[branch]), np.sort(command[branch]))
                  for branch in (rising, ~rising)]
@@ -134,6 +134,6 @@ def hysteresis_loop(recorded: Recorded) -> Loop:
 
 
 def scaled(analysis: dict[str, Any], entry: Published) -> float | None:
-    """Return our figure in the unit of the published one."""
+    """Return the simulated figure in the unit of the published one."""
     value = analysis[entry.key]
     return None if value is None else value * entry.scale

@@ -70,19 +70,19 @@ def test_cycle_and_loop_are_measured(demo):
     assert 2.0 * radius < loop.width_n < 2.0 * radius + 2.0 * loop.lag_n
 
 
-@pytest.mark.parametrize('value, verdict, alike', [
-    (0.0099, 'alike', True), (0.030, '3.0 times longer', False),
+@pytest.mark.parametrize('value, verdict, similar', [
+    (0.0099, 'similar', True), (0.030, '3.0 times longer', False),
     (0.005, '2.0 times shorter', False), (None, 'not reached', False)])
-def test_differences_are_said(value, verdict, alike):
+def test_differences_are_in_words(value, verdict, similar):
     entry = Published('rise time', 'rise_time_s', 'ms', 1e3, '10', 10.0)
     cell = compare({'rise_time_s': value}, entry)
-    assert (cell.verdict, cell.alike) == (verdict, alike)
+    assert (cell.verdict, cell.similar) == (verdict, similar)
 
 
 def test_less_than_is_a_bound_on_the_size():
     entry = Published('steady-state error', 'steady_state_error_n', 'N', 1.0, '< 2', 2.0)
-    assert compare({'steady_state_error_n': -1.9}, entry).alike
-    assert not compare({'steady_state_error_n': -2.1}, entry).alike
+    assert compare({'steady_state_error_n': -1.9}, entry).similar
+    assert not compare({'steady_state_error_n': -2.1}, entry).similar
 
 
 @pytest.mark.parametrize('error_n, verdict', [

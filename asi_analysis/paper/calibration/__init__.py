@@ -1,1 +1,1 @@
-"""What the simulator is fitted to the published facts by, and what they leave open."""
+"""The fit of the simulator to the published facts, and the parameters that they leave open."""

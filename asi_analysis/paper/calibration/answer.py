@@ -1,4 +1,4 @@
-"""What `asi calibrate` does and says, as one plain dictionary."""
+"""The result of `asi calibrate`."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from asi_analysis.paper.calibration.quantities import STRUCTURES, Candidate, rea
 from asi_analysis.paper.calibration.search import calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Stage
-from asi_analysis.paper.facts.table import AIMS
+from asi_analysis.paper.facts.table import FITTED_ROWS
 from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress
 
@@ -31,10 +31,10 @@ class Calibration(Result):
 def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spread: float,
         start: Path | None, only: Sequence[str], report: Progress) -> Calibration:
     """
-    Do what `asi calibrate` is asked to; return its document.
+    Run or resume a calibration; return its result.
 
-    structure: a name of STRUCTURES. Raises InputError for a start, a state or a name that is not
-    there.
+    structure: a name of STRUCTURES. Raises InputError for an unknown name, or a start or state
+    that cannot be read.
     """
     out.mkdir(parents=True, exist_ok=True)
     state = out / 'state.pickle'
@@ -54,5 +54,5 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
                    in zip(Stage, search.counts, strict=True)},
         'polish_evaluations': search.polished, 'cost': search.problem.cost(search.best, measured),
         'best': str(out / 'best.json'),
-        'met': sum(row.met(measured[row.name]) for row in AIMS), 'total': len(AIMS),
-        'not_met': [row.name for row in AIMS if not row.met(measured[row.name])]})
+        'met': sum(row.met(measured[row.name]) for row in FITTED_ROWS), 'total': len(FITTED_ROWS),
+        'not_met': [row.name for row in FITTED_ROWS if not row.met(measured[row.name])]})

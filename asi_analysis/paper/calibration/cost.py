@@ -1,10 +1,9 @@
 """
-What it costs a search to miss the rows that it aims at: those of `facts.table` that are fitted.
+The cost function of a search: the deviations of the fitted rows from their limits.
 
-A row costs nothing inside the inner part of its limits, so that no row is bettered at the expense
-of another that is met; far outside the cost grows more slowly, so that a row that cannot be met
-does not bend all the others. A waveform with a spike, a dip or a creep pays as well as a row that
-is missed.
+A row has no cost in the inner part of its limits, so that no row is improved at the expense of
+another that is met. Far outside the cost grows more slowly, so that a row that cannot be met does
+not dominate the fit. A waveform with a spike, a dip or a creep costs as much as a missed row.
 """
 
 import math
@@ -12,25 +11,25 @@ from collections.abc import Iterable
 from typing import Final
 
 from asi_analysis.paper.facts.fact import Measured, Row
-from asi_analysis.paper.facts.table import AIMS
+from asi_analysis.paper.facts.table import FITTED_ROWS
 
-# Share of a row's half width, from the middle, that costs nothing.
+# Share of a row's half width, from the middle, in which the cost is zero.
 INNER: Final = 0.85
-# Half widths beyond which a row only costs this share more: it shall not bend all the others.
+# A miss of more than FAR half widths grows with FAR_SHARE of its slope, as in a Huber loss.
 FAR: Final = 1.0
 FAR_SHARE: Final = 0.3
-# Half widths of a row that does not exist: the force does not settle, there is no cycle.
+# Half widths of a row without a value: the force does not settle, or there is no cycle.
 WORST: Final = 9.0
-# Cost of a waveform that is not one rise.
+# Cost of a waveform that is not a single rise.
 WRONG_SHAPE: Final = 1.5
 
 
 def position(row: Row, value: float) -> float:
     """
-    Return where a value is: beyond -1 to 1 it misses the row; above 1 if the limit is one-sided.
+    Return the position of a value in the limits of a row; the row is met from -1 to 1.
 
-    In half widths of the limits from their middle; of a single limit, in fifths of it (as it is,
-    if it is 0), 1 at the limit.
+    In half widths from the middle of the limits. With a single limit: in fifths of the limit (in
+    the row's unit if it is 0), 1 at the limit, above 1 if missed.
     """
     if not row.one_sided:
         return (value - 0.5 * (row.low + row.high)) / (0.5 * (row.high - row.low))
@@ -40,15 +39,15 @@ def position(row: Row, value: float) -> float:
 
 
 def miss(row: Row, value: float) -> float:
-    """Return how far a value is outside the inner part of a row's limits, in half widths."""
+    """Return the distance of a value from the inner part of a row's limits, in half widths."""
     if row.low == row.high:
         return 0.0 if value == row.low else WRONG_SHAPE
-    where = bounded(row, value)
-    return max(0.0, (where if row.one_sided else abs(where)) - INNER)
+    at = bounded(row, value)
+    return max(0.0, (at if row.one_sided else abs(at)) - INNER)
 
 
 def bounded(row: Row, value: float) -> float:
-    """Return the position of a value, WORST at most; WORST if it does not exist."""
+    """Return the position of a value, limited to +-WORST; WORST if it is not finite."""
     if not math.isfinite(value):
         return WORST
     return min(max(position(row, value), -WORST), WORST)
@@ -60,5 +59,5 @@ def cost(misses: Iterable[float]) -> float:
 
 
 def misses(measured: Measured) -> list[float]:
-    """Return the misses of the rows that have been measured so far."""
-    return [miss(row, measured[row.name]) for row in AIMS if row.name in measured]
+    """Return the misses of the fitted rows measured so far."""
+    return [miss(row, measured[row.name]) for row in FITTED_ROWS if row.name in measured]

@@ -1,10 +1,10 @@
 """
-What the paper does not determine: parameter sets that meet its facts about equally well.
+An ensemble of parameter sets that meet the facts about equally well.
 
-Members are drawn about the best set along the directions to which the facts are blind, as the
-slopes of all rows tell (the sloppy directions of Gutenkunst and others, "Universally sloppy
-parameter sensitivities", PLoS Computational Biology 3, 2007), measured in full, and kept if they
-meet as many rows and differ clearly from all that were kept before.
+Members are drawn about the best set along the directions to which the facts are insensitive,
+according to the slopes of all rows (the sloppy directions of Gutenkunst and others, "Universally
+sloppy parameter sensitivities", PLoS Computational Biology 3, 2007). Each draw is measured, and
+accepted if it meets as many rows and differs clearly from all accepted before.
 """
 
 import math
@@ -23,7 +23,7 @@ from asi_analysis.paper.calibration.quantities import FREE, PHYSICAL, Candidate,
 from asi_analysis.paper.calibration.search import SEARCH, Problem
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured
-from asi_analysis.paper.facts.table import AIMS
+from asi_analysis.paper.facts.table import FITTED_ROWS
 from asi_analysis.parallel import each
 from asi_analysis.reporting import figures
 from asi_analysis.reporting.result import Result, Table
@@ -36,17 +36,17 @@ Array = npt.NDArray[np.float64]
 SLOPE_STEP: Final = 0.02
 # Members differ from each other by at least this share of the range of some parameter.
 LEAST_DISTANCE: Final = 0.1
-# First reach of the draws, in half widths of the rows; it falls when a draw misses a row, and
+# Initial spread of the draws, in half widths of the rows; it falls when a draw misses a row, and
 # grows when one is too near to another.
-FIRST_REACH: Final = 0.1
-# Draws that are measured side by side; the reach follows them together.
+FIRST_SPREAD: Final = 0.1
+# Draws that are measured in parallel; the spread is adapted after each generation.
 GENERATION: Final = 8
-# Points that are drawn for each of these, most of which the slopes rule out.
+# Points that are drawn for a generation; the linear prediction excludes most of them.
 DRAWS: Final = 4096
 
 
 class Sensitivity(NamedTuple):
-    """How the rows move: rows x parameters, half widths of the row for 10 % of the parameter."""
+    """Slopes, rows x parameters: half widths of the row for 10 % of the parameter."""
 
     rows: tuple[str, ...]
     parameters: tuple[str, ...]
@@ -54,7 +54,7 @@ class Sensitivity(NamedTuple):
 
 
 class Member(NamedTuple):
-    """A parameter set of the ensemble, and how many of the rows aimed at it meets."""
+    """A parameter set of the ensemble, and the number of fitted rows that it meets."""
 
     quantities: dict[str, float]
     met: int
@@ -70,7 +70,7 @@ def problem_of(best: Candidate) -> Problem:
 def _positions(measured: Measured) -> Array:
     return np.array([np.clip(position(row, measured[row.name]), -10.0, 10.0)
                      if row.low != row.high and math.isfinite(measured[row.name]) else 0.0
-                     for row in AIMS])
+                     for row in FITTED_ROWS])
 
 
 def _measured(problem: Problem, point: Array) -> Measured:
@@ -78,7 +78,7 @@ def _measured(problem: Problem, point: Array) -> Measured:
 
 
 def _met(measured: Measured) -> int:
-    return sum(row.met(measured[row.name]) for row in AIMS)
+    return sum(row.met(measured[row.name]) for row in FITTED_ROWS)
 
 
 def slopes(problem: Problem, report: Progress = silent) -> Array:
@@ -102,14 +102,14 @@ def sensitivity(problem: Problem, found: Array) -> Sensitivity:
         value = free.value(problem.start[k])
         scale.append(math.log(1.1) / math.log(free.high / free.low) if free.scale is Scale.LOG
                      else 0.1 * abs(value) / (free.high - free.low))
-    return Sensitivity(tuple(row.name for row in AIMS),
+    return Sensitivity(tuple(row.name for row in FITTED_ROWS),
                        tuple(FREE[k].name for k in problem.free), found * np.array(scale))
 
 
 def members(problem: Problem, found: Array, count: int, seed: int, most: int,
             report: Progress = silent) -> tuple[list[Member], int]:
     """
-    Return so many members (fewer, if `most` evaluations do not find them), and the evaluations.
+    Return `count` members (fewer if `most` evaluations do not find them) and the evaluations used.
 
     found: the slopes.
     """
@@ -119,52 +119,52 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     stiffness = np.zeros(point.size)
     stiffness[:sizes.size] = sizes
     at_best = problem.measure(point)
-    needed, here = _met(at_best), _positions(at_best)
-    two_sided = np.array([not row.one_sided for row in AIMS])
-    kept: list[tuple[Array, Member]] = []
-    reach, tried = FIRST_REACH, 0
-    while len(kept) < count and tried < most:
-        report(f'{len(kept)} of {count} members', tried / most)
-        # A direction of stiffness s moves some row by s; none moves by more than the box allows.
+    needed, best_positions = _met(at_best), _positions(at_best)
+    two_sided = np.array([not row.one_sided for row in FITTED_ROWS])
+    accepted: list[tuple[Array, Member]] = []
+    spread, tried = FIRST_SPREAD, 0
+    while len(accepted) < count and tried < most:
+        report(f'{len(accepted)} of {count} members', tried / most)
+        # A direction of stiffness s moves some row by s; the box limits those with a small s.
         along = (random.normal(size=(DRAWS, point.size))
-                 / np.hypot(stiffness / reach, 1.0 / 0.3))
+                 / np.hypot(stiffness / spread, 1.0 / 0.3))
         drawn = np.clip(point + along @ directions, 0.0, 1.0)
-        # Only those that should meet all rows, were these straight, are worth the measurement.
-        expected = here + (drawn - point) @ found.T
+        # Only draws that meet all rows according to the linear prediction are measured.
+        expected = best_positions + (drawn - point) @ found.T
         inside = (expected <= 1.0) & ((expected >= -1.0) | ~two_sided)
         drawn = drawn[inside.all(axis=1)][:min(GENERATION, most - tried)]
         if not len(drawn):
-            reach *= 0.8
+            spread *= 0.8
             continue
         tried += len(drawn)
         for one, measured in zip(drawn, each(_measured, ((problem, one) for one in drawn)),
                                  strict=True):
             met = _met(measured)
-            near = any(np.abs(one - other).max() < LEAST_DISTANCE for other, _ in kept)
+            near = any(np.abs(one - other).max() < LEAST_DISTANCE for other, _ in accepted)
             if met < needed:
-                reach *= 0.98
+                spread *= 0.98
             elif near:
-                reach *= 1.1
-            elif len(kept) < count:
-                whole = to_values(FREE, problem.whole(one))
-                kept.append((one, Member({FREE[k].name: whole[FREE[k].name]
-                                          for k in problem.free}, met)))
-    return [member for _, member in kept], tried
+                spread *= 1.1
+            elif len(accepted) < count:
+                values = to_values(FREE, problem.whole(one))
+                accepted.append((one, Member({FREE[k].name: values[FREE[k].name]
+                                              for k in problem.free}, met)))
+    return [member for _, member in accepted], tried
 
 
 def write_members(found: Sequence[Member], out: Path) -> None:
-    """Write each member as a ROS parameter file of the actuator: what differs from defaults."""
+    """Write each member as a ROS parameter file of the actuator."""
     out.mkdir(parents=True, exist_ok=True)
     for number, member in enumerate(found, 1):
         write_parameters(
             out / f'member_{number:02d}.yaml', '/**/asi_actuator',
             {name: float(f'{value:.6g}') for name, value in member.quantities.items()},
-            [f'Ensemble, member {number}: meets {member.met} of the {len(AIMS)} rows that the '
-             'calibration aims at.', 'Written by `asi ensemble`.'])
+            [f'Ensemble, member {number}: meets {member.met} of the {len(FITTED_ROWS)} fitted '
+             'rows.', 'Written by `asi ensemble`.'])
 
 
 def sensitivity_table(found: Sensitivity) -> str:
-    """Return which fact pins which parameter, as a table in Markdown."""
+    """Return the rows that are most sensitive to each parameter, as a table in Markdown."""
     lines = ['| parameter | 10 % of it moves most | half widths | then | half widths |',
              '|---|---|---|---|---|']
     for k, name in enumerate(found.parameters):
@@ -185,23 +185,23 @@ class Ensemble(Result):
 def run(out: Path, pictures: Path, count: int, most: int, seed: int, report: Progress
         ) -> Ensemble:
     """
-    Do what `asi ensemble` is asked to, about the defaults; return its document.
+    Draw an ensemble about the default parameters, write it and its pictures; return the result.
 
     out: directory of the members; pictures: directory of the pictures and the sensitivity table.
-    Raises InputError if there is no member.
+    Raises InputError if no member is found.
     """
     best = Candidate({}, Conditions())
     problem = problem_of(best)
     found = slopes(problem, report)
-    kept, tried = members(problem, found, count, seed, most, report)
-    if not kept:
+    ensemble, tried = members(problem, found, count, seed, most, report)
+    if not ensemble:
         raise InputError(f'none of {tried} candidates is a member: try more')
-    write_members(kept, out)
+    write_members(ensemble, out)
     pictures.mkdir(parents=True, exist_ok=True)
     write_text(pictures / 'sensitivity.md', sensitivity_table(sensitivity(problem, found)))
     for name, draw in (('ensemble_spread', ensemble_figures.spread),
                        ('ensemble_pairs', ensemble_figures.pairs)):
-        figures.save(draw([member.quantities for member in kept], quantities(best)),
+        figures.save(draw([member.quantities for member in ensemble], quantities(best)),
                      pictures / f'{name}.png', 110.0)
-    return Ensemble({'members': len(kept), 'evaluations': tried, 'out': str(out),
-                     'met': [member.met for member in kept], 'total': len(AIMS)})
+    return Ensemble({'members': len(ensemble), 'evaluations': tried, 'out': str(out),
+                     'met': [member.met for member in ensemble], 'total': len(FITTED_ROWS)})

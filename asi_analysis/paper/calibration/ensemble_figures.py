@@ -1,4 +1,4 @@
-"""The spread of the ensemble, per parameter and pairwise."""
+"""Figures of the spread of the ensemble, per parameter and pairwise."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from asi_analysis.paper.calibration.quantities import FREE, PHYSICAL
 from asi_analysis.reporting.figures import BLUE, ORANGE, WIDTH_IN, style
 
-MOST_PAIRED = 8
+PAIRED_PARAMETERS = 8
 
 
 def _share(member: Mapping[str, float], k: int) -> float:
@@ -16,7 +16,7 @@ def _share(member: Mapping[str, float], k: int) -> float:
 
 
 def spread(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> Figure:
-    """Draw where the members lie in the range of each parameter, 0 to 1."""
+    """Draw the position of the members in the range of each parameter, 0 to 1."""
     with style():
         figure = Figure(figsize=(WIDTH_IN, 0.24 * len(PHYSICAL) + 0.8), layout='constrained')
         axes = figure.subplots()
@@ -32,9 +32,9 @@ def spread(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> F
 
 
 def pairs(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> Figure:
-    """Draw the parameters that spread most against each other."""
+    """Draw the parameters with the largest spread against each other."""
     shares = np.array([[_share(member, k) for k in PHYSICAL] for member in found])
-    widest = np.argsort(-shares.std(axis=0))[:MOST_PAIRED]
+    widest = np.argsort(-shares.std(axis=0))[:PAIRED_PARAMETERS]
     with style():
         figure = Figure(figsize=(9.0, 9.0), layout='constrained')
         grid = figure.subplots(len(widest), len(widest), sharex='col')

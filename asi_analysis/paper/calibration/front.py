@@ -1,8 +1,8 @@
 """
-`asi calibrate --front`: what it costs the facts to hold one quantity somewhere else.
+`asi calibrate --front`: the cost of the facts as a function of one fixed quantity.
 
-The front between a quantity and all rows together: for each of its values everything else is
-polished again, beginning with the result for the value before, so that neighbours can be compared.
+For each value of the quantity all others are fitted again (a profile of the cost), starting from
+the result for the previous value, so that neighbours can be compared.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,15 +16,15 @@ from asi_analysis.paper.calibration.quantities import Candidate, Structure, read
 from asi_analysis.paper.calibration.search import new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured, Row
-from asi_analysis.paper.facts.table import AIMS, FACTS
+from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
 from asi_analysis.reporting.figures import BLUE, WIDTH_IN, save, style
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import write_text
 
 
-class Held(NamedTuple):
-    """The best that was found with the quantity at a value."""
+class FrontPoint(NamedTuple):
+    """The best result with the quantity fixed at a value."""
 
     value: float
     cost: float
@@ -33,11 +33,11 @@ class Held(NamedTuple):
 
     @property
     def not_met(self) -> list[Row]:
-        return [row for row in AIMS if not row.met(self.measured[row.name])]
+        return [row for row in FITTED_ROWS if not row.met(self.measured[row.name])]
 
 
 def parsed(text: str) -> tuple[str, list[float]]:
-    """Return name and values of 'NAME=V1,V2,...'. Raises InputError if it is not so."""
+    """Return name and values of 'NAME=V1,V2,...'. Raises InputError for any other text."""
     name, _, values = text.partition('=')
     try:
         return name, [float(value) for value in values.split(',')]
@@ -47,42 +47,43 @@ def parsed(text: str) -> tuple[str, list[float]]:
 
 
 def front(name: str, values: Sequence[float], start: Candidate, rounds: int,
-          report: Progress = silent) -> list[Held]:
+          report: Progress = silent) -> list[FrontPoint]:
     """Return the best with a quantity at each value. Raises InputError for an unknown name."""
-    held = []
+    points = []
     for done, value in enumerate(values):
         report(f'{name} = {value:g}', done / len(values))
         search = new_search(start, Structure(name, {name: value}), 1, 0.1)
         search.polish(rounds)
         measured = search.problem.measure(search.best)
-        held.append(Held(value, search.problem.cost(search.best, measured), search.polished,
-                         measured))
+        points.append(FrontPoint(value, search.problem.cost(search.best, measured),
+                                 search.polished, measured))
         start = result(search)
-    return held
+    return points
 
 
-def table(name: str, held: Sequence[Held]) -> str:
+def table(name: str, points: Sequence[FrontPoint]) -> str:
     """Return the front as a table in Markdown."""
     lines = [f'| `{name}` | cost | rows not met | evaluations |', '|---|---|---|---|']
-    for each in held:
+    for each in points:
         rows = ', '.join(f'{fact.id} {row.name} {each.measured[row.name]:.4g}'
                          for fact in FACTS for row in fact.rows if row in each.not_met) or 'none'
         lines.append(f'| {each.value:g} | {each.cost:.2f} | {rows} | {each.evaluations} |')
     return '\n'.join(lines) + '\n'
 
 
-def picture(name: str, held: Sequence[Held]) -> Figure:
+def picture(name: str, points: Sequence[FrontPoint]) -> Figure:
     """Draw the cost against the quantity, with the number of rows that are not met."""
     with style():
         figure = Figure(figsize=(WIDTH_IN, 2.8), layout='constrained')
         axes = figure.subplots()
-        axes.plot([each.value for each in held], [each.cost for each in held], 'o-', color=BLUE)
-        for each in held:
+        axes.plot([each.value for each in points], [each.cost for each in points], 'o-',
+                  color=BLUE)
+        for each in points:
             axes.annotate(f'{len(each.not_met)}', (each.value, each.cost),
                           textcoords='offset points', xytext=(0.0, 7.0), ha='center')
         axes.set(xlabel=name, ylabel='sum of misses (half widths)')
         axes.margins(y=0.2)
-        axes.set_title('What the facts pay; number: rows not met')
+        axes.set_title('Cost of the facts; number: rows not met')
     return figure
 
 
@@ -99,17 +100,17 @@ class Front(Result):
 
 def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress) -> Front:
     """
-    Do what `asi calibrate --front` is asked to; return its document.
+    Compute a front, write its table and picture; return the result.
 
-    Raises InputError for a front or a start that makes no sense.
+    Raises InputError for an invalid front or start.
     """
     name, values = parsed(text)
-    held = front(name, values, read_best(start) if start else Candidate({}, Conditions()), rounds,
-                 report)
+    points = front(name, values, read_best(start) if start else Candidate({}, Conditions()),
+                   rounds, report)
     out.mkdir(parents=True, exist_ok=True)
-    write_text(out / 'front.md', table(name, held))
-    save(picture(name, held), out / 'front.png', 110.0)
+    write_text(out / 'front.md', table(name, points))
+    save(picture(name, points), out / 'front.png', 110.0)
     return Front({
         'quantity': name, 'out': str(out),
         'front': [{'value': each.value, 'cost': each.cost, 'evaluations': each.evaluations,
-                   'not_met': [row.name for row in each.not_met]} for each in held]})
+                   'not_met': [row.name for row in each.not_met]} for each in points]})

@@ -1,4 +1,4 @@
-"""Which parameters lie outside what is physically plausible, or on a bound of the search."""
+"""Checks for parameters outside their physically plausible range or on a bound of the search."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,9 +8,9 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.paper.calibration.quantities import FREE, Candidate, quantities
 from asi_common.parameter import completed
 
-# A share of a range this near to a bound is on it.
+# Distance from a bound, as a share of the range, that counts as on the bound.
 ON_BOUND: Final = 0.01
-# Frequency (Hz) of the limit cycle, at which the loss of the seals counts.
+# Frequency (Hz) of the limit cycle, at which the loss factor of the seals is computed.
 CYCLE_HZ: Final = 90.0
 PACKAGE_KG: Final = 0.5
 
@@ -18,7 +18,7 @@ Numbers = Mapping[str, float]
 
 
 class Range(NamedTuple):
-    """A plausible range of what several parameters make together, and what it rests on."""
+    """The plausible range of a quantity derived from several parameters, and its source."""
 
     name: str
     unit: str
@@ -29,7 +29,7 @@ class Range(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A quantity that is not plausible, or stands on a bound; figures in `unit`."""
+    """A quantity outside its plausible range or on a bound; figures in `unit`."""
 
     name: str
     value: float
@@ -67,7 +67,7 @@ OF_SPRING: Final = (
 
 
 def derived(one: Candidate) -> list[tuple[Range, float]]:
-    """Return what the parameters of a candidate make together, with the range of each."""
+    """Return the derived quantities of a candidate, each with its range."""
     def numbers(values: Mapping[str, object]) -> Numbers:
         return {name: value for name, value in values.items() if isinstance(value, float)}
 
@@ -80,7 +80,7 @@ def derived(one: Candidate) -> list[tuple[Range, float]]:
 
 
 def findings(one: Candidate) -> list[Finding]:
-    """Return what is not plausible about a candidate, or stands on a bound of the search."""
+    """Return the quantities of a candidate that are implausible or on a bound of the search."""
     found = [Finding(each.name, value, each.low, each.high, each.unit, 'outside its range',
                      each.source)
              for each, value in derived(one) if not each.low <= value <= each.high]
@@ -100,6 +100,6 @@ def findings(one: Candidate) -> list[Finding]:
 
 
 def penalty(one: Candidate) -> float:
-    """Return what a search pays for values outside their ranges: 1 for a factor of e each."""
+    """Return the cost of derived quantities outside their ranges: 1 for each factor of e."""
     return sum(abs(math.log(max(value, 1e-9) / min(max(value, each.low), each.high)))
                for each, value in derived(one) if not each.low <= value <= each.high)

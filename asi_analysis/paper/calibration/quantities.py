@@ -1,4 +1,4 @@
-"""What a search may vary: parameters of the actuator, and the conditions of Table 1."""
+"""The free quantities of a search: parameters of the actuator, and conditions of Table 1."""
 
 import json
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 
 class Candidate(NamedTuple):
-    """A point of the search as what it stands for."""
+    """A point of the search: actuator parameters and conditions."""
 
     actuator: Values
     conditions: Conditions
 
 
 def _value(one: Candidate, name: str) -> float:
-    """Return a quantity of a candidate: an actuator's parameter or a condition of Table 1."""
+    """Return a quantity of a candidate: an actuator parameter or a condition of Table 1."""
     actuator = completed(one.actuator, ACTUATOR_PARAMETERS)
     kind, _, rest = name.partition('.')
     if kind != 'conditions':
@@ -49,7 +49,7 @@ FIG_3: Final = 'Fig. 3: the damping builds up and saturates within 1 m/s'
 CARD: Final = JUDGED + 'analogue card of the 1990s: conditioning between 0.2 and 5 kHz'
 SEALS: Final = JUDGED + 'seals that break away at 27 N after 0.01 to 1 mm'
 TABLE_1: Final = 'the paper does not say; within the thrust and the range of its leads'
-# The bounds are the range that is physically plausible, so that a search stays in it.
+# The bounds are the physically plausible ranges, so that a search stays within them.
 FREE: Final = (
     _free('valve_flexure.coil_frequency', 14.0, 40.0, VALVE),
     _free('valve_flexure.natural_frequency', 150.0, 2500.0, VALVE),
@@ -96,7 +96,7 @@ PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
 
 
 class Structure(NamedTuple):
-    """A structure of the model to search, and the quantities that it holds fixed."""
+    """A variant of the model for a search, and the quantities fixed in it."""
 
     words: str
     fixed: Mapping[str, float] = {}
@@ -158,9 +158,9 @@ def write_best(one: Candidate, path: Path) -> None:
 
 def read_best(path: Path) -> Candidate:
     """
-    Return a candidate that `write_best` wrote.
+    Return a candidate from a file of `write_best`.
 
-    Raises InputError if the file holds none, or one with several loads or steps in Table 1.
+    Raises InputError if the file has none, or one with several loads or steps in Table 1.
     """
     try:
         document = json.loads(path.read_text())

@@ -1,9 +1,9 @@
 """
-The search for the parameters that bring the simulator closest to the published facts.
+The search for the parameters with which the simulator fits the published facts best.
 
-First CMA-ES (Hansen, "The CMA evolution strategy: a tutorial", 2016) over the whole box, where
-only the best points of a generation are measured in full; then successive linear programs from
-its best.
+First CMA-ES (Hansen, "The CMA evolution strategy: a tutorial", 2016) within all bounds; only the
+best points of a generation are measured completely. Then sequential linear programming from the
+best point.
 """
 
 import math
@@ -32,24 +32,24 @@ from asi_analysis.paper.calibration.quantities import (
 )
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured, Setup, Stage
-from asi_analysis.paper.facts.table import AIMS, FACTS
+from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import replacing
 
 Array = npt.NDArray[np.float64]
 
-# For the search only: coarse, as long as every row moves by less than a tenth of its limits.
+# For the search only: coarser, but every row changes by less than a tenth of its limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.0015
 SEARCH_RATIO_ACCURACY: Final = 0.004
 SEARCH_WATCHED_S: Final = 16.0
-# So many of the points of a generation are measured in each stage: a race.
+# Number of points of a generation that are measured in each stage: the best of the stage before.
 RACE: Final = (64, 16, 8, 6, 4)
-# Sorts a point that left the race behind every point that went on.
+# Ranks a point that was dropped in a stage behind all points that were measured further.
 BEHIND: Final = 1e3
-# Of the polish: first reach of a step, its limits, and the shares of it that are tried.
+# Trust region of the polish: initial radius, limits, and multiples of it that are tried.
 REACH: Final = 0.08
 LEAST_REACH: Final = 0.003
 MOST_REACH: Final = 0.25
@@ -58,7 +58,7 @@ STEEPEST: Final = 80.0
 
 
 def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
-    """Return the values of the fitted rows of a stage, with what was measured before."""
+    """Return `measured` with the values of the fitted rows of a stage added."""
     setup = Setup(one.actuator, one.conditions._replace(
         onset_steps_n=SEARCH_STEPS_N, onset_accuracy=SEARCH_ACCURACY,
         onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY),
@@ -70,29 +70,29 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
 
 
 class Problem(NamedTuple):
-    """What a search works on: fixed parameters and conditions, and the quantities left free."""
+    """The problem of a search: fixed parameters and conditions, and the free quantities."""
 
     fixed: Values
     conditions: Conditions
-    free: tuple[int, ...]     # numbers of the quantities of FREE that vary
-    start: Array              # a point of the whole cube
+    free: tuple[int, ...]     # indices in FREE of the quantities that vary
+    start: Array              # a point of the unit cube of all quantities
 
     def whole(self, point: Array) -> Array:
-        """Return the point of the whole cube that a point of the free quantities stands for."""
+        """Return the point of the cube of all quantities for a point of the free ones."""
         full = self.start.copy()
         full[list(self.free)] = np.clip(point, 0.0, 1.0)
         return full
 
     def candidate(self, point: Array) -> Candidate:
-        """Return what a point of the free quantities stands for."""
+        """Return the candidate at a point of the free quantities."""
         return candidate(to_values(FREE, self.whole(point)), self.fixed, self.conditions)
 
     def cost(self, point: Array, measured: Measured) -> float:
-        """Return what a point costs: its misses, and what is not plausible about it."""
+        """Return the cost of a point: that of its misses and of implausible quantities."""
         return cost(misses(measured)) + penalty(self.candidate(point))
 
     def measure(self, point: Array) -> Measured:
-        """Return all that the rows need."""
+        """Return the values of all fitted rows."""
         measured: Measured = {}
         for stage in Stage:
             measured = measure_stage(self.candidate(point), stage, measured)
@@ -101,11 +101,10 @@ class Problem(NamedTuple):
 
 class Search:
     """
-    A search that can be stopped and gone on with: the same seed gives the same points.
+    A search that can be stopped and resumed; the same seed gives the same points.
 
-    problem: what is searched; seed: of CMA-ES; spread: its first standard deviation, as a share
-    of the cube. `seconds`: spent in the global search. `counts` says how many points have been
-    measured in each stage of the race.
+    seed: of CMA-ES; spread: its initial standard deviation, as a share of the cube. `seconds`:
+    time spent in the global search. `counts`: number of points measured in each stage.
     """
 
     def __init__(self, problem: Problem, seed: int, spread: float) -> None:
@@ -123,11 +122,11 @@ class Search:
 
     @property
     def evaluations(self) -> int:
-        """How many points the global search has tried."""
+        """Number of points that the global search has tried."""
         return self.counts[0]
 
     def generation(self, apply: Callable[..., Any] = map) -> None:
-        """Try one generation; `apply` maps a function over jobs, in order."""
+        """Evaluate one generation; `apply` maps a function over jobs, in order."""
         points = [np.asarray(point) for point in self.strategy.ask()]
         measured: list[Measured] = [{} for _ in points]
         ranks = np.empty(len(points))
@@ -151,11 +150,11 @@ class Search:
     def polish(self, rounds: int, apply: Callable[..., Any] = map,
                report: Progress = silent) -> None:
         """
-        Go on from the best point by successive linear programs.
+        Continue from the best point by sequential linear programming.
 
-        Each row is a straight line about the point, and the step within the reach with the least
-        sum of misses is a linear program (Griffith and Stewart, Management Science 7, 1961): it
-        sees the limits of the rows that are met as well, which least squares do not.
+        Each row is linearised about the point. The step in the trust region with the least sum of
+        misses is a linear program (Griffith and Stewart, Management Science 7, 1961). It accounts
+        for the limits of rows that are met, which least squares do not.
         """
         point, reach = self.best.copy(), REACH
         measured = self._measured([point], apply)[0]
@@ -182,7 +181,7 @@ class Search:
 
     def _slopes(self, point: Array, measured: Measured, reach: float, seed: int,
                 apply: Callable[..., Any]) -> tuple[Array, tuple[float, Array, Measured]]:
-        """Return the slopes of all rows (rows x quantities), and the best point on the way."""
+        """Return the slopes of all rows (rows x quantities), and the best of the points tried."""
         size = min(max(0.5 * reach, 0.004), 0.02)
         steps = np.where(np.random.default_rng(seed).random(point.size) < 0.5, size, -size)
         steps = np.where((point + steps < 0.0) | (point + steps > 1.0), -steps, steps)
@@ -201,7 +200,7 @@ class Search:
         return list(apply(_measure_whole, [(self.problem, point) for point in points]))
 
     def save(self, path: Path) -> None:
-        """Write the state; a crash while writing leaves the last one."""
+        """Write the state; a crash while writing leaves the previous one."""
         with replacing(path) as temporary:
             temporary.write_bytes(pickle.dumps(self))
 
@@ -210,20 +209,20 @@ def _outside(point: Array) -> float:
     return 10.0 * float(np.sum((point - np.clip(point, 0.0, 1.0))**2))
 
 
-LINES: Final = tuple(row for row in AIMS if row.low != row.high)
+LINES: Final = tuple(row for row in FITTED_ROWS if row.low != row.high)
 TWO_SIDED: Final = np.array([not row.one_sided for row in LINES])
 
 
 def _bounds(measured: Measured) -> Array:
-    """Return where each row that has limits is, in half widths."""
+    """Return the bounded position of each row with limits, in half widths."""
     return np.array([bounded(row, measured[row.name]) for row in LINES])
 
 
 def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
-    """Return the point within a reach with the least sum of misses, were all rows straight."""
+    """Return the point within `reach` that has the least sum of misses of the linearised rows."""
     from scipy.optimize import linprog
     slack = -np.eye(here.size)
-    # A little further in than needed: the rows are not quite straight.
+    # Slightly tighter limits than needed, since the rows are not exactly linear.
     inner = INNER - 0.03
     sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[TWO_SIDED]])
     limits = np.concatenate([inner - here, (inner + here)[TWO_SIDED]])
@@ -243,7 +242,7 @@ def _measure_whole(job: tuple[Problem, Array]) -> Measured:
 
 
 def load(path: Path) -> Search:
-    """Return a search that was saved. Raises InputError if there is none in the file."""
+    """Return a saved search. Raises InputError if the file has none."""
     try:
         found = pickle.loads(path.read_bytes())
     except (OSError, pickle.UnpicklingError, EOFError, ImportError, AttributeError) as error:
@@ -256,12 +255,11 @@ def load(path: Path) -> Search:
 def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
                only: Sequence[str] = ()) -> Search:
     """
-    Return a search from a start.
+    Return a search that starts from a candidate.
 
-    spread: of the first generation, a share of the range of each; only: the names of the
-    quantities that are to vary, or what they begin with (all that the structure leaves free, if
-    empty). Raises InputError
-    for a spread that is none, or a name that FREE does not hold.
+    spread: of the first generation, as a share of each range; only: names, or beginnings of names,
+    of the quantities to vary (if empty, all that the structure leaves free). Raises InputError for
+    an invalid spread, or a name that is not in FREE.
     """
     if not 0.0 < spread <= 1.0:
         raise InputError(f'spread = {spread:g} is not allowed: above 0, at most 1')
@@ -286,7 +284,7 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
 
 def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
               report: Progress = silent) -> Search:
-    """Search until so many evaluations are made, then polish; the state is kept in a file."""
+    """Search up to a number of evaluations, then polish; the state is saved to a file."""
     def apply(function: Callable[..., Any], jobs: Iterable[Any]) -> Iterable[Any]:
         return each(function, ((job,) for job in jobs))
 
@@ -304,7 +302,7 @@ def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
 
 
 def result(search: Search) -> Candidate:
-    """Return the best candidate, without what only the search needs."""
+    """Return the best candidate, without the settings of the search."""
     best = search.problem.candidate(search.best)
     return best._replace(actuator={name: value for name, value in best.actuator.items()
                                    if name not in SEARCH})

@@ -1,4 +1,4 @@
-"""Bandwidths by sines, one after the other: open loop, and closed small and large (2.2)."""
+"""Bandwidths by stepped sines, open loop and closed loop (section 2.2)."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ WHOLE_PERIODS: Final = 4
 
 
 def _periods(frequency_hz: float, refinement: int) -> tuple[int, int]:
-    """Return how many samples settle and how many are projected, both whole periods."""
+    """Return the numbers of samples for settling and for the projection, both whole periods."""
     period = RATE_HZ / frequency_hz
     settling = math.ceil(refinement * SETTLING_S * frequency_hz) * period
     return round(settling), round(refinement * WHOLE_PERIODS * period)
@@ -23,8 +23,8 @@ def _periods(frequency_hz: float, refinement: int) -> tuple[int, int]:
 def _amplitude(force: Array, frequency_hz: float, samples: int) -> float:
     """Return the amplitude of the last `samples` of a force at a frequency."""
     first = force.size - samples
-    turn = np.exp(-2j * np.pi * frequency_hz / RATE_HZ * np.arange(first, force.size))
-    return float(2.0 / samples * abs(np.sum((force[first:] - force[first:].mean()) * turn)))
+    carrier = np.exp(-2j * np.pi * frequency_hz / RATE_HZ * np.arange(first, force.size))
+    return float(2.0 / samples * abs(np.sum((force[first:] - force[first:].mean()) * carrier)))
 
 
 def open_loop_gain(plant: np.void, amplitude_n: float, frequency_hz: float, refinement: int = 1
@@ -48,13 +48,13 @@ def closed_loop_gain(plant: np.void, controller: Values, amplitude_n: float, fre
 def bandwidth_hz(gain: Callable[[float], float], low_hz: float,
                  frequencies_hz: Sequence[float], refinement: int = 1) -> float:
     """
-    Return where `gain` has fallen by 3 dB from that at `low_hz`; infinite if it does not.
+    Return the frequency at which `gain` is 3 dB below its value at `low_hz`; infinite if none.
 
-    frequencies_hz: rising; between two of them the gain is a power of the frequency. refinement:
-    so many times as many of them are used.
+    frequencies_hz: rising; between two of them the gain is interpolated as a power of the
+    frequency. refinement: factor by which the grid of frequencies is refined.
     """
-    places = np.arange((len(frequencies_hz) - 1) * refinement + 1) / refinement
-    finer = np.exp(np.interp(places, np.arange(len(frequencies_hz)), np.log(frequencies_hz)))
+    index = np.arange((len(frequencies_hz) - 1) * refinement + 1) / refinement
+    finer = np.exp(np.interp(index, np.arange(len(frequencies_hz)), np.log(frequencies_hz)))
     level = gain(low_hz) / math.sqrt(2.0)
     before_hz, before = low_hz, level * math.sqrt(2.0)
     for frequency in finer if refinement > 1 else frequencies_hz:

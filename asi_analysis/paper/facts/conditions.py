@@ -1,8 +1,7 @@
 """
-The conditions of the experiments, which the paper gives only in part.
+The conditions of the experiments: loads, steps and compensator gains.
 
-What it does not give (loads, steps, gains of the lead compensators) is chosen here, once, and
-stated with each row.
+The paper gives them only in part. The others are chosen here and stated with each row.
 """
 
 from typing import Final, NamedTuple
@@ -21,7 +20,7 @@ STEP_N: Final = 506.2
 
 
 class Conditions(NamedTuple):
-    """Everything about the experiments that is not the actuator."""
+    """The conditions of all experiments; the actuator's parameters are not among them."""
 
     proportional: StepTest = StepTest(
         {'compensator': 'proportional', 'gain': PROPORTIONAL_GAIN}, STEP_N, LOAD)
@@ -31,13 +30,13 @@ class Conditions(NamedTuple):
     # The setting that suits the locked piston: on this load it leaves no cycle at any step.
     lead4: StepTest = StepTest(LEAD4.controller, STEP_N, LOAD)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
-    # Section 3.1 gives 0 to 600 N. A step of 0 N starts nothing: a step back from 100 N does.
+    # Section 3.1 gives 0 to 600 N. A step of 0 N excites nothing, so it is a step from 100 N to 0.
     start_n: float = 100.0
     onset_steps_n: tuple[float, ...] = (0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
     onset_accuracy: float = 0.0005
-    # Of an onset without one of the nonlinearities, over the onset with all of them.
+    # Of the ratio of an onset without one of the nonlinearities to the onset with all of them.
     ratio_accuracy: float = 0.01
-    # How long a loop is watched to decide whether its oscillation is sustained.
+    # Longest simulation to decide whether an oscillation is sustained.
     onset_watched_s: float = 32.0
     # Fig. 6: a step of this size, at this multiple of the onset gain.
     cycle_step_n: float = 100.0

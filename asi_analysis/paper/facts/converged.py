@@ -1,4 +1,4 @@
-"""A measured figure with the change that twice the resolution makes to it."""
+"""A measured figure and its change at twice the resolution."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,7 +9,7 @@ class Converged(NamedTuple):
     """
     A figure at its setting and at twice the resolution, both in the unit of the figure.
 
-    note: what a reader of the figure must know, such as two methods that disagree; often empty.
+    note: a remark on the figure, such as two methods that disagree; often empty.
     """
 
     value: float
@@ -18,7 +18,7 @@ class Converged(NamedTuple):
 
     @property
     def change(self) -> float:
-        """`refined` less `value`; 0 if both are the same infinity, NaN if one is missing."""
+        """`refined` minus `value`; 0 if both are the same infinity, NaN if one is missing."""
         return 0.0 if self.value == self.refined else self.refined - self.value
 
     @property
@@ -36,7 +36,7 @@ def converged(measure: Callable[[int], Mapping[str, float]], notes: Mapping[str,
     """
     Return each figure of a measurement with its change at twice the resolution.
 
-    measure: takes the refinement (1: as it is, 2: twice as fine) and returns figures by name.
+    measure: takes the refinement (1: nominal, 2: twice as fine) and returns figures by name.
     """
     coarse, fine = measure(1), measure(2)
     return {name: Converged(float(value), float(fine[name]), (notes or {}).get(name, ''))

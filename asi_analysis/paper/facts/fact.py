@@ -1,4 +1,4 @@
-"""What a published fact declares: its rows, how they are measured, and in which words."""
+"""The declaration of a published fact: its rows, their measurement and conditions."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ INFINITE: Final = math.inf
 
 
 class Role(StrEnum):
-    """What a row is for the fit: an input of the model, an aim, or a check afterwards."""
+    """Role of a row in the fit: input of the model, fitted, or held out for validation."""
 
     GIVEN = 'given'
     FITTED = 'fitted'
@@ -25,7 +25,7 @@ class Role(StrEnum):
 
 
 class Stage(StrEnum):
-    """When a search measures a fact: what costs least for what it tells comes first."""
+    """Order in which a search measures the facts: the cheapest for their information first."""
 
     PREDICTION = 'describing function, damping'
     TABLE_1 = 'Table 1'
@@ -36,11 +36,11 @@ class Stage(StrEnum):
 
 class Setup(NamedTuple):
     """
-    What a fact is measured on.
+    The actuator and conditions on which facts are measured.
 
-    measured: what has been measured before on this set-up, by name. runner: makes a closed-loop
-    run, in this process or with the nodes. refinement: of every resolution; 2 halves steps and
-    doubles times. fitted_only: measure only what the fitted rows need.
+    measured: values measured before on this set-up, by name. runner: makes a closed-loop run, in
+    this process or with the nodes. refinement: factor on every resolution; 2 halves steps and
+    doubles durations. fitted_only: measure only what the fitted rows need.
     """
 
     actuator: Values
@@ -67,7 +67,7 @@ class Setup(NamedTuple):
         return Bench(plant, self.proportional(gain))
 
     def refined(self, refinement: int) -> 'Setup':
-        """Return the set-up at a finer resolution; nothing has been measured on it."""
+        """Return the set-up at a finer resolution, without measured values."""
         conditions = self.conditions
         return self._replace(
             actuator={**self.actuator, 'maximum_substep':
@@ -93,7 +93,7 @@ class Row(NamedTuple):
 
     @property
     def tolerance(self) -> str:
-        """Say in words which values meet the row."""
+        """Describe in words which values meet the row."""
         if self.low == self.high:
             return f'exactly {self.low:g}'
         if math.isinf(self.high):
@@ -104,7 +104,7 @@ class Row(NamedTuple):
 
     @property
     def one_sided(self) -> bool:
-        """Return whether there is one limit only: at least, or at most from a published 0."""
+        """Return whether the row has one limit only: a minimum, or a maximum from 0."""
         return math.isinf(self.high) or self.low == 0.0
 
     def met(self, value: float) -> bool:
@@ -116,9 +116,9 @@ class Fact(NamedTuple):
     """
     A published fact, declared as FACT by a file of `published`.
 
-    measure: returns the value of each row by its name. conditions: says under which. stage: None
-    if no row is fitted. over_ros: the part of `measure` that is made of single closed-loop runs,
-    which the nodes can make too. notes: what a reader must know of a measured row, by its name.
+    measure: returns the value of each row by its name. conditions: describes the conditions.
+    stage: None if no row is fitted. over_ros: the part of `measure` that consists of single
+    closed-loop runs, which the nodes can make too. notes: remarks on measured rows, by name.
     """
 
     id: str
@@ -133,6 +133,6 @@ class Fact(NamedTuple):
 
 def around(name: str, quantity: str, section: str, published: float, unit: str, share: float,
            role: Role = Role.FITTED) -> Row:
-    """Return a row that is met within a share of the published value on either side."""
+    """Return a row that is met within plus or minus a share of the published value."""
     return Row(name, quantity, section, published, unit, published * (1.0 - share),
                published * (1.0 + share), role)

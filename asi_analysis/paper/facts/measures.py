@@ -14,7 +14,6 @@ from asi_analysis.loop.one_harmonic import (
     OneHarmonic,
     at_gain,
     first_intersection,
-    linear_limit,
     locus,
 )
 from asi_analysis.loop.onset import Onset, disagreement, fold, onset
@@ -26,18 +25,18 @@ from asi_common.parameter import Value
 
 PAPER_GAIN: Final = 15.0
 NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
-# The gain at which an onset is looked for first, and the highest that is tried.
-FIRST_LOOK: Final = 6.0
+# Initial gain of the search for an onset, and the highest gain tried.
+FIRST_GAIN: Final = 6.0
 HIGHEST_GAIN: Final = 80.0
 CYCLE_S: Final = 1.2
-# At its onset a cycle takes long to settle.
+# A cycle settles slowly close to its onset.
 ONSET_CYCLE_S: Final = 8.0
-# Amplitudes of the command (N) at which the paper's prediction is worked out.
+# Amplitudes of the command (N) at which the paper's prediction is computed.
 PREDICTED_N: Final = np.geomspace(60.0, 8e3, 30)
 # Samples at the end of a run over which a cycle is measured.
-LAST: Final = 1500
-# An onset without one of the nonlinearities is looked for up to so many times the onset.
-MOST_RATIO: Final = 3.0
+LAST_SAMPLES: Final = 1500
+# Upper limit of the search for an onset without a nonlinearity, as a multiple of the onset gain.
+HIGHEST_RATIO: Final = 3.0
 
 
 def _gain(conditions: Conditions, gain: float) -> Values:
@@ -52,7 +51,7 @@ def step_settings(conditions: Conditions, gain: float, step_n: float) -> Values:
     """
     Return the controller's parameters for a step of Fig. 7 from rest.
 
-    A step of 0 N starts nothing: it is a step back from `start_n`.
+    A step of 0 N would excite nothing, so it is a step from `start_n` to 0.
     """
     from_n = conditions.start_n if step_n == 0.0 else 0.0
     return {**_gain(conditions, gain), 'reference.offset': from_n,
@@ -61,26 +60,26 @@ def step_settings(conditions: Conditions, gain: float, step_n: float) -> Values:
 
 def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] | None = None
            ) -> Measured:
-    """Return the gains of Fig. 7; those that are known already, by name, are not measured."""
+    """Return the onset gains of Fig. 7 by name; those in `known` are not measured again."""
     locked = {**actuator, **LOCKED}
     measured: Measured = dict(known or {})
-    near = next((gain for gain in measured.values() if math.isfinite(gain)), None)
+    last = next((gain for gain in measured.values() if math.isfinite(gain)), None)
     for step in conditions.onset_steps_n:
         name = onset_name(step, 'gain')
         if name not in measured:
             # The next onset is near the last one.
-            start = 0.95 * near if near else FIRST_LOOK
+            start = 0.95 * last if last else FIRST_GAIN
             found = onset(locked, step_settings(conditions, start, step), RATE_HZ, start,
                           conditions.onset_accuracy, conditions.onset_watched_s,
                           HIGHEST_GAIN / start)
             measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
-            near = measured[name]
+            last = measured[name]
     return measured
 
 
 def onset_gains(setup: Setup, steps_n: tuple[float, ...]) -> Measured:
-    """Return what is known of a set-up when its onset gains at some steps (N) are."""
+    """Return `setup.measured` with the onset gains at some steps (N) added."""
     known = {name: value for name, value in setup.measured.items()
              if name.startswith('onset_gain_')}
     setup.measured.update(onsets(setup.actuator, setup.conditions._replace(onset_steps_n=steps_n),
@@ -96,19 +95,20 @@ def onset_gain(setup: Setup) -> float:
 
 
 def onset_notes(actuator: Values, conditions: Conditions, gains: Measured) -> dict[str, str]:
-    """Return what to say of each onset that is not the fold of harmonic balance, by name."""
+    """Return a note, by name, for each onset that differs from the fold of harmonic balance."""
     notes: dict[str, str] = {}
     for step in conditions.onset_steps_n:
         gain = gains[onset_name(step, 'gain')]
         if math.isfinite(gain):
-            at = fold({**actuator, **LOCKED}, step_settings(conditions, gain, step), RATE_HZ, gain)
-            if note := disagreement(Onset(gain, math.nan, math.nan, math.nan), at):
+            balance = fold({**actuator, **LOCKED}, step_settings(conditions, gain, step), RATE_HZ,
+                           gain)
+            if note := disagreement(Onset(gain, math.nan, math.nan, math.nan), balance):
                 notes[onset_name(step, 'frequency_hz')] = note
     return notes
 
 
 def onset_rise(measured: Measured, conditions: Conditions) -> Measured:
-    """Return how the onset gain rises with the step, of the gains that have been measured."""
+    """Return the rise (%) of the measured onset gains: the least between steps, and in total."""
     gains = np.array([measured[onset_name(step, 'gain')] for step in conditions.onset_steps_n])
     if not np.isfinite(gains).all():
         return {'onset_least_rise_percent': -math.inf, 'onset_rise_percent': -math.inf}
@@ -118,7 +118,7 @@ def onset_rise(measured: Measured, conditions: Conditions) -> Measured:
 
 def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,
                       runner: Runner = in_process) -> Measured:
-    """Return the frequencies of Fig. 7: of the cycles at the onset gains."""
+    """Return the frequencies (Hz) of Fig. 7: those of the cycles at the onset gains."""
     measured: Measured = {}
     for step in conditions.onset_steps_n:
         gain, frequency = gains[onset_name(step, 'gain')], 0.0
@@ -126,21 +126,21 @@ def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,
             run = runner(step_experiment(
                 {**actuator, **LOCKED}, _gain(conditions, gain), step, ONSET_CYCLE_S,
                 conditions.start_n if step == 0.0 else 0.0))
-            frequency = of_samples(run.force_n[-LAST:], RATE_HZ).frequency_hz
+            frequency = of_samples(run.force_n[-LAST_SAMPLES:], RATE_HZ).frequency_hz
         measured[onset_name(step, 'frequency_hz')] = frequency
     return measured
 
 
 def high_gain_cycle(actuator: Values, conditions: Conditions, onset_gain: float,
                     runner: Runner = in_process, refinement: int = 1) -> Measured:
-    """Return the cycle of Fig. 6."""
+    """Return the cycle of Fig. 6: frequency, amplitude, distortion and largest valve opening."""
     if not math.isfinite(onset_gain):
         return {'cycle_frequency_hz': 0.0, 'cycle_thd_percent': 100.0, 'cycle_amplitude_n': 0.0,
                 'cycle_peak_valve_percent': 100.0}
     run = runner(step_experiment(
         {**actuator, **LOCKED}, _gain(conditions, conditions.cycle_gain * onset_gain),
         conditions.cycle_step_n, refinement * CYCLE_S))
-    last = refinement * LAST
+    last = refinement * LAST_SAMPLES
     found = of_samples(run.force_n[-last:], RATE_HZ)
     full = float(as_record(actuator)['valve_characteristic_full_opening'])
     return {'cycle_frequency_hz': found.frequency_hz, 'cycle_amplitude_n': found.amplitude_n,
@@ -149,20 +149,24 @@ def high_gain_cycle(actuator: Values, conditions: Conditions, onset_gain: float,
                 100.0 * float(np.abs(run.valve_position_m[-last:]).max()) / full}
 
 
-def free_onset(actuator: Values, conditions: Conditions, changes: Mapping[str, Value],
-               onset_gain: float, most: float, accuracy: float) -> float:
-    """Return the onset gain of a changed actuator as a multiple; `most` if it is not less."""
+def onset_ratio(actuator: Values, conditions: Conditions, changes: Mapping[str, Value],
+                onset_gain: float, highest: float, accuracy: float) -> float:
+    """Return the onset gain of a changed actuator over `onset_gain`, at most `highest`."""
     if not math.isfinite(onset_gain):
         return 0.0
     found = onset({**actuator, **LOCKED, **changes},
                   step_settings(conditions, onset_gain, conditions.cycle_step_n),
-                  RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, most)
-    return min(found.gain / onset_gain, most) if found else most
+                  RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, highest)
+    return min(found.gain / onset_gain, highest) if found else highest
 
 
 def paper_prediction(actuator: Values, samples: int = SAMPLES) -> tuple[
         OneHarmonic, list[Intersection]]:
-    """Return the paper's prediction: continuous time, no limit of the command, fluid a gain."""
+    """
+    Return the loop of the paper's prediction, and the locus of its intersections.
+
+    Continuous time, no limit of the command, the fluid as a gain.
+    """
     of = OneHarmonic(loop_of({**actuator, **LOCKED, 'fluid_dynamics.model': 'off'},
                              {'gain': 1.0}, RATE_HZ), held=False, limited=False, samples=samples)
     return of, locus(of, PREDICTED_N)
@@ -171,10 +175,10 @@ def paper_prediction(actuator: Values, samples: int = SAMPLES) -> tuple[
 def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float,
                      samples: int = SAMPLES) -> Measured:
     """
-    Return the one-harmonic prediction over the simulated cycle, from the onset to Kp = 15.
+    Return ratios of the one-harmonic prediction to the simulated cycle, from the onset to Kp = 15.
 
-    Frequency: the worst ratio, above 1. Amplitude: predicted over simulated at Kp = 15, and
-    simulated without over with damping and friction.
+    Frequency: the worst ratio, as a number above 1. Amplitude, at Kp = 15: predicted over
+    simulated, and simulated without damping and friction over simulated with them.
     """
     of, rows = paper_prediction(actuator, samples)
     first = first_intersection(of, rows)
@@ -204,27 +208,24 @@ def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float
             undamped.amplitude_n / full.amplitude_n if full and undamped else 0.0}
 
 
-def describing(actuator: Values, samples: int = SAMPLES) -> Measured:
+def predict_cycle(actuator: Values, samples: int = SAMPLES) -> Measured:
     """
-    Return what the describing function of the hysteresis alone predicts (Fig. 9).
+    Return the prediction with the describing function of the hysteresis alone (Fig. 9).
 
-    samples: a period, of the describing function.
+    samples: per period, for the describing function.
     """
     of, rows = paper_prediction(actuator, samples)
     first = first_intersection(of, rows)
-    reach = at_gain(of, rows, PAPER_GAIN) or rows[-1]
-    used = [first, *(row for row in rows if row.command_n > first.command_n
-                     and row.gain < reach.gain), reach]
-    rises = (all(np.diff([row.amplitude_n for row in used]) > 0.0)
-             and all(np.diff([row.frequency_hz for row in used]) < 0.0))
-    limit = linear_limit(of)
+    last = at_gain(of, rows, PAPER_GAIN) or rows[-1]
+    branch = [first, *(row for row in rows if row.command_n > first.command_n
+                       and row.gain < last.gain), last]
+    monotone = (all(np.diff([row.amplitude_n for row in branch]) > 0.0)
+                and all(np.diff([row.frequency_hz for row in branch]) < 0.0))
     return {
         'predicted_onset_gain': first.gain,
         'predicted_onset_frequency_hz': first.frequency_hz,
-        'predicted_highest_gain': reach.gain,
-        'predicted_frequency_fall_percent': 100.0 * (1.0 - reach.frequency_hz
+        'predicted_highest_gain': last.gain,
+        'predicted_frequency_fall_percent': 100.0 * (1.0 - last.frequency_hz
                                                      / first.frequency_hz),
-        'predicted_amplitude_rise': reach.amplitude_n / first.amplitude_n,
-        'predicted_monotone': float(rises),
-        'linear_critical_gain': limit[0] if limit else math.inf,
+        'predicted_monotone': float(monotone),
     }

@@ -1,4 +1,4 @@
-"""What is measured open loop, slowly or at a given speed: Figs. 3 to 5 and the friction."""
+"""Open-loop measurements, quasi-static or at a given speed: Figs. 3 to 5 and the friction."""
 
 from typing import Final, NamedTuple
 
@@ -14,7 +14,7 @@ OPENINGS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 FASTEST_M_S: Final = 1.0
 RAMP_S: Final = 3.0
 TRIANGLE_S: Final = 2.0
-# Slow against the Stribeck velocity; and fast against it, where only Coulomb friction is left.
+# Velocities over the Stribeck velocity: slow, and so fast that only Coulomb friction remains.
 SLOW: Final = 0.02
 FAST: Final = 4.0
 NO_FRICTION: Final = {'friction.model': 'off'}
@@ -46,11 +46,11 @@ def hysteresis_loop(actuator: Values, amplitude_n: float, sine_hz: float = 0.0,
     """
     plant = as_record({**actuator, **LOCKED})
     period = 1.0 / sine_hz if sine_hz else refinement * TRIANGLE_S
-    turns = np.arange(round(2 * period * RATE_HZ)) / (period * RATE_HZ)
-    wave = np.sin(2.0 * np.pi * turns) if sine_hz else 1.0 - 4.0 * np.abs(
-        (turns + 0.25) % 1.0 - 0.5)
+    periods = np.arange(round(2 * period * RATE_HZ)) / (period * RATE_HZ)
+    wave = np.sin(2.0 * np.pi * periods) if sine_hz else 1.0 - 4.0 * np.abs(
+        (periods + 0.25) % 1.0 - 0.5)
     run = open_loop(plant, amplitude_n * wave)
-    half = turns.size // 2
+    half = periods.size // 2
     return Curve(run.command_n[half:], run.force_n[half:])
 
 
@@ -81,36 +81,38 @@ def breakaway(actuator: Values, direction: int, refinement: int = 1) -> float:
 
 def coulomb(actuator: Values, refinement: int = 1) -> float:
     """
-    Return the friction when sliding (N): mean of both directions.
+    Return the sliding friction (N): mean of both directions.
 
-    What the same motion takes without friction, the hydraulic damping, is taken out.
+    The force of the same motion without friction, the hydraulic damping, is subtracted.
     """
     plant = as_record({**actuator, 'load.type': 'prescribed'})
-    bare = as_record({**actuator, **NO_FRICTION, 'load.type': 'prescribed'})
+    frictionless = as_record({**actuator, **NO_FRICTION, 'load.type': 'prescribed'})
     velocity = FAST * plant['friction_stribeck_velocity']
     limit = plant['friction_stiction_push'] / plant['friction_presliding_stiffness']
     duration = refinement * (4.0 * limit / velocity + 0.02)
-    return float(np.mean([abs(_moved(plant, v, duration)[-1] - _moved(bare, v, duration)[-1])
-                          for v in (velocity, -velocity)]))
+    return float(np.mean([
+        abs(_moved(plant, v, duration)[-1] - _moved(frictionless, v, duration)[-1])
+        for v in (velocity, -velocity)]))
 
 
 def damping_sweep(actuator: Values, opening: float, velocities: Array) -> Curve:
     """
     Return the damping force (N) against the velocity (m/s) of a back-driven piston (Fig. 3).
 
-    opening: valve position, -1 to 1, held by a constant command. The damping is what the force
-    at rest loses when the piston is moved; friction is switched off, as the paper plots it apart.
+    opening: valve position, -1 to 1, held by a constant command. The damping is the force at rest
+    minus that of the moving piston; friction is off, as the paper plots it separately.
     """
     plant = as_record({**actuator, **NO_FRICTION, 'load.type': 'prescribed'})
     full = plant['valve_characteristic_maximum_force'] / plant['valve_characteristic_gain']
     state = rest()
-    # The valve needs several time constants of its coil to arrive, beyond half the loop's width.
+    # Plus half the width of the hysteresis loop; 0.3 s are several time constants of the coil.
     command = opening * full + np.sign(opening) * plant['valve_hysteresis_radius']
-    still = simulate(plant, np.full(int(0.3 * RATE_HZ), command), 1.0 / RATE_HZ, state).force_n[-1]
+    at_rest = simulate(plant, np.full(int(0.3 * RATE_HZ), command), 1.0 / RATE_HZ,
+                       state).force_n[-1]
     forces = []
     for velocity in velocities:
         plant['load_velocity'] = velocity
         moved = simulate(plant, np.full(int(0.02 * RATE_HZ), command), 1.0 / RATE_HZ,
                          state.copy())
-        forces.append(still - moved.force_n[-1])
+        forces.append(at_rest - moved.force_n[-1])
     return Curve(velocities, np.array(forces))

@@ -1,4 +1,4 @@
-"""The table of facts: what the files of `published` declare, and its measurement."""
+"""The table of all facts that the files of `published` declare, and its measurement."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -19,7 +19,7 @@ def _declared() -> tuple[Fact, ...]:
 
 FACTS: Final = _declared()
 ROWS: Final[tuple[Row, ...]] = tuple(row for fact in FACTS for row in fact.rows)
-AIMS: Final = tuple(row for row in ROWS if row.role is Role.FITTED)
+FITTED_ROWS: Final = tuple(row for row in ROWS if row.role is Role.FITTED)
 
 
 def _measure(setup: Setup, report: Progress) -> Measured:
@@ -33,12 +33,12 @@ def measure(setup: Setup, report: Progress = silent) -> dict[str, Converged]:
     """
     Return every value of the table, by name, with its change at twice the resolution.
 
-    setup: what is measured, nothing before; report: told what is going on.
+    setup: without measured values; report: called with the progress.
     """
     def at(refinement: int) -> Measured:
-        def told(text: str, share: float | None) -> None:
+        def report_at(text: str, share: float | None) -> None:
             report(f'{text}, resolution x {refinement}', 0.5 * (refinement - 1 + (share or 0.0)))
-        return _measure(setup.refined(refinement), told)
+        return _measure(setup.refined(refinement), report_at)
 
     found = converged(at)
     known = setup._replace(measured={name: figure.value for name, figure in found.items()})

@@ -1,4 +1,4 @@
-"""Table 1 of the paper: what its three columns share."""
+"""Table 1 of the paper: the measurement that its three columns share."""
 
 import math
 from typing import Final
@@ -15,12 +15,12 @@ from asi_controller.compensator import design
 
 SECTION: Final = 'Table 1'
 STEP_S: Final = 0.8
-# A command that varies more than so many times its range chatters; the kick of a lead makes 3.
+# A command whose total variation exceeds this multiple of its range chatters; a lead's kick has 3.
 CHATTER: Final = 6.0
 
 
 def step_test(setup: Setup, test: StepTest, name: str) -> Measured:
-    """Return one column of Table 1, with what its waveform says about artefacts."""
+    """Return one column of Table 1, and whether its waveform is a single rise without chatter."""
     run = setup.runner(step_experiment(
         {**setup.actuator, **test.load},
         {'feedforward': setup.conditions.feedforward, **test.controller}, test.amplitude_n,
@@ -59,9 +59,10 @@ def column(id_: str, name: str, words: str, rise_s: float,
            overshoot: tuple[float, float, float], settling_s: float,
            error: tuple[float, float, float]) -> Fact:
     """
-    Return a column of Table 1 as a fact: published values with 20 % each, or (value, low, high).
+    Return a column of Table 1 as a fact.
 
-    name: the field of `Conditions` that holds its test.
+    name: the field of `Conditions` that holds its test; rise_s, settling_s: published values,
+    met within 20 %; overshoot (%), error (N): published value, low and high limit.
     """
     def measure(setup: Setup) -> Measured:
         return step_test(setup, getattr(setup.conditions, name), name)

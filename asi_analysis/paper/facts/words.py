@@ -1,4 +1,4 @@
-"""Conditions that several facts share, in words."""
+"""Descriptions of conditions that several facts share."""
 
 from typing import Final
 

@@ -1,1 +1,1 @@
-"""Every published fact beside what the simulator says."""
+"""The comparison of every published fact with the simulator: `asi reproduce`."""

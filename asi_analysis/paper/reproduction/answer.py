@@ -1,4 +1,4 @@
-"""`asi reproduce`: every published fact beside what the simulator says."""
+"""The result of `asi reproduce`: every published fact compared with the simulator."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -15,7 +15,7 @@ from asi_analysis.paper.calibration.quantities import FREE, Candidate
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.converged import Converged
 from asi_analysis.paper.facts.fact import Fact, Measured, Row, Setup
-from asi_analysis.paper.facts.table import AIMS, FACTS, measure, met
+from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS, measure, met
 from asi_analysis.paper.reproduction.table_1 import columns_alone
 from asi_analysis.reporting.result import Pictures, Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
@@ -26,10 +26,10 @@ Values = Mapping[str, Value]
 
 class Reproduction(Result):
     """
-    Every published fact and what the simulator gives: `reproduce_paper`.
+    Every published fact and its simulated value, returned by `reproduce_paper`.
 
-    The keys are those of `asi reproduce --json`; `actuator` and `conditions` are what was
-    simulated, `measured` every measured value by name, with its change.
+    The keys are those of `asi reproduce --json`. Attributes: the simulated `actuator` and
+    `conditions`, and `measured`, every measured value by name with its change.
     """
 
     title = 'Reproduction of the paper'
@@ -82,10 +82,10 @@ class Reproduction(Result):
 def reproduce_paper(actuator: Values | None = None, conditions: Conditions | None = None,
                     report: Progress = silent) -> Reproduction:
     """
-    Measure every fact that the paper publishes on the simulator, beside its published value.
+    Measure every published fact on the simulator and compare it with its published value.
 
-    actuator: parameters by name, the rest at their defaults; conditions: loads and steps that the
-    paper does not state.
+    actuator: parameters by name, the others have their defaults; conditions: loads and steps that
+    the paper does not state.
 
     >>> import asi_analysis as asi
     >>> result = asi.reproduce_paper()                                    # doctest: +SKIP
@@ -100,8 +100,8 @@ def reproduce_paper(actuator: Values | None = None, conditions: Conditions | Non
         {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
          'ids_met': whole, 'ids_total': len(FACTS), 'alone': columns_alone(setup),
          'not_plausible': [each._asdict() for each in findings(Candidate(actuator, conditions))],
-         'freedom': {'free_quantities': len(FREE), 'fitted_rows': len(AIMS),
-                     'two_sided_rows': sum(not row.one_sided for row in AIMS)},
+         'freedom': {'free_quantities': len(FREE), 'fitted_rows': len(FITTED_ROWS),
+                     'two_sided_rows': sum(not row.one_sided for row in FITTED_ROWS)},
          'over_ros': [], 'report': None},
         actuator=actuator, conditions=conditions, measured=measured)
 
@@ -119,7 +119,7 @@ def _as_document(fact: Fact, row: Row, setup: Setup, measured: Mapping[str, Conv
 
 
 class Comparison(NamedTuple):
-    """One value of a run over ROS, and of the same run in this process."""
+    """One value, measured over ROS and in this process."""
 
     value: str
     in_process: float
@@ -133,10 +133,10 @@ class Comparison(NamedTuple):
 def over_ros(result: Reproduction, out: Path,
              report: Progress = silent) -> list[Comparison]:
     """
-    Make the closed-loop rows again with the real nodes in lock-step, one bag each in `out`.
+    Measure the closed-loop rows again with the real nodes in lock-step, one bag each in `out`.
 
-    Lock-step is the same calculation, so every value must come out the same to the last bit.
-    Raises what `run_experiment` raises, and RunFailedError for a bag that is not whole.
+    Lock-step is the same calculation, so every value must be equal to the last bit. Raises the
+    errors of `run_experiment`, and RunFailedError for an incomplete bag.
     """
     def runner(experiment: Experiment) -> LoopRun:
         number = len(list(out.iterdir())) if out.exists() else 0

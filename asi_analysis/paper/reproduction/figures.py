@@ -1,4 +1,4 @@
-"""Our version of the paper's Figs. 3 to 12, on the paper's axes."""
+"""The paper's Figs. 3 to 12 from the simulator, on the paper's axes."""
 
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -83,7 +83,7 @@ def high_gain_step(actuator: Values, conditions: Conditions, onset_gain: float) 
 
 
 def onset_against_input(conditions: Conditions, measured: Mapping[str, Converged]) -> Figure:
-    """Draw Fig. 7: gain and frequency at which the cycle begins, against the step."""
+    """Draw Fig. 7: gain and frequency at the onset of the cycle, against the step."""
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout='constrained')
     steps = np.array(conditions.onset_steps_n)
     above, below = figure.subplots(2, 1, sharex=True)
@@ -102,9 +102,9 @@ def onset_against_input(conditions: Conditions, measured: Mapping[str, Converged
 
 def nyquist_of_damping(actuator: Values) -> Figure:
     """
-    Draw Fig. 8: S / (1 + S H) of section 4.1, and where -1/D of damping and friction can lie.
+    Draw Fig. 8: S / (1 + S H) of section 4.1, and the locus -1/D of damping and friction.
 
-    H with the proportional gain of the first intersection; D is real: its -1/D is the axis.
+    H has the proportional gain of the first intersection; D is real, so -1/D is the real axis.
     """
     figure, axes = _figure('Fig. 8: Nyquist plot for friction and damping')
     of, rows = paper_prediction(actuator)

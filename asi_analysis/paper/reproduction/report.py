@@ -1,4 +1,4 @@
-"""The report of `asi reproduce`: the facts, and Figs. 3 to 12 as we see them."""
+"""The report of `asi reproduce`: the facts, and the simulated Figs. 3 to 12."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Table 1 beyond its one condition: over steps and loads, and each column where it does best."""
+"""Table 1 at other conditions: over steps and loads, and each column at its best condition."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -16,8 +16,8 @@ from asi_analysis.paper.facts.table_1 import load_in_words, step_test
 from asi_analysis.reporting.figures import COLOURS, style
 from asi_common.parameter import Value
 
-# The columns by their facts and fields of `Conditions`, each at the condition that was found for
-# it alone: with different loads and steps, these are three experiments and no table.
+# The columns by their facts and fields of `Conditions`, each at the condition found for it alone.
+# With different loads and steps these are three experiments, not one table.
 ALONE: Final = {'F14': ('proportional', PROPORTIONAL), 'F15': ('lead_lag', LEAD_LAG),
                 'F16': ('lead4', LEAD4)}
 STEPS_N: Final = (20.0, 50.0, 100.0, 200.0, 300.0, 450.0, 600.0, 800.0)
@@ -28,7 +28,7 @@ def _rows(id_: str) -> tuple[Row, ...]:
 
 
 def columns_alone(setup: Setup) -> list[dict[str, Any]]:
-    """Return each column of Table 1 at the condition that suits it best; counted nowhere."""
+    """Return each column of Table 1 at its best condition; these rows are not counted."""
     def problems(test: StepTest) -> dict[str, float]:
         return {each.name: each.value for each in findings(Candidate(
             setup.actuator, setup.conditions._replace(proportional=test)))}
@@ -59,7 +59,7 @@ def sweep(setup: Setup, loads: Mapping[str, Mapping[str, Value]]
 
 
 def figure_of_sweep(setup: Setup) -> Figure:
-    """Draw the twelve cells of Table 1 over the step, one curve a load; shaded: met."""
+    """Draw the twelve cells of Table 1 over the step, one curve per load; shaded: met."""
     loads = {load_in_words(setup, test): test.load for test in (
         setup.conditions.proportional, PROPORTIONAL,
         PROPORTIONAL._replace(load={**PROPORTIONAL.load, 'load.mass': 0.5,

@@ -25,7 +25,7 @@ from asi_analysis.paper.calibration.quantities import (
 from asi_analysis.paper.calibration.search import LINES, calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import LOCKED, SPRING, Conditions, StepTest
 from asi_analysis.paper.facts.fact import Setup
-from asi_analysis.paper.facts.table import AIMS
+from asi_analysis.paper.facts.table import FITTED_ROWS
 from asi_analysis.paper.facts.table_1 import step_test
 
 SOME = ('valve_flexure.coil_frequency', 'conditions.lead_lag.gain')
@@ -116,7 +116,7 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
         found = to_values(FREE, problem.whole(point))
         seen.append(found['valve_hysteresis.radius'])
         middle = {row.name: 0.5 * (row.low + row.high) if math.isfinite(row.high)
-                  else 2.0 * row.low + 1.0 for row in AIMS}
+                  else 2.0 * row.low + 1.0 for row in FITTED_ROWS}
         return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
 
     monkeypatch.setattr(search.Problem, 'measure', measured)

@@ -10,11 +10,11 @@ from asi_analysis.measures.oscillation import oscillation
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions
 from asi_analysis.paper.facts.fact import Setup
 from asi_analysis.paper.facts.measures import (
-    describing,
     onset_frequencies,
     onset_name,
     onset_notes,
     onsets,
+    predict_cycle,
 )
 
 CONDITIONS = Conditions()
@@ -63,7 +63,7 @@ def test_onset_and_prediction_do_not_move_at_twice_the_resolution(facts):
     fine = Setup({}, CONDITIONS._replace(onset_steps_n=(300.0, 600.0)), {}).refined(2)
     for name, gain in onsets(fine.actuator, fine.conditions).items():
         assert gain == pytest.approx(facts[name], rel=1e-3)
-    coarse, fine = describing({}), describing({}, 1440)
+    coarse, fine = predict_cycle({}), predict_cycle({}, 1440)
     for name, value in fine.items():
         assert coarse[name] == pytest.approx(value, rel=1e-4)
 

@@ -1,1 +1,1 @@
-"""The published facts: each file declares one as FACT and is found from here."""
+"""The published facts: each file declares one as FACT and is found by its place here."""

@@ -16,13 +16,13 @@ SETTLING_S: Final = 1.0
 
 
 def _spread(setup: Setup) -> Measured:
-    """Return how far the cycle of Fig. 6 is from itself after pushes and from other starts."""
+    """Return the largest changes (%) of the cycle of Fig. 6 after pushes and from other starts."""
     gain, step = setup.conditions.cycle_gain * onset_gain(setup), setup.conditions.cycle_step_n
     if not math.isfinite(gain):
         return {'cycle_frequency_spread_percent': math.inf,
                 'cycle_amplitude_spread_percent': math.inf}
 
-    def start(before_n: float = 0.0, push_n: float = 0.0) -> Oscillation:
+    def cycle(before_n: float = 0.0, push_n: float = 0.0) -> Oscillation:
         bench = setup.loop(setup.record(LOCKED), gain)
         bench.run(0.3, before_n)
         bench.run(0.3, step)
@@ -30,9 +30,9 @@ def _spread(setup: Setup) -> Measured:
         bench.run(setup.refinement * SETTLING_S, step)
         return of_samples(bench.run(setup.refinement * 0.3, step).force_n, RATE_HZ)
 
-    base = start()
-    others = [*(start(push_n=push) for push in PUSHES_N),
-              *(start(before_n=before) for before in STARTS_N)]
+    base = cycle()
+    others = [*(cycle(push_n=push) for push in PUSHES_N),
+              *(cycle(before_n=before) for before in STARTS_N)]
     return {
         'cycle_frequency_spread_percent': 100.0 * max(
             abs(other.frequency_hz / base.frequency_hz - 1.0) for other in others),

@@ -2,12 +2,12 @@
 
 from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.paper.facts.fact import Fact, Measured, Setup, Stage, around
-from asi_analysis.paper.facts.measures import describing
+from asi_analysis.paper.facts.measures import predict_cycle
 from asi_analysis.paper.facts.words import PREDICTION
 
 
 def measure(setup: Setup) -> Measured:
-    return describing(setup.actuator, SAMPLES * setup.refinement)
+    return predict_cycle(setup.actuator, SAMPLES * setup.refinement)
 
 
 FACT = Fact(

@@ -2,13 +2,13 @@
 
 from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Row, Setup, Stage
-from asi_analysis.paper.facts.measures import describing
+from asi_analysis.paper.facts.measures import predict_cycle
 from asi_analysis.paper.facts.words import PREDICTION
 
 
 def measure(setup: Setup) -> Measured:
     # F9 has measured the same.
-    known = setup.measured if 'predicted_monotone' in setup.measured else describing(
+    known = setup.measured if 'predicted_monotone' in setup.measured else predict_cycle(
         setup.actuator, SAMPLES * setup.refinement)
     return {row.name: known[row.name] for row in FACT.rows}
 

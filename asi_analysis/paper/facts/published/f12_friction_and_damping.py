@@ -3,7 +3,7 @@
 from typing import Final
 
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Row, Setup, Stage
-from asi_analysis.paper.facts.measures import MOST_RATIO, free_onset, onset_gain
+from asi_analysis.paper.facts.measures import HIGHEST_RATIO, onset_gain, onset_ratio
 from asi_analysis.paper.facts.words import locked_loop
 
 HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
@@ -11,8 +11,8 @@ HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
 
 
 def measure(setup: Setup) -> Measured:
-    return {'linear_onset_ratio': free_onset(
-        setup.actuator, setup.conditions, HYSTERESIS_AS_GAIN, onset_gain(setup), MOST_RATIO,
+    return {'linear_onset_ratio': onset_ratio(
+        setup.actuator, setup.conditions, HYSTERESIS_AS_GAIN, onset_gain(setup), HIGHEST_RATIO,
         setup.conditions.ratio_accuracy)}
 
 
@@ -23,4 +23,4 @@ FACT = Fact(
     measure,
     lambda setup: (f'{locked_loop(setup)}; hysteresis and static characteristic as gains, step '
                    f'of {setup.conditions.cycle_step_n:g} N'),
-    f'least gain with a sustained cycle, up to {MOST_RATIO:g} times', Stage.CYCLE)
+    f'least gain with a sustained cycle, up to {HIGHEST_RATIO:g} times', Stage.CYCLE)

@@ -1,14 +1,14 @@
 """F13: the cycle is due to the hysteresis: without it, there is none near the onset."""
 
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Role, Row, Setup
-from asi_analysis.paper.facts.measures import MOST_RATIO, free_onset, onset_gain
+from asi_analysis.paper.facts.measures import HIGHEST_RATIO, onset_gain, onset_ratio
 from asi_analysis.paper.facts.words import locked_loop
 
 
 def measure(setup: Setup) -> Measured:
-    return {'no_hysteresis_onset_ratio': free_onset(
+    return {'no_hysteresis_onset_ratio': onset_ratio(
         setup.actuator, setup.conditions, {'valve_hysteresis.model': 'off'}, onset_gain(setup),
-        MOST_RATIO, setup.conditions.ratio_accuracy)}
+        HIGHEST_RATIO, setup.conditions.ratio_accuracy)}
 
 
 FACT = Fact(
@@ -18,4 +18,4 @@ FACT = Fact(
     measure,
     lambda setup: f'{locked_loop(setup)}; hysteresis off, step of '
                   f'{setup.conditions.cycle_step_n:g} N',
-    f'least gain with a sustained cycle, up to {MOST_RATIO:g} times')
+    f'least gain with a sustained cycle, up to {HIGHEST_RATIO:g} times')

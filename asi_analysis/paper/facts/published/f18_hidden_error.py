@@ -6,7 +6,7 @@ from asi_analysis.paper.facts.static import hysteresis_loop, loop_half_width
 
 
 def measure(setup: Setup) -> Measured:
-    """Return the error at Kp = 3 that the loop hides: (1 + Kp G) e = half width, in force."""
+    """Return the error (N) that the hysteresis hides at Kp = 3: (1 + Kp G) e = half width, N."""
     width = loop_half_width(hysteresis_loop(
         setup.actuator, setup.conditions.open_loop_amplitude_n, refinement=setup.refinement))
     gain = float(setup.record()['valve_characteristic_gain'])
