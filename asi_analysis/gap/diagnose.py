@@ -1,7 +1,7 @@
-"""From recordings and a nominal model to the whole answer: `diagnose`, and its JSON document."""
+"""Diagnose recordings against a nominal model: `diagnose`, and its JSON document."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,10 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_motion import choose_motion
-from asi_analysis.gap.inference import quality, where
+from asi_analysis.gap.inference import localisation, plausibility
 from asi_analysis.gap.inference.fit import Fitted
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
+from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
 from asi_analysis.gap.inference.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference.uncertainty import (
     Likelihood,
@@ -21,29 +23,19 @@ from asi_analysis.gap.inference.uncertainty import (
     interval,
     likelihood,
 )
-from asi_analysis.gap.inference.verdict import (
-    Candidate,
-    Names,
-    Weighed,
-    ambiguity_set,
-    join,
-    marginals,
-    weigh_groups,
-)
 from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.prepare import prepare
+from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name
-
-Report = Callable[[str, float | None], None]
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The whole answer. joined: probability of each set of effects; shrinks: by channel."""
+    """The result. joined: probability of each set of effects; shrinks: by channel."""
 
     sources: list[str]
     groups: list[Weighed]
@@ -55,7 +47,7 @@ class Diagnosis:
     chain: dict[str, float] | None
 
     def best(self, weighed: Weighed) -> Candidate:
-        """Return the hypothesis of a group that belongs to the verdict."""
+        """Return the hypothesis of a group that agrees with the verdict."""
         names = _part(weighed, self.verdict)
         if names in weighed.candidates:
             return weighed.candidates[names]
@@ -64,7 +56,7 @@ class Diagnosis:
 
 
 def _part(weighed: Weighed, names: Names) -> Names:
-    """Return the effects of a joint hypothesis that a group has a hypothesis for."""
+    """Return the part of a joint hypothesis that is a hypothesis of a group."""
     fits = [part for part in weighed.probability if set(part) <= set(names)]
     return max(fits, key=lambda part: (len(part), weighed.probability[part]))
 
@@ -73,15 +65,15 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
                     held_out: Sequence[bool]) -> tuple[list[Group], list[str]]:
     """Return the groups of channels that these recordings of the actuator have, and notes."""
     for run in runs:
-        quality.check_units(run)
+        plausibility.check_units(run)
     recordings = prepare(runs, 'valve', held_out)
     p = plant_record(nominal)
     notes, groups = [], []
     has = {name: all(getattr(r, name) is not None for r in recordings)
            for name in ('command', 'force', 'valve_position', 'motion')}
     for run, recording in zip(runs, recordings, strict=True):
-        quality.check_excitation(recording)
-        notes += quality.check_motion(run)
+        plausibility.check_excitation(recording)
+        notes += plausibility.check_motion(run)
     if has['command'] and has['valve_position']:
         groups.append(make_group(p, recordings, ('valve',), tolerance))
     else:
@@ -106,14 +98,14 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
 
 def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actuator',
              tolerance: float = TOLERANCE, held_out: Sequence[bool] | None = None,
-             drive: str | None = None, report: Report = lambda text, share: None) -> Diagnosis:
+             drive: str | None = None, report: Progress = silent) -> Diagnosis:
     """
-    Return where recordings differ from their nominal model, why, and how far that can be mended.
+    Return where recordings differ from their nominal model, why, and by how much a fit helps.
 
-    runs: one or more; model: the nominal parameters; plant: 'actuator' or 'joint'; tolerance: how
-    far, as a share, the nominal parameters may be off; held_out: which runs are only judged on;
-    drive: of a joint, 'force' or 'position'; None: told from the signals.
-    Raises InputError for recordings that cannot be judged; says what is doubtful in `notes`.
+    runs: one or more; model: the nominal parameters; plant: 'actuator' or 'joint'; tolerance of
+    the nominal parameters, as a share; held_out: which runs are used for validation only;
+    drive: of a joint, 'force' or 'position'; None: found from the signals.
+    Raises InputError for recordings that cannot be diagnosed; `notes` holds the warnings.
     """
     out = list(held_out) if held_out is not None else [False] * len(runs)
     notes: list[str] = []
@@ -121,7 +113,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         groups, notes = joint_groups(runs, model, tolerance, out, drive or drive_of(runs))
     else:
         groups, notes = actuator_groups(runs, model, tolerance, out)
-    notes = [note for run in runs for note in quality.check_signals(run)] + notes
+    notes = [note for run in runs for note in plausibility.check_signals(run)] + notes
     steps, done = 4 * sum(len(group.effects) for group in groups), 0
 
     def tick() -> None:
@@ -129,15 +121,15 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         done += 1
         report('fitting effects', min(done / steps, 1.0))
 
-    for note in notes:   # now, for they may say why a recording is refused
+    for note in notes:   # before the checks, since they may explain why one fails
         warnings.warn(note, InputWarning, stacklevel=2)
     for group in groups:
         if plant == 'actuator':
-            for note in quality.check_against_model(group):
+            for note in plausibility.check_against_model(group):
                 warnings.warn(note, InputWarning, stacklevel=2)
                 notes.append(note)
         else:
-            quality.check_joint(group)
+            plausibility.check_joint(group)
     weighed = weigh_groups(groups, tolerance, tick)
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
@@ -146,17 +138,17 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
                          answer.best(w).fitted.record)
                for w in weighed for channel in w.group.channels]
-    left = ambiguity_set(joined)
+    ambiguous = ambiguity_set(joined)
     experiment, chain = None, None
-    if plant == 'actuator' and len(left) > 1:
+    if plant == 'actuator' and len(ambiguous) > 1:
         force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0
-        experiment = next_experiment.choose(weighed, left, model, max(round(force, -1), 10.0),
+        experiment = next_experiment.choose(weighed, ambiguous, model, max(round(force, -1), 10.0),
                                             _missing(runs, ('position', 'valve_position')))
-    elif len(left) > 1:
-        experiment = choose_motion(weighed, left, _missing(runs, ('position', 'force')))
+    elif len(ambiguous) > 1:
+        experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')))
     if [g.channels for g in groups] == [('valve',), ('force', 'load')]:
-        # With the parameters refitted: what they explain within their tolerance is no gap.
-        chain = where.along_the_chain(groups[0], groups[1], *(
+        # With refitted parameters: a difference within their tolerance is no gap.
+        chain = localisation.along_the_chain(groups[0], groups[1], *(
             w.candidates[()].fitted.record for w in weighed))
     return Diagnosis(answer.sources, weighed, joined, verdict, shrinks, notes, experiment, chain)
 
@@ -166,8 +158,8 @@ def _missing(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
     return [name for name in wanted if any(name not in run.signals() for run in runs)]
 
 
-def told(names: Names) -> str:
-    """Return a hypothesis in one word: effects joined by +, unknown, or no_gap."""
+def hypothesis_name(names: Names) -> str:
+    """Return the name of a hypothesis: effects joined by +, `unknown`, or `no_gap`."""
     return '+'.join(names) if names else NO_GAP
 
 
@@ -198,7 +190,7 @@ def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:
 
 def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Values]]:
     """Return the fitted parameters of effects, and the ends of their intervals, by effect."""
-    known: dict[int, Likelihood] = {}   # one serves all effects of a hypothesis
+    known: dict[int, Likelihood] = {}   # shared by all effects of a hypothesis
     sizes = {}
     for name in names:
         fitted, fields = _holding(diagnosis, name) or (None, set())
@@ -214,7 +206,7 @@ def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Va
 
 
 def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the nominal parameters that the verdict puts at the limit of their tolerance."""
+    """Return the nominal parameters at a limit of their tolerance in the fit of the verdict."""
     dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
     return [{'parameter': dotted[field], 'channel': weighed.group.channels[-1],
              'value': float(fitted.record[field]), 'nominal': float(weighed.group.nominal[field]),
@@ -226,32 +218,33 @@ def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the answer as `asi gap --json` prints it; plain data."""
     chance = marginals(diagnosis.joined)
-    # First the effects of the verdict, that which explains more by itself before the other.
+    # The effects of the verdict first, by their probability as single effects.
     alone = {name: max(w.probability.get((name,), 0.0) for w in diagnosis.groups)
              for name in chance}
-    told_of = [name for name in sorted(chance.keys() - {NO_GAP, UNKNOWN}, key=lambda n: (
+    listed = [name for name in sorted(chance.keys() - {NO_GAP, UNKNOWN}, key=lambda n: (
         n not in diagnosis.verdict, -alone[n] if n in diagnosis.verdict else -chance[n], n))
         if chance[name] > 0.001]
-    sizes = _sizes(diagnosis, told_of)
+    sizes = _sizes(diagnosis, listed)
     which = [{'effect': name, 'block': block_of(name), 'probability': chance[name], **sizes[name]}
-             for name in told_of]
-    left = ambiguity_set(diagnosis.joined)
+             for name in listed]
+    ambiguous = ambiguity_set(diagnosis.joined)
     main = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)
     best = diagnosis.best(weighed).fitted.record
-    regimes = where.by_regime(weighed.group, main.channel,
-                              weighed.candidates[()].fitted.record, best)
+    regimes = localisation.by_regime(weighed.group, main.channel,
+                                     weighed.candidates[()].fitted.record, best)
     unexplained = None
-    if UNKNOWN in diagnosis.verdict or UNKNOWN in {name for names in left for name in names}:
-        unexplained = where.in_words(regimes, where.dependence(weighed.group, main.channel, best))
+    if UNKNOWN in diagnosis.verdict or UNKNOWN in {name for names in ambiguous for name in names}:
+        unexplained = localisation.in_words(
+            regimes, localisation.dependence(weighed.group, main.channel, best))
     return {
-        'verdict': told(diagnosis.verdict),
+        'verdict': hypothesis_name(diagnosis.verdict),
         'probability': diagnosis.joined[diagnosis.verdict],
         'where': [{'block': block, 'share': share}
-                  for block, share in where.by_block(diagnosis.groups).items()],
+                  for block, share in localisation.by_block(diagnosis.groups).items()],
         'which': which,
         'no_gap_probability': chance[NO_GAP], 'unknown_probability': chance[UNKNOWN],
-        'ambiguity_set': [told(names) for names in left],
+        'ambiguity_set': [hypothesis_name(names) for names in ambiguous],
         'gap': {'before_nrmse': main.nominal, 'refitted_nrmse': main.refitted,
                 'after_nrmse': main.after, 'noise_floor_nrmse': main.noise_floor,
                 'shrink': main.shrink, 'shrink_low': main.low, 'shrink_high': main.high,
@@ -274,7 +267,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _in_words(name: str, answer: Mapping[str, Any]) -> str:
-    """Return an effect by its name, a parameter beyond its tolerance with its size."""
+    """Return the name of an effect; of a parameter beyond its tolerance its value too."""
     if not name.startswith(PARAMETER):
         return name
     found = next(row for row in answer['which'] if row['effect'] == name)

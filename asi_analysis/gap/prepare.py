@@ -1,4 +1,4 @@
-"""A run made ready for the diagnosis: one clean time base, noise of each signal, motion, parts."""
+"""Prepare runs for the diagnosis: uniform sampling, noise, motion, and parts of the data."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
 BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
-BURN_OUT_S = 0.1        # and at the end, after which the motion goes on unknown
+BURN_OUT_S = 0.1        # and at the end, since the motion after it is not known
 MOST_MISSING = 0.05     # share of missing samples that is still bridged
 LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
 JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
 MOST_JUMPED = 0.5       # share of a recording that is left out for that
-PARTS = 12              # of a recording: to fit on, to choose on, to fit on, to report on ...
+PARTS = 12              # of a recording, in turn: fit, model selection, fit, report
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
 # than this multiple of the noise's: friction and backlash act on all of the motion that there is.
@@ -37,10 +37,10 @@ RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
 REPEATED = 1e-6         # of its range: how far commands that are the same may differ
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
-UNSEEN = 0.01           # share of the held-out samples beyond what the fitted parts reach
-SHARED = 0.3            # a signal with fewer values than this share of its samples comes in steps
+OUTSIDE = 0.01          # share of the held-out samples outside the range of the fitted parts
+SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
-ALIKE = 0.25            # size of a velocity over that of its position's derivative, or its inverse
+LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
@@ -81,10 +81,10 @@ class Recording:
     force_judged: Array | None   # N, force within the band of the motion
     noise: dict[str, float]      # standard deviation of each signal's noise, by signal
     fit: Mask                    # samples to fit on
-    held_out: Mask               # samples to choose on
-    report: Mask                 # samples that the result is reported on; nothing else uses them
+    held_out: Mask               # samples for model selection
+    report: Mask                 # validation samples; only the reported result uses them
     number: int = 0              # whose values the fields of a recording have
-    kept: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
+    cache: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:
         """Return into how many steps, none longer than `longest_s` s, a period is cut."""
@@ -124,8 +124,8 @@ def clipped(signal: Array) -> Mask:
     """
     Return where a signal stands still at its largest or smallest value.
 
-    A measured signal hardly ever takes the same value twice: one that often takes its extreme is
-    cut off there. Of one that comes in steps nothing can be told.
+    A measured signal rarely repeats a value: frequent samples at its extreme are clipped. A
+    quantised signal cannot be checked.
     """
     cut = np.zeros(signal.size, bool)
     if np.unique(signal).size > SHARED * signal.size:
@@ -178,11 +178,10 @@ def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
 
 def _recorded(run: Run, drive: str, period: float, count: int) -> Mask:
     """
-    Return at which of `count` samples, `period` s apart, no signal was missing for long.
+    Return at which of `count` samples, `period` s apart, no signal has a long gap.
 
-    A straight line over a long gap tells nothing, nor do the filters that follow from it. When a
-    command jumped is not known where only one of its samples is missing; that is put up with
-    where too little would be left.
+    Interpolation over a long gap holds no information. Where a command jumped in a single missing
+    sample, the time of the jump is unknown: left out too, unless too little data would remain.
     """
     even = run.time_s[0] + period * np.arange(count)
     far, jumps = np.zeros((2, count), bool)
@@ -244,11 +243,11 @@ def _clear(velocity: Array, omega: Array, noise: Array, period: float) -> float:
 
 def agree(position: Array, velocity: Array, period: float) -> bool:
     """Return whether a velocity may be the derivative of a position, whatever its noise."""
-    return ALIKE < velocity_over_derivative(position, velocity, period) < 1.0 / ALIKE
+    return LEAST_RATIO < velocity_over_derivative(position, velocity, period) < 1.0 / LEAST_RATIO
 
 
 def velocity_over_derivative(position: Array, velocity: Array, period: float) -> float:
-    """Return a velocity over the derivative of a position; 1 if they are nothing alike."""
+    """Return a velocity over the derivative of a position; 1 if uncorrelated."""
     moved = np.gradient(position, period)
     if np.std(moved) == 0.0 or np.std(velocity) == 0.0:
         return 1.0
@@ -318,8 +317,7 @@ def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     """
     Return which samples to fit on and which to hold out: to choose or to report on.
 
-    Parts that take turns, so that both see the whole run; short gaps between them, so that one
-    part does not know its neighbour.
+    Alternating parts cover the whole run; short gaps between them keep neighbours independent.
     """
     part = np.arange(count) * parts // count
     edge = np.arange(count) - np.ceil(part * count / parts)
@@ -329,29 +327,29 @@ def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     return usable & (part % 2 == 0), usable & (part % 2 == 1)
 
 
-def _to_report(held: Mask) -> Mask:
-    """Return which of the held-out samples to report on: those of every other held-out part."""
+def _reported(held: Mask) -> Mask:
+    """Return the held-out samples to report on: those of every other held-out part."""
     begins = held & ~np.append(False, held[:-1])
     return held & (np.cumsum(begins) % 2 == 0)
 
 
-def _fairly_split(driving: Array, period: float) -> tuple[Mask, Mask]:
+def _balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
     """
-    Return a split in which both parts see alike what drives a joint.
+    Return a split in which both parts have a similar excitation.
 
-    What the fit has not seen is not judged, and what is held out may hardly move: a drive that
-    saturates at a few peaks would have no gap, nor a joint that is pushed at a few reversals.
+    Samples outside the fitted range are not used for validation, so without balance a saturation
+    at a few peaks, or an effect at a few reversals, would not show.
     """
     size = np.abs(driving)
 
-    def unfair(fit: Mask, held: Mask) -> float:
-        beyond = float(np.mean(size[held] > size[fit].max())) / UNSEEN
+    def imbalance(fit: Mask, held: Mask) -> float:
+        beyond = float(np.mean(size[held] > size[fit].max())) / OUTSIDE
         ratio = np.mean(size[held] ** 2) / max(np.mean(size[fit] ** 2), 1e-300)
         return max(beyond, abs(math.log2(max(ratio, 1e-300))) / 2.0, 1.0)
 
     splits = [split(driving.size, period, parts) for parts in (PARTS, 2 * PARTS, 4 * PARTS)]
     return min((each for fit, held in splits for each in ((fit, held), (held, fit))),
-               key=lambda each: unfair(*each))   # the first that is fair
+               key=lambda each: imbalance(*each))   # the first that is balanced
 
 
 def _ends(count: int, period: float) -> Mask:
@@ -427,14 +425,14 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         force = moving.get('force')
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
-                     _fairly_split(driving, period))
+                     _balanced_split(driving, period))
         valid = _recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
             valid = valid & ~_ends(fit.size, period)
         for name in MEASURED & moving.keys():   # what is cut off was not measured
             valid = valid & ~clipped(moving[name])
         # Where whole recordings are held out, the result is reported on those alone.
-        report = (np.zeros_like(fit) if whole else _to_report(held)) & valid
+        report = (np.zeros_like(fit) if whole else _reported(held)) & valid
         fit, held = fit & valid, held & valid & ~report
         if whole and whole[number]:
             fit, held, report = np.zeros_like(fit), np.zeros_like(fit), fit | held
@@ -451,9 +449,9 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
 
 def _with_repeats(recordings: list[Recording]) -> list[Recording]:
     """
-    Return recordings whose noise is at least that which runs with the same command show.
+    Return recordings whose noise is at least that between runs with the same command.
 
-    What differs between them no model can tell, slow noise too; each has its share of it.
+    No model explains their difference, which holds slow noise too; each run has half its power.
     """
     noisier = list(recordings)
     for i, first in enumerate(recordings):

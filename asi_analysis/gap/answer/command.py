@@ -10,7 +10,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
-from asi_analysis.gap.answer.show import Gap
+from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.diagnose import document, plain
 from asi_analysis.gap.model.group import TOLERANCE

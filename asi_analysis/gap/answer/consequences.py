@@ -1,9 +1,9 @@
 """
-What the gap does to the closed loop: limit cycle and step of the nominal and the improved model.
+Effect of the gap on the closed loop: limit cycle and step of the nominal and the improved model.
 
-The loop is the recording's own, where the bag tells its controller; otherwise a proportional one.
-The improved model is the one that `improved.yaml` holds; its interval comes from models drawn from
-the uncertainty of the fits.
+The controller is the recorded one if the bag holds its parameters, otherwise a proportional one.
+The improved model is that of `improved.yaml`; its interval comes from models drawn from the
+uncertainty of the fits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,19 +24,19 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETE
 Values = Mapping[str, Value]
 
 DRAWS = 6
-LOWEST_GAINS = (1.0, 10.0)   # where the search for the onset begins
-NEAR = 0.6             # of a known onset gain: where that of a model much alike is looked for
+LOWEST_GAINS = (1.0, 10.0)   # where the search for the onset starts
+NEAR = 0.6             # of a known onset gain: where the search starts for a similar model
 ACCURACY = 0.02        # of the onset gain
 LONGEST_S = 3.0        # of a simulated run
 RATES_HZ = (500.0, 5000.0)
-# Without a controller in the bag: a loop that follows, and stays clear of the onset.
+# Used if the bag holds no controller: it tracks the reference well below the onset gain.
 PLAIN: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'step',
                            'reference.amplitude': 100.0, 'reference.start': 0.1}
 STEP_KEYS = ('rise_time_s', 'overshoot_percent', 'bandwidth_hz')
 
 
 class Consequence(NamedTuple):
-    """One quantity of the loop; None where there is none, such as no onset or no step."""
+    """One quantity of the loop; None if it does not exist, for instance without onset or step."""
 
     quantity: str
     nominal: float | None
@@ -48,15 +48,16 @@ class Consequence(NamedTuple):
 
 def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Consequence]:
     """
-    Return what the loop does with the nominal and with the improved model, and what was measured.
+    Return the figures of the loop with the nominal and the improved model, and as measured.
 
-    model: nominal parameters of the actuator; run: the recording that may show the loop.
+    model: nominal parameters of the actuator; run: the recording; measured figures are given if
+    it holds a closed loop.
     """
     known = {p.name for p in (*COMPENSATOR_PARAMETERS, *REFERENCE_PARAMETERS)}
-    told = {name: value for name, value in run.information.get('controller', {}).items()
-            if name in known}
-    recorded = bool(told) and run.reference_n is not None
-    controller = told if recorded else PLAIN
+    recorded_settings = {name: value for name, value
+                         in run.information.get('controller', {}).items() if name in known}
+    recorded = bool(recorded_settings) and run.reference_n is not None
+    controller = recorded_settings if recorded else PLAIN
     rate_hz = float(np.clip(1.0 / run.period_s, *RATES_HZ))
     duration_s = min(run.duration_s, LONGEST_S) if recorded else 1.0
     best = [diagnosis.best(weighed) for weighed in diagnosis.groups]
@@ -84,7 +85,7 @@ def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_
     """
     Return onset gain, frequency and amplitude of the limit cycle, and the figures of a run.
 
-    lowest: gains from which the onset is looked for, one after the other.
+    lowest: start gains of the search for the onset, tried in turn.
     """
     found: dict[str, float | None] = dict.fromkeys(
         ('onset_gain', 'onset_frequency_hz', 'onset_amplitude_n'))
@@ -102,16 +103,16 @@ def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_
 
 
 def _figures_of(run: Run) -> dict[str, float | None]:
-    told: dict[str, Any] = analyze(run)
-    swing = told['oscillation'] if told['oscillation']['sustained'] else {}
-    return {**{key: told[key] for key in STEP_KEYS},
-            'oscillation_frequency_hz': swing.get('frequency_hz'),
-            'oscillation_amplitude_n': swing.get('amplitude_n')}
+    measures: dict[str, Any] = analyze(run)
+    oscillation = measures['oscillation'] if measures['oscillation']['sustained'] else {}
+    return {**{key: measures[key] for key in STEP_KEYS},
+            'oscillation_frequency_hz': oscillation.get('frequency_hz'),
+            'oscillation_amplitude_n': oscillation.get('amplitude_n')}
 
 
 def _interval(value: float | None, drawn: Sequence[float | None]
               ) -> tuple[float | None, float | None]:
-    """Return the 95 % interval; none where the value, or that of a drawn model, is missing."""
+    """Return the 95 % interval; None if the value, or that of a drawn model, is missing."""
     known = [each for each in drawn if each is not None]
     if value is None or len(known) < len(drawn):
         return None, None

@@ -1,4 +1,4 @@
-"""The pictures of the diagnosis: arrays in, one matplotlib figure each."""
+"""The pictures of the diagnosis: each function draws arrays into one matplotlib figure."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,7 +24,7 @@ def _legend(figure: Figure, axes: Axes, **options: Any) -> None:
 
 def overlay(time: Array, real: Array, nominal: Array, improved: Array, held_out: Mask,
             label: str, unit: str) -> Figure:
-    """Draw a stretch of recording, nominal model and improved model, and what each leaves."""
+    """Draw a section of recording, nominal and improved model, and the residuals of both."""
     with style():
         figure = _new(3.4)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -45,7 +45,7 @@ def overlay(time: Array, real: Array, nominal: Array, improved: Array, held_out:
 
 def ranking(names: Sequence[str], errors: Sequence[float], verdict: str, nominal: float,
             noise: float) -> Figure:
-    """Draw what each hypothesis leaves on held-out data, as a share of the signal."""
+    """Draw the residual of each hypothesis on the validation set, as a share of the signal."""
     with style():
         figure = _new(0.9 + 0.22 * len(names))
         axes = figure.subplots()
@@ -59,13 +59,13 @@ def ranking(names: Sequence[str], errors: Sequence[float], verdict: str, nominal
         axes.axvline(noise, color=GREEN, label='noise')
         axes.set_xscale('log')
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set_xlabel('left, share of the signal')
+        axes.set_xlabel('residual, share of the signal')
         _legend(figure, axes)
     return figure
 
 
 def plane(x: Array, before: Array, after: Array, x_label: str, unit: str) -> Figure:
-    """Draw what the model leaves over the quantity that the effect depends on."""
+    """Draw the residual over the quantity that the effect depends on."""
     with style():
         figure = _new(2.6)
         axes = figure.subplots()
@@ -79,7 +79,7 @@ def plane(x: Array, before: Array, after: Array, x_label: str, unit: str) -> Fig
 
 
 def regimes(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw where in frequency, amplitude, motion and time the gap is, over its mean size."""
+    """Draw the gap by frequency, amplitude, motion and time, relative to its rms."""
     with style():
         figure = _new(0.9 + 0.22 * len(rows))
         axes = figure.subplots()
@@ -95,7 +95,7 @@ def regimes(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def spectrum(frequency: Array, powers: Mapping[str, Array], label: str, unit: str) -> Figure:
-    """Draw the spectral density of a signal, and of what is left of it by each model."""
+    """Draw the spectral density of a signal and of the residual of each model."""
     with style():
         figure = _new(2.8)
         axes = figure.subplots()
@@ -110,7 +110,7 @@ def spectrum(frequency: Array, powers: Mapping[str, Array], label: str, unit: st
 
 
 def confusion(truth: Sequence[str], named: Sequence[str], counts: Array) -> Figure:
-    """Draw how often each truth was given each name."""
+    """Draw how often each true effect got each verdict."""
     with style():
         figure = Figure(figsize=(7.2, 6.6), layout='constrained')
         axes = figure.subplots()
@@ -128,7 +128,7 @@ def confusion(truth: Sequence[str], named: Sequence[str], counts: Array) -> Figu
 
 
 def reliability(said: Sequence[float], right: Sequence[float], counts: Sequence[int]) -> Figure:
-    """Draw how often verdicts of a probability are right."""
+    """Draw the share of right verdicts over their probability."""
     with style():
         figure = _new(3.0)
         axes = figure.subplots()
@@ -137,8 +137,8 @@ def reliability(said: Sequence[float], right: Sequence[float], counts: Sequence[
         for x, y, count in zip(said, right, counts, strict=True):
             axes.annotate(str(count), (x, y), textcoords='offset points', xytext=(5, -9),
                           fontsize=7)
-        axes.set_xlabel('probability that was given')
-        axes.set_ylabel('share that was right')
+        axes.set_xlabel('probability of the verdict')
+        axes.set_ylabel('share of right verdicts')
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(PercentFormatter(1.0))
     return figure

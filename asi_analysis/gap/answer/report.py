@@ -1,4 +1,4 @@
-"""The report of `asi gap`: one HTML file that needs nothing else, its pictures, a model file."""
+"""The report of `asi gap`: a self-contained HTML file, its pictures and the model file."""
 
 import math
 from collections.abc import Mapping
@@ -10,8 +10,9 @@ from scipy.signal import welch
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer import pictures
-from asi_analysis.gap.diagnose import Diagnosis, sentences, told
-from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.diagnose import Diagnosis, hypothesis_name, sentences
+from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
@@ -22,10 +23,10 @@ from asi_common.parameter_file import write_parameters
 
 STRETCH_S = 2.0     # of the overlay
 CAPTIONS = {
-    'overlay': 'Real, nominal and improved, and what each model leaves',
-    'ranking': 'What each hypothesis leaves on held-out data',
-    'plane': 'What the model leaves, before and after, in the plane of the effect',
-    'spectrum': 'Spectrum of the signal and of what each model leaves of it',
+    'overlay': 'Real, nominal and improved, and the residual of each model',
+    'ranking': 'Residual of each hypothesis on the validation set',
+    'plane': 'Residual before and after, over the quantity that the effect depends on',
+    'spectrum': 'Spectrum of the signal and of the residual of each model',
     'regimes': 'Size of the gap by frequency, amplitude, motion and time'}
 
 
@@ -51,18 +52,18 @@ def drawn(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, joint: bool
     """Return the pictures of a diagnosis, each with its caption."""
     channel = answer['gap']['channel']
     weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
-    name = _followed(channel, run, joint)
+    name = _output_signal(channel, run, joint)
     label, unit = name.replace('_', ' '), run.unit(name)
-    made = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
+    figures = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
             'ranking': _ranking(weighed, channel, diagnosis.best(weighed).names, answer),
             'plane': _plane(diagnosis, weighed, channel, run, unit),
             'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
             'regimes': pictures.regimes(answer['regimes'])}
-    return {name: (figure, CAPTIONS[name]) for name, figure in made.items()}
+    return {name: (figure, CAPTIONS[name]) for name, figure in figures.items()}
 
 
-def _followed(channel: str, run: Run, joint: bool) -> str:
-    """Return which signal a channel tells of; a joint's drive or servo stands for the valve."""
+def _output_signal(channel: str, run: Run, joint: bool) -> str:
+    """Return the signal that a channel predicts; `valve` is the drive or servo of a joint."""
     if channel != 'valve':
         return 'force' if run.force_n is not None else 'command'
     if not joint:
@@ -76,7 +77,7 @@ def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, u
     nominal = predict(recording, channel, weighed.group.nominal)
     improved = predict(recording, channel, diagnosis.best(weighed).fitted.record)
     count = int(STRETCH_S / recording.period_s)
-    # The stretch where the nominal model is worst, for that is where to look.
+    # The section with the largest residual of the nominal model.
     power = np.convolve((real - nominal) ** 2 * recording.report, np.ones(count), 'same')
     middle = int(np.argmax(power))
     chosen = slice(max(0, middle - count // 2), middle + count // 2)
@@ -87,13 +88,13 @@ def _overlay(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, u
 def _spectrum(diagnosis: Diagnosis, weighed: Weighed, channel: str, label: str, unit: str) -> Any:
     recording = weighed.group.recordings[-1]
     real = measured(recording, channel)
-    left = {'real': real} | {name: real - predict(recording, channel, p) for name, p in (
+    residuals = {'real': real} | {name: real - predict(recording, channel, p) for name, p in (
         ('nominal', weighed.group.nominal), ('refitted', weighed.candidates[()].fitted.record),
         ('improved', diagnosis.best(weighed).fitted.record))}
-    kept = slice(int(BURN_IN_S / recording.period_s), None)
-    frequency, _ = welch(real[kept], 1.0 / recording.period_s, nperseg=_window(real))
-    powers = {name: welch(values[kept], 1.0 / recording.period_s, nperseg=_window(real))[1]
-              for name, values in left.items()}
+    judged = slice(int(BURN_IN_S / recording.period_s), None)
+    frequency, _ = welch(real[judged], 1.0 / recording.period_s, nperseg=_window(real))
+    powers = {name: welch(values[judged], 1.0 / recording.period_s, nperseg=_window(real))[1]
+              for name, values in residuals.items()}
     return pictures.spectrum(frequency, powers, label, unit)
 
 
@@ -104,11 +105,12 @@ def _window(values: Any) -> int:
 def _ranking(weighed: Weighed, channel: str, verdict: Names, answer: Mapping[str, Any]) -> Any:
     size = math.sqrt(float(np.mean([np.mean(measured(r, channel)[r.held_out] ** 2)
                                     for r in weighed.group.recordings])))
-    left = sorted((math.sqrt(c.fitted.held_out[channel]) / size, told(names))
-                  for names, c in weighed.candidates.items() if names)[:12]
+    residuals = sorted((math.sqrt(c.fitted.held_out[channel]) / size, hypothesis_name(names))
+                       for names, c in weighed.candidates.items() if names)[:12]
     null = math.sqrt(weighed.candidates[()].fitted.held_out[channel]) / size
-    return pictures.ranking([name for _, name in left], [error for error, _ in left],
-                            told(verdict), null, max(answer['gap']['noise_floor_nrmse'], 1e-6))
+    return pictures.ranking([name for _, name in residuals], [error for error, _ in residuals],
+                            hypothesis_name(verdict), null,
+                            max(answer['gap']['noise_floor_nrmse'], 1e-6))
 
 
 def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str, run: Run, unit: str) -> Any:
@@ -126,7 +128,7 @@ def _plane(diagnosis: Diagnosis, weighed: Weighed, channel: str, run: Run, unit:
         else:
             x, label = recording.valve_position, 'valve position (m)'
     assert x is not None
-    kept = recording.report
+    judged = recording.report
     before = real - predict(recording, channel, weighed.candidates[()].fitted.record)
     after = real - predict(recording, channel, diagnosis.best(weighed).fitted.record)
-    return pictures.plane(x[kept], before[kept], after[kept], label, unit)
+    return pictures.plane(x[judged], before[judged], after[judged], label, unit)

@@ -1,8 +1,8 @@
 """
-`asi gap check`: a directory of blind cases through the diagnosis, and how often it was right.
+`asi gap check`: diagnose a directory of blind cases and count the right verdicts.
 
-Any examiner may write such a directory (doc/explanation/gap.md). The diagnosis sees bags and
-model files; the sealed answers are opened only after the last case is done.
+Any examiner may write such a directory (doc/explanation/gap.md). The diagnosis reads bags
+and model files; the sealed answers are opened only after the last case.
 """
 
 import base64
@@ -10,7 +10,7 @@ import json
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,37 +22,38 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink, plain
-from asi_analysis.gap.inference.verdict import as_plain, evidence_of
+from asi_analysis.gap.inference.hypotheses import evidence_of
+from asi_analysis.gap.inference.probability import as_plain
 from asi_analysis.gap.model.effects import BLOCK_OF, EFFECTS, NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
 from asi_analysis.reporting import figures
 from asi_analysis.reporting.result import Result, Table, table_of
+from asi_analysis.terminal import Progress
 from asi_common.files import write_text
 
 CONFIDENT = 0.9
 BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.97, 1.0001)
 
-Told = Callable[[str, float | None], None]
 Row = dict[str, Any]
 
 
 def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
-    """Return the shrink that the diagnosis reaches on another recording of the same machine."""
+    """Return the shrink of the gap on another recording of the same machine."""
     shrink = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
     recording = prepare([run])[0]
-    kept = recording.valid
+    valid = recording.valid
     errors = []
     for p in (weighed.group.nominal, diagnosis.best(weighed).fitted.record):
         left = measured(recording, shrink.channel) - predict(recording, shrink.channel, p)
-        errors.append(math.sqrt(float(np.mean(left[kept] ** 2))))
+        errors.append(math.sqrt(float(np.mean(left[valid] ** 2))))
     return 1.0 - errors[1] / errors[0]
 
 
 def examine(folder: Path, entry: Mapping[str, str]) -> Row:
-    """Return what the diagnosis says of one case, without looking at its answer."""
+    """Return the diagnosis of one case, without its answer."""
     started = time.process_time()
     try:
         diagnosis = diagnose([read_bag(folder / entry['bag'])],
@@ -72,29 +73,29 @@ def examine(folder: Path, entry: Mapping[str, str]) -> Row:
     return {'bag': entry['bag'], **row}
 
 
-def run_cases(folder: Path, told: Told) -> list[Row]:
+def run_cases(folder: Path, progress: Progress) -> list[Row]:
     """
-    Return what the diagnosis says of every case of a directory.
+    Return the diagnosis of every case of a directory.
 
-    Each is kept in rows.jsonl as it is done, so that a check which was stopped goes on there.
+    Each result is appended to rows.jsonl, so that an interrupted check can be continued.
     """
     try:
         index = json.loads((folder / 'cases.json').read_text())
     except (OSError, ValueError) as error:
         raise InputError(f'{folder / "cases.json"} cannot be read: {_reason(error)}') from None
-    kept = folder / 'rows.jsonl'
-    lines = kept.read_text().splitlines(keepends=True) if kept.exists() else []
-    whole = [line for line in lines if line.endswith('\n')]   # a kill may have torn the last
+    path = folder / 'rows.jsonl'
+    lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+    whole = [line for line in lines if line.endswith('\n')]   # the last may be incomplete
     rows = [json.loads(line) for line in whole]
     done = {row['bag'] for row in rows}
-    with kept.open('w') as file:
+    with path.open('w') as file:
         file.writelines(whole)
         file.flush()
         for row in each(examine, ((folder, entry) for entry in index if entry['bag'] not in done)):
             rows.append(row)
             file.write(json.dumps(rows[-1]) + '\n')
             file.flush()
-            told(f'{len(rows)} of {len(index)} cases', len(rows) / len(index))
+            progress(f'{len(rows)} of {len(index)} cases', len(rows) / len(index))
     return sorted(rows, key=lambda row: row['bag'])
 
 
@@ -108,13 +109,13 @@ def truth_of(answer: Mapping[str, Any]) -> str:
 
 
 def is_right(row: Row, answer: Mapping[str, Any]) -> bool:
-    """Return whether a verdict is right; of an effect too small to see, its name is right too."""
+    """Return whether a verdict is right; for too small an effect, `no_gap` or its name is."""
     small = answer['kind'] == 'small' and row['verdict'] in answer['effects']
     return row['verdict'] == truth_of(answer) or small
 
 
 def sizes_held(row: Row, answer: Mapping[str, Any]) -> list[bool]:
-    """Return, for each size that is known of the effects in a verdict, if an interval holds it."""
+    """Return, for each known size of the effects in a verdict, if its interval contains it."""
     right = [entry for entry in row['which'] if entry['effect'] in answer['effects']
              and entry['effect'] in row['verdict'].split('+')]
     return [entry['parameters_low'][name] <= size <= entry['parameters_high'][name]
@@ -127,7 +128,7 @@ def _share(values: Sequence[bool]) -> float | None:
 
 
 def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the figures of `asi gap check`, from what was said and the opened answers."""
+    """Return the figures of `asi gap check` from the diagnoses and the answers."""
     both = [(row, answers[row['bag']]) for row in rows]
     single = [(r, a) for r, a in both if a['kind'] == 'effect']
     pairs = [(r, a) for r, a in both if a['kind'] == 'pair']
@@ -199,7 +200,7 @@ def unseal(path: Path) -> dict[str, Any]:
 
 
 def _reason(error: Exception) -> str:
-    """Return what went wrong, without the path that a message has named already."""
+    """Return the reason of an error without the path."""
     return getattr(error, 'strerror', None) or str(error)
 
 
@@ -214,7 +215,7 @@ REACH: Final = {
 
 
 class GapCheck(Result):
-    """How often the diagnosis of blind cases was right, by the keys of `asi gap check --json`."""
+    """Figures of the diagnosis of blind cases, by the keys of `asi gap check --json`."""
 
     rows = 'wrong'
 
@@ -230,9 +231,9 @@ class GapCheck(Result):
                 'probability': '{probability:.0%}'}, 'wrong verdicts')
 
 
-def check(folder: Path, told: Told) -> GapCheck:
+def check(folder: Path, progress: Progress) -> GapCheck:
     """Diagnose every case of a directory, then open the answers; return the document."""
-    rows = run_cases(folder, told)
+    rows = run_cases(folder, progress)
     answers = unseal(folder / 'answers.sealed')
     absent = [row['bag'] for row in rows if row['bag'] not in answers]
     if absent:
@@ -258,10 +259,10 @@ def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: 
         said = row['verdict'].split('+')[0] if '+' not in truth else None
         if said is not None:
             counts[names.index(short(truth)), columns.index(short(said))] += 1
-    kept = counts.sum(axis=1) > 0
+    used = counts.sum(axis=1) > 0
     bars = result['reliability']
     with figures.style():
-        pictures.confusion([n for n, k in zip(names, kept, strict=True) if k], columns,
-                           counts[kept]).savefig(out / 'confusion.png')
+        pictures.confusion([n for n, k in zip(names, used, strict=True) if k], columns,
+                           counts[used]).savefig(out / 'confusion.png')
         pictures.reliability([b['said'] for b in bars], [b['right'] for b in bars],
                              [b['cases'] for b in bars]).savefig(out / 'reliability.png')

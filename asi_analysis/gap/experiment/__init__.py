@@ -1,1 +1,1 @@
-"""The experiment that would separate the hypotheses that are left."""
+"""Choose the next experiment: the one that best separates the remaining hypotheses."""

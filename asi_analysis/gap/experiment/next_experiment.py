@@ -1,4 +1,4 @@
-"""The experiment that would separate the hypotheses which are left, from how they predict it."""
+"""Choose the experiment of a catalogue that best separates the remaining hypotheses."""
 
 import itertools
 import math
@@ -10,7 +10,8 @@ import numpy as np
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import predict
 from asi_analysis.gap.prepare import Recording, prepare
@@ -19,19 +20,19 @@ from asi_common.parameter import Value
 
 RATE_HZ, DURATION_S = 1000.0, 6.0
 LOADS = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type').choices
-# So small a gain leaves the reference alone, which goes straight to the valve.
+# With so small a gain only the feedforward of the reference acts: open loop.
 OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
 LOOP: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
-# Options of `asi run` by the parameter that they set; what is missing goes by --set.
+# Options of `asi run` by the parameter that they set; other parameters go by --set.
 OPTIONS = {'compensator': '--compensator', 'gain': '--gain', 'reference.shape': '--reference',
            'reference.amplitude': '--amplitude', 'reference.offset': '--offset',
            'reference.frequency': '--frequency', 'reference.end_frequency': '--end-frequency'}
 
-# In noise floors: two hypotheses whose predictions differ by less are not told apart.
+# In error floors: a smaller difference of two predictions does not separate them.
 LEAST_SEPARATION = 1.0
-# Signals that tell most, the first first.
+# Signals in the order of their information.
 SENSORS = ('position', 'valve_position', 'velocity', 'force')
-# What to measure besides, by the effects that it tells apart.
+# What else to measure, by the effects that it tells apart.
 MEASURE = (
     (('sensor_offset', 'sensor_drift'), 'the force with no load, before and after the run'),
     (('sensor_gain',), 'a known weight or a calibrated spring with the force sensor'),
@@ -93,11 +94,11 @@ def settings(experiment: Experiment, force: float) -> dict[str, Value]:
 
 
 def command_line(experiment: Experiment, force: float, load: str) -> str:
-    """Return the `asi run` that plays an experiment."""
+    """Return the `asi run` command of an experiment."""
     words = ['asi run']
     for name, value in settings(experiment, force).items():
         if name in ('reference.start', 'reference.duration') or value == 0.0:
-            continue   # what asi run takes of itself
+            continue   # the defaults of asi run
         text = f'{value:g}' if isinstance(value, float) else str(value)
         if name in OPTIONS:
             words.append(f'{OPTIONS[name]} {text}')
@@ -107,9 +108,9 @@ def command_line(experiment: Experiment, force: float, load: str) -> str:
                      f'--duration {DURATION_S:g}'])
 
 
-def imagined(experiment: Experiment, nominal: Mapping[str, Value], force: float) -> Recording:
+def simulated(experiment: Experiment, nominal: Mapping[str, Value], force: float) -> Recording:
     """
-    Return what the nominal actuator would record in an experiment.
+    Return the simulated recording of the nominal actuator in an experiment.
 
     Raises InputError if it would not move.
     """
@@ -119,28 +120,29 @@ def imagined(experiment: Experiment, nominal: Mapping[str, Value], force: float)
 
 
 def separation(group: Group, recording: Recording, first: np.void, second: np.void) -> float:
-    """Return how differently two hypotheses predict a recording, in multiples of the floor."""
-    kept = recording.valid
+    """Return the rms difference of two predictions of a recording, in error floors."""
+    valid = recording.valid
     apart = 0.0
     for channel in group.channels:
         difference = (predict(recording, channel, first) - predict(recording, channel, second))
-        apart += float(np.mean(difference[kept] ** 2)) / group.floor[channel]
+        apart += float(np.mean(difference[valid] ** 2)) / group.error_floor[channel]
     return math.sqrt(apart)
 
 
-def pairs_of(groups: list[Weighed], left: list[Names]) -> list[tuple[Group, np.void, np.void]]:
+def pairs_of(groups: list[Weighed], ambiguous: list[Names]
+             ) -> list[tuple[Group, np.void, np.void]]:
     """
-    Return each two predictions that are to be told apart, with their group.
+    Return the pairs of records whose predictions are compared, with their group.
 
-    Where `unknown` leaves a group a single prediction, it is told from the next most probable.
+    If `unknown` leaves a group with one record, it is compared with the next most probable one.
     """
     pairs = []
-    wanted = set().union(*map(set, left))
+    effects = set().union(*map(set, ambiguous))
     for weighed in groups:
         own = {tuple(name for name in names if any(name in key for key in weighed.candidates))
-               for names in left}
+               for names in ambiguous}
         known = [names for names in own if names in weighed.candidates]
-        if len(known) == 1 and wanted & {'unknown'}:
+        if len(known) == 1 and effects & {'unknown'}:
             others = sorted((names for names in weighed.candidates if names not in known),
                             key=lambda names: -weighed.probability[names])
             known += others[:1]
@@ -150,59 +152,60 @@ def pairs_of(groups: list[Weighed], left: list[Names]) -> list[tuple[Group, np.v
 
 
 def suggestion(excitation: str, command: str | None, separation_: float,
-               separations: Mapping[str, float], left: Sequence[Names],
+               separations: Mapping[str, float], ambiguous: Sequence[Names],
                missing: Sequence[str]) -> dict[str, object]:
     """
-    Return the next experiment as the document has it, with `advice`: what to do, in words.
+    Return the next experiment as in the document, with `advice` in words.
 
-    separation_: how differently the hypotheses `left` predict it, in noise floors; if that is less
-    than LEAST_SEPARATION no experiment is suggested. missing: signals that were not recorded.
+    separation_: rms difference of the predictions of `ambiguous`, in error floors; below
+    LEAST_SEPARATION no experiment is suggested. missing: signals that were not recorded.
     """
-    tells = separation_ >= LEAST_SEPARATION
+    separates = separation_ >= LEAST_SEPARATION
     sensor = next((signal for signal in SENSORS if signal in missing), None)
     steps = [f'record the {sensor.replace("_", " ")} too'] if sensor else []
-    if tells:
+    if separates:
         steps.append(command or excitation)
     elif not steps:
-        everywhere = [name for name in left[0] if all(name in names for names in left)]
-        doubtful = {name for names in left for name in names if name not in everywhere}
-        wanted = next((text for names, text in MEASURE if doubtful & set(names)), None)
+        everywhere = [name for name in ambiguous[0] if all(name in names for names in ambiguous)]
+        uncertain = {name for names in ambiguous for name in names if name not in everywhere}
+        quantity = next((text for names, text in MEASURE if uncertain & set(names)), None)
         steps = ['no recording of these signals tells them apart'
-                 + (f': measure {wanted}' if wanted else '')]
+                 + (f': measure {quantity}' if quantity else '')]
     return {'excitation': excitation, 'separation': separation_, 'separations': dict(separations),
-            'command': command if tells else None, 'separates': tells,
+            'command': command if separates else None, 'separates': separates,
             'advice': '; '.join(steps)}
 
 
-def choose(groups: list[Weighed], left: list[Names], model: Mapping[str, Value], force: float,
+def choose(groups: list[Weighed], ambiguous: list[Names], model: Mapping[str, Value], force: float,
            missing: Sequence[str] = ()) -> dict[str, object] | None:
     """
-    Return the experiment of the catalogue that separates the hypotheses `left` best.
+    Return the experiment of the catalogue that separates the hypotheses `ambiguous` best.
 
-    It is judged by the pair that it separates worst; one in which the nominal actuator would not
-    move is left out. model: the actuator's nominal parameters; force: the largest, N; missing:
-    signals that were not recorded. None if fewer than two hypotheses with a prediction are left.
+    The score is that of the worst pair; experiments in which the nominal actuator would not
+    move are skipped. model: the actuator's nominal parameters; force: the largest, N; missing:
+    signals that were not recorded. None if fewer than two hypotheses can be predicted.
     """
-    pairs = pairs_of(groups, left)
+    pairs = pairs_of(groups, ambiguous)
     own = str(model.get('load.type', LOADS[0]))
     worst: Values = {}
     for experiment in CATALOGUE if pairs else ():
         try:
-            recording = imagined(experiment, model, force)
+            recording = simulated(experiment, model, force)
         except InputError:   # too small to overcome the nominal friction
             continue
         load = LOADS.index(experiment.load or own)
-        worst[experiment.name] = min(separation(group, recording, _under(a, load), _under(b, load))
-                                     for group, a, b in pairs)
+        worst[experiment.name] = min(
+            separation(group, recording, _with_load(a, load), _with_load(b, load))
+            for group, a, b in pairs)
     if not worst:
         return None
     best = max((experiment for experiment in CATALOGUE if experiment.name in worst),
                key=lambda experiment: worst[experiment.name])
-    return suggestion(best.name, command_line(best, force, own), worst[best.name], worst, left,
-                      missing)
+    return suggestion(best.name, command_line(best, force, own), worst[best.name], worst,
+                      ambiguous, missing)
 
 
-def _under(record: np.void, load: int) -> np.void:
+def _with_load(record: np.void, load: int) -> np.void:
     """Return a record with another type of load."""
     changed = record.copy()
     changed['load_type'] = load

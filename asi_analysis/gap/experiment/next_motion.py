@@ -1,9 +1,8 @@
 """
-The motion of a joint that would separate the hypotheses which are left.
+Choose the motion of a joint that best separates the remaining hypotheses.
 
-A joint's controller is its own, so what is suggested is a course: of the joint, or of the command
-of a drive that should follow it. None leaves the range, or is faster or sharper, than what was
-recorded.
+The controller of a joint is not known, so a course is suggested: of the joint, or of the command
+of its drive. Range, speed and acceleration stay within those of the recording.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +14,8 @@ from scipy.signal import chirp, sawtooth
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.experiment.next_experiment import pairs_of, separation, suggestion
-from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.prepare import Recording, prepare
 
@@ -54,24 +54,24 @@ CATALOGUE: dict[str, tuple[Course, float, float]] = {
 }
 
 
-def choose_motion(groups: list[Weighed], left: list[Names], missing: Sequence[str] = ()
+def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequence[str] = ()
                   ) -> dict[str, object] | None:
     """
-    Return the course of the catalogue that separates the hypotheses `left` best, with its size.
+    Return the course of the catalogue that separates the hypotheses `ambiguous` best.
 
-    It is judged by the pair that it separates worst. missing: signals that were not recorded.
-    None if fewer than two hypotheses with a prediction are left.
+    The score is that of the worst pair. missing: signals that were not recorded. None if fewer
+    than two hypotheses can be predicted.
     """
-    pairs = pairs_of(groups, left)
+    pairs = pairs_of(groups, ambiguous)
     if not pairs:
         return None
-    worst = {name: min(separation(group, imagined(group, name)[0], a, b) for group, a, b in pairs)
+    worst = {name: min(separation(group, simulated(group, name)[0], a, b) for group, a, b in pairs)
              for name in CATALOGUE}
     best = max(worst, key=lambda name: worst[name])
-    _, size, frequency = imagined(pairs[0][0], best)
+    _, size, frequency = simulated(pairs[0][0], best)
     return suggestion(
         f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {_duration(pairs[0][0]):g} s',
-        None, worst[best], worst, left, missing)
+        None, worst[best], worst, ambiguous, missing)
 
 
 def _duration(group: Group) -> float:
@@ -88,7 +88,7 @@ def _rounded(position: Array, known: Array) -> Array:
     return np.asarray(uniform_filter1d(position, spread, mode='nearest'))
 
 
-def imagined(group: Group, name: str) -> tuple[Recording, float, float]:
+def simulated(group: Group, name: str) -> tuple[Recording, float, float]:
     """Return a recording of a course, its size (in the unit of the motion) and frequency (Hz)."""
     known = group.recordings[0]
     course, share, speed = CATALOGUE[name]

@@ -15,16 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.parameters import ACTUATOR_DTYPE
-from asi_analysis.gap.inference.bounded import least_step, minimise
+from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
 from asi_analysis.gap.model.blocks import PLANT_DTYPE
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
-from asi_analysis.gap.model.group import Group, Values, shows_in
+from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
 
 STEP = 1e-3          # of a parameter's range, for the derivatives
-PULL = 1.0           # of the start, on a parameter that is a whole range away
+PRIOR_WEIGHT = 1.0           # of the start, on a parameter that is a whole range away
 ROUNDS = 15          # of the optimiser
 ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth another
 POLISHING = 6        # of those, with all derivatives
@@ -41,7 +41,7 @@ class Fitted(NamedTuple):
     free: tuple[Free, ...]
     theta: Array
     cost: float                  # on the fitted parts, weighed by the floors
-    held_out: Values             # mean square left on the held-out parts, by channel
+    held_out: Values             # mean square residual on the held-out parts, by channel
     problem: 'Problem'
 
     @property
@@ -63,7 +63,7 @@ def _residual(group: Group, channel: str, p: np.void) -> Array:
     """Return what a channel leaves on the fitted parts, weighed by its floor."""
     parts = [(measured(recording, channel) - predict(recording, channel, p))[recording.fit]
              for recording in group.recordings if recording.fit.any()]
-    return np.concatenate(parts) / math.sqrt(group.floor[channel])
+    return np.concatenate(parts) / math.sqrt(group.error_floor[channel])
 
 
 def _unit(free: Free, group: Group, p: np.void) -> float:
@@ -128,8 +128,8 @@ def _comparable(recording: Recording, fit_on: Sequence[Recording]) -> npt.NDArra
 
 
 def held_out_error(group: Group, p: np.void) -> Values:
-    """Return the mean square left on the held-out parts, by channel."""
-    left = {}
+    """Return the mean square residual on the held-out parts, by channel."""
+    residual = {}
     for channel in group.channels:
         total, count = 0.0, 0
         for recording in group.recordings:
@@ -137,15 +137,15 @@ def held_out_error(group: Group, p: np.void) -> Values:
             error = (measured(recording, channel) - predict(recording, channel, p))[mask]
             total += float(error @ error)
             count += error.size
-        left[channel] = total / count
-    return left
+        residual[channel] = total / count
+    return residual
 
 
 def independent_samples(group: Group, p: np.void) -> Values:
     """
     Return how many independent samples the held-out parts are worth, by channel.
 
-    Their number over the time, in samples, that what is left goes on for: the sum of its
+    Their number over the time, in samples, that what is residual goes on for: the sum of its
     autocorrelation up to where neighbours no longer agree (Geyer 1992).
     """
     worth = {}
@@ -153,12 +153,12 @@ def independent_samples(group: Group, p: np.void) -> Values:
         worth[channel] = 0.0
         for recording in group.recordings:
             kept = recording.held_out.astype(float)
-            left = (measured(recording, channel) - predict(recording, channel, p)) * kept
-            size = 2 * left.size
-            products = np.fft.irfft(np.abs(np.fft.rfft(left, size)) ** 2)[:left.size]
-            pairs = np.fft.irfft(np.abs(np.fft.rfft(kept, size)) ** 2)[:left.size]
-            alike = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
-            twos = alike[1:left.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
+            residual = (measured(recording, channel) - predict(recording, channel, p)) * kept
+            size = 2 * residual.size
+            products = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:residual.size]
+            pairs = np.fft.irfft(np.abs(np.fft.rfft(kept, size)) ** 2)[:residual.size]
+            correlation = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
+            twos = correlation[1:residual.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
             ends = int(np.argmax(np.append(twos, -1.0) <= 0.0))
             worth[channel] += kept.sum() / (1.0 + 2.0 * float(twos[:ends].sum()))
     return worth
@@ -178,7 +178,7 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     best_cost, best_theta = math.inf, ranked[0]
     for start in ranked[:followed if len(starts) > 3 else 1]:
         theta, cost = minimise(problem.residual, lambda theta: problem.jacobian(theta, known),
-                               start, PULL, rounds, ROUGHLY if known else CLOSELY)
+                               start, PRIOR_WEIGHT, rounds, ROUGHLY if known else CLOSELY)
         if cost < best_cost:
             best_cost, best_theta = cost, theta
     record = problem.record(best_theta)
@@ -208,7 +208,7 @@ class Problem:
         return self._last
 
     def residual(self, theta: Array) -> Array:
-        """Return what is left on the fitted parts, channel after channel, in floors."""
+        """Return what is residual on the fitted parts, channel after channel, in floors."""
         return np.concatenate(self._by_channel(theta))
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({})) -> Array:
@@ -230,7 +230,7 @@ class Problem:
             begin = 0
             for channel, part in zip(self.group.channels, base, strict=True):
                 end = begin + part.size
-                if shows_in(parameter.field, channel, self.group):
+                if acts_on(parameter.field, channel, self.group):
                     columns[begin:end, i] = (_residual(self.group, channel, p) - part) / step
                 begin = end
         return columns
@@ -322,25 +322,25 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
     return Problem(group, tuple(frees), fixed), starts
 
 
-def fit_part(group: Group, null: Fitted, variants: Sequence[Variant], whole: Fitted) -> Fitted:
+def fit_subset(group: Group, null: Fitted, variants: Sequence[Variant], whole: Fitted) -> Fitted:
     """Return the fit of some of the variants of a fit, from where that has their parameters."""
     problem, _ = _added(group, null, variants)
     return _fit_from(group, problem, whole)
 
 
-def fit_variants(group: Group, promise: 'Promise', variants: Sequence[Variant],
+def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Variant],
                  followed: int = STARTS) -> Fitted:
     """
     Return the fit of one variant each of one or more effects, all together, nearly.
 
-    promise: of the fit to start from (nested warm start): its parameters stay, those of the
+    screen: of the fit to start from (nested warm start): its parameters stay, those of the
     variants are added. Their derivatives change little, and are taken from there.
     followed: how many of the best starts are followed.
     """
-    problem, starts = _added(group, promise.base, variants)
+    problem, starts = _added(group, screen.base, variants)
     # A nominal parameter that gets wider bounds has other derivatives: by shares of those.
     own = {free.field for variant in variants for free in variant.free}
-    known = {name: column for name, column in promise.derivatives.items() if name not in own}
+    known = {name: column for name, column in screen.derivatives.items() if name not in own}
     return fit(group, problem.free, starts, problem.fixed, known=known, followed=followed)
 
 
@@ -349,11 +349,11 @@ def polish(group: Group, fitted: Fitted) -> Fitted:
     return fit(group, fitted.free, [fitted.theta], fitted.problem.fixed, rounds=POLISHING)
 
 
-class Promise:
+class LinearScreen:
     """
     How much an effect on top of a fit could explain, from a few simulations of it.
 
-    At each of its starts: the least squares of what is left over the change that the effect
+    At each of its starts: the least squares of what is residual over the change that the effect
     makes, at any size up to LARGEST times, and over the parameters that are fitted already, all
     of it linear and within the bounds: those of the effect where it is a nominal parameter that
     is off by more than its tolerance.
@@ -361,12 +361,12 @@ class Promise:
 
     def __init__(self, base: Fitted) -> None:
         self.base = base
-        self._left = base.problem.residual(base.theta)
+        self._residual = base.problem.residual(base.theta)
         self._jacobian = base.problem.jacobian(base.theta)
         self.derivatives = {free.field: column for free, column
                             in zip(base.free, self._jacobian.T, strict=True)}
         self._square = self._jacobian.T @ self._jacobian
-        self._right = self._jacobian.T @ self._left
+        self._right = self._jacobian.T @ self._residual
 
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
         """Return the cost that a fit of these variants may be expected to reach."""
@@ -380,7 +380,7 @@ class Promise:
             high[i] += (wide[free.field][1] - most) / (most - least)
         own = any(free.field.partition('@')[0] in OF_A_RECORDING
                   for variant in variants for free in variant.free)
-        return min(self._linear(problem.residual(start) - self._left, low, high, own)
+        return min(self._linear(problem.residual(start) - self._residual, low, high, own)
                    for start in starts)
 
     def _linear(self, change: Array, low: Array, high: Array, own: bool) -> float:
@@ -393,7 +393,7 @@ class Promise:
         cross = self._jacobian.T @ changes
         square = np.block([[self._square, cross], [cross.T, changes.T @ changes]])
         count = changes.shape[1]
-        _, gain = least_step(square, np.append(self._right, changes.T @ self._left),
+        _, gain = least_step(square, np.append(self._right, changes.T @ self._residual),
                              np.append(low, np.full(count, least)),
                              np.append(high, np.full(count, LARGEST)))
-        return 0.5 * float(self._left @ self._left) - gain
+        return 0.5 * float(self._residual @ self._residual) - gain

@@ -1,4 +1,4 @@
-"""How far the gap shrinks, on samples used for nothing else, with an interval."""
+"""The shrink of the gap on the report samples, which no fit uses, with an interval."""
 
 import math
 from typing import NamedTuple
@@ -9,11 +9,11 @@ from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array
 
-STRETCHES = 24   # that the held-out samples are cut into: longer than their errors remember
+STRETCHES = 24   # of the report samples: longer than the correlation time of the errors
 DRAWS = 1000
-# How much wider than the bootstrap says: stretches of one recording do not tell how the next will
-# differ. Measured: so wide, 94 % of 62 development cases (seeds from 88000 on) hold the shrink on
-# their fresh recording.
+# Factor on the bootstrap interval: stretches of one recording do not show how recordings
+# differ. With it the intervals of 94 % of 62 development cases (seeds from 88000 on) contain the
+# shrink on their fresh recording.
 FRESH = 2.4
 
 
@@ -36,14 +36,14 @@ class Shrink(NamedTuple):
 
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:
-    """Return the mean square left in each of STRETCHES stretches of the reported samples."""
-    left = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
+    """Return the mean square residual in each of STRETCHES stretches of the reported samples."""
+    residual = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
         recording.report] for recording in group.recordings])
-    return np.array([np.mean(part ** 2) for part in np.array_split(left, STRETCHES)])
+    return np.array([np.mean(part ** 2) for part in np.array_split(residual, STRETCHES)])
 
 
 def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> Shrink:
-    """Return how far the gap of a channel shrinks."""
+    """Return the shrink of the gap of a channel."""
     square = np.concatenate([measured(r, channel)[r.report] ** 2 for r in group.recordings])
     size = math.sqrt(float(square.mean())) or 1.0
     errors = {name: stretches_error(group, channel, p)
@@ -52,7 +52,7 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
     low, high = _interval(errors['nominal'], errors['after'])
-    # Another recording may show of the nominal nonlinearities what this one does not.
+    # Another recording may excite the nominal nonlinearities differently.
     unseen = math.sqrt(1.0 + group.formulation[channel] / max(rms['after'] ** 2, 1e-300))
     low, high = 1.0 - (1.0 - low) * unseen, 1.0 - (1.0 - high) / unseen
     return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
@@ -63,7 +63,7 @@ def _interval(nominal: Array, after: Array) -> tuple[float, float]:
     """
     Return the 95 % interval of the shrink on a fresh recording, by a bootstrap over stretches.
 
-    nominal, after: mean squares left in each stretch.
+    nominal, after: mean square residual in each stretch.
     """
     times = np.random.default_rng(1).multinomial(nominal.size, np.full(nominal.size,
                                                                        1.0 / nominal.size), DRAWS)

@@ -1,8 +1,8 @@
 """
-How surely the parameters of a fit are known.
+Uncertainty of fitted parameters: profile likelihood, quadratic about the fit, within the bounds.
 
-The likelihood about the fit, taken as quadratic, within the bounds: so a parameter whose effect
-errors of the nominal model can take over is as uncertain as their tolerances leave it.
+All other parameters are free, so the interval of a parameter includes the tolerances of nominal
+parameters that have a similar effect.
 """
 
 from typing import NamedTuple
@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from asi_analysis.gap.inference.bounded import least_step
+from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
-from asi_analysis.gap.inference.verdict import CONSTANTS
+from asi_analysis.gap.inference.probability import CONSTANTS
 from asi_analysis.gap.prepare import Array
 
 RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the cost, at the end of a 95 % interval
@@ -22,7 +22,7 @@ AT_BOUND = 1e-6   # of the way between bounds
 
 
 class Likelihood(NamedTuple):
-    """Less the log likelihood about a fit: 0.5 step' square step + slope' step, of shares."""
+    """Negative log likelihood about a fit: 0.5 step' square step + slope' step, of shares."""
 
     square: Array
     slope: Array
@@ -32,26 +32,26 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     """
     Return the likelihood of the parameters about a fit.
 
-    A channel counts as many samples as are independent in what it leaves, and its model error as
-    the few that the verdict counts. at_bound: how near to a bound a parameter rests on it.
+    The weight of a channel is the effective sample size of its residual; its model error counts
+    as `Constants.samples` samples. at_bound: distance within which a parameter is at a bound.
     """
     problem, theta = fitted.problem, fitted.theta
     group = problem.group
     count = len(group.channels)
-    left = problem.residual(theta).reshape(count, -1)
-    slopes = problem.jacobian(theta).reshape(count, left.shape[1], -1)
-    worth = independent_samples(group, fitted.record)
-    # The parts to choose on may be shorter than those that were fitted.
+    residual = problem.residual(theta).reshape(count, -1)
+    slopes = problem.jacobian(theta).reshape(count, residual.shape[1], -1)
+    counts = independent_samples(group, fitted.record)
+    # The held-out parts may be shorter than the fitted ones.
     more = max(sum(float(r.fit.sum()) for r in group.recordings)
                / sum(float(r.held_out.sum()) for r in group.recordings), 1.0)
     square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
-    for channel, rest, change in zip(group.channels, left, slopes, strict=True):
-        model_error = 1.0 - group.noise[channel] ** 2 / group.floor[channel]
-        variance = (float(np.mean(rest ** 2)) / (more * worth[channel])
+    for channel, rest, change in zip(group.channels, residual, slopes, strict=True):
+        model_error = 1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
+        variance = (float(np.mean(rest ** 2)) / (more * counts[channel])
                     + model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
-    # Where a fit ends inside its bounds it has no slope; what it has there was not worth a round.
+    # The gradient is zero inside the bounds, but for the tolerance of the optimiser.
     inside = (theta > at_bound) & (theta < 1.0 - at_bound)
     return Likelihood(square, np.where(inside, 0.0, slope))
 
@@ -60,7 +60,7 @@ def at_limit(fitted: Fitted) -> dict[str, str]:
     """
     Return the nominal parameters that rest on a limit of their tolerance: 'low' or 'high'.
 
-    Of those that the recordings tell something of: whose interval ends before the middle.
+    Only those that the recordings determine: the interval ends before the middle of the range.
     """
     found = likelihood(fitted, AT_LIMIT)
     numbers = {free.field: number for number, free in enumerate(fitted.free)}
@@ -73,7 +73,7 @@ def at_limit(fitted: Fitted) -> dict[str, str]:
 
 
 def draw(fitted: Fitted, found: Likelihood, rng: np.random.Generator) -> np.void:
-    """Return the record of a fit drawn from its uncertainty; what nothing tells is drawn too."""
+    """Return the record of a fit drawn from its uncertainty; the range is a weak prior."""
     triangle = np.linalg.cholesky(found.square + np.eye(fitted.theta.size))
     step = np.linalg.solve(triangle.T, rng.standard_normal(fitted.theta.size))
     return fitted.problem.record(np.clip(fitted.theta + step, 0.0, 1.0))
@@ -91,7 +91,7 @@ def interval(fitted: Fitted, found: Likelihood, name: str) -> tuple[float, float
 
 
 def end(found: Likelihood, theta: Array, number: int, bound: float) -> float:
-    """Return how far towards a bound a parameter goes until the cost, all others free, rises."""
+    """Return the end of the interval towards a bound, by the profile likelihood."""
     low, high = -theta, 1.0 - theta
 
     def cost(way: float) -> float:

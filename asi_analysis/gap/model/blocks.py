@@ -235,7 +235,7 @@ def valve(command, p, e, period, count, out):
 
 
 @jit
-def steps_promise(values, counts, sums, quanta, phase, truncated, e, out):
+def step_gain(values, counts, sums, quanta, phase, truncated, e, out):
     """
     Put into `out` how much steps of each quantum (N) promise to explain, as if nothing were slow.
 
@@ -396,7 +396,7 @@ def viscous_force(v, e):
 
 
 @jit
-def seals(velocity, p, e, h, out):
+def cylinder_friction(velocity, p, e, h, out):
     """Put the friction (N) before the force sensor into `out`; velocity: m/s, each `h` s."""
     seal, before = 0.0, velocity[0]
     extra, reach = seized(e)
@@ -409,7 +409,7 @@ def seals(velocity, p, e, h, out):
 
 
 @jit
-def asked(position, velocity, p, e, h, out):
+def steady_state_force(position, velocity, p, e, h, out):
     """
     Put the force (N) that valve and motion ask of the fluid into `out`.
 

@@ -261,12 +261,12 @@ def block_of(name: str) -> str | None:
                  if parameter.startswith(start)), None)
 
 
-def is_exact(name: str) -> bool:
+def has_one_law(name: str) -> bool:
     """Return whether an effect has one law; see `Effect`."""
     return name.startswith(PARAMETER) or BY_NAME[name].exact
 
 
-def off_nominal(parameter: str, field: str, limit: str, tolerance: float,
+def parameter_error(parameter: str, field: str, limit: str, tolerance: float,
                 channels: tuple[str, ...]) -> Effect:
     """
     Return the hypothesis that a nominal parameter is beyond a limit of its tolerance.

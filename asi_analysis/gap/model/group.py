@@ -1,4 +1,4 @@
-"""What channels share: which nominal parameters are uncertain, and what no model explains."""
+"""Groups of channels that share parameters: uncertain parameters, noise and error floor."""
 
 import math
 from collections.abc import Sequence
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant, in_each
-from asi_analysis.gap.model.predict import for_recordings, measured, passed_on, predict
+from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL, LINEAR
 
 Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
-NOISIER = 0.6        # of the noise that was found: a model that leaves less shows that it is less
-MODEL_ERROR = 0.005  # share of a signal that no model of ours is trusted to explain
+NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the noise is lower
+MODEL_ERROR = 0.005  # of a signal (rms): general error of any model
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
 # they have no effect, and are left out.
 UNCERTAIN = {
@@ -32,15 +32,15 @@ UNCERTAIN = {
     'load': ('load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
              'load_locked_damping', 'force_sensor_natural_frequency', 'force_sensor_delay'),
 }
-# Share of what a nonlinearity of the nominal model does (with these fields and without) that its
-# formulation is not trusted to explain; set, as MODEL_ERROR is, on blind cases without effects.
+# Formulation error of a nonlinearity of the nominal model, as a share of its contribution (the
+# difference with and without these fields); set, as MODEL_ERROR, on blind cases without effects.
 FORMULATION_ERROR = {
     'valve': ((('valve_hysteresis_radius',), 0.1),),
     'force': ((('friction_coulomb', 'friction_stiction_push', 'friction_stiction_pull'), 0.2),),
     'load': (),
 }
-# What the formulation of a nonlinearity leaves open, whatever the tolerance of its size: two that
-# agree in their size need not agree in the last turn of their curve.
+# Free shape parameters of the nominal nonlinearities: formulations of the same size may differ in
+# their shape.
 SHAPES = {
     'valve': (Free('valve_hysteresis_spread', 0.0, 1.5, (0.3,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.3,))),
@@ -56,10 +56,9 @@ class Group:
     """
     Channels that share parameters, and so are fitted together.
 
-    scale: what the bounds of the effects are multiples of; floor: mean square of what may be left
-    in each channel by noise, by the small errors of any model and by `formulation`, that of the
-    nominal nonlinearities; effects: those that may be at
-    work.
+    scale: units of the bounds of effects; noise: rms; error_floor: mean square residual of a
+    right model, by channel, from noise, the general model error and `formulation`, the error of
+    the nominal nonlinearities; effects: the candidates.
     """
 
     nominal: np.void
@@ -68,7 +67,7 @@ class Group:
     nuisance: tuple[Free, ...]
     scale: Values = field(default_factory=dict)
     noise: Values = field(default_factory=dict)
-    floor: Values = field(default_factory=dict)
+    error_floor: Values = field(default_factory=dict)
     formulation: Values = field(default_factory=dict)
     effects: tuple[Effect, ...] = EFFECTS
 
@@ -83,7 +82,7 @@ class Group:
         return all(recording.valve_position is not None for recording in self.recordings)
 
 
-def moves(recording: Recording) -> bool:
+def has_motion(recording: Recording) -> bool:
     """Return whether a recording holds the motion of the piston."""
     return recording.velocity is not None or recording.motion is not None
 
@@ -95,10 +94,10 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     """
     Return a group of channels, ready to be fitted.
 
-    model_error: share of a signal that the model is not trusted to explain.
+    model_error: rms of the general model error, as a share of the signal.
     """
     scale = scales(recordings)
-    noise, floor, formulation = {}, {}, {}
+    noise, error_floor, formulation = {}, {}, {}
     count = 1 + max(recording.number for recording in recordings)
     p = for_recordings(nominal.copy(), count)
     p['force_scale'], p['velocity_scale'] = scale['force'], scale['velocity']
@@ -107,37 +106,38 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
         size = math.sqrt(float(np.mean([np.mean(measured(recording, channel) ** 2)
                                         for recording in recordings])))
         formulation[channel] = _formulation_error(recordings, channel, p)
-        floor[channel] = noise[channel] ** 2 + (model_error * size) ** 2 + formulation[channel]
+        error_floor[channel] = (noise[channel] ** 2 + (model_error * size) ** 2
+                                + formulation[channel])
     if nuisance is None:
-        hidden = 'force' in channels and any(r.valve_position is None for r in recordings)
-        names = ('valve', *channels) if hidden else channels
-        if not all(map(moves, recordings)):
+        measured_valve = all(r.valve_position is not None for r in recordings)
+        names = channels if measured_valve or 'force' not in channels else ('valve', *channels)
+        if not all(map(has_motion, recordings)):
             names = (*names, 'load')
         nuisance = _nuisance(p, names, tolerance, 'valve' in channels)
     effects = tuple(effect._replace(variants=tuple(
         variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
         for effect in effects)
-    return Group(p, recordings, channels, in_each(nuisance, count), scale, noise, floor,
+    return Group(p, recordings, channels, in_each(nuisance, count), scale, noise, error_floor,
                  formulation, effects)
 
 
-def less_noisy(group: Group, left: Values) -> Group:
+def with_lower_noise(group: Group, residual: Values) -> Group:
     """
-    Return a group whose noise is no more than what a model leaves of it (mean squares).
+    Return a group whose noise is at most the residual of a model (mean squares).
 
-    Where a signal is sampled slowly, its own course looks like noise.
+    The noise of a slowly sampled signal is overestimated.
     """
-    noise = {channel: min(level, math.sqrt(left[channel]))
+    noise = {channel: min(level, math.sqrt(residual[channel]))
              for channel, level in group.noise.items()}
     if all(noise[channel] > NOISIER * level for channel, level in group.noise.items()):
         return group
-    return replace(group, noise=noise, floor={
-        channel: floor - group.noise[channel] ** 2 + noise[channel] ** 2
-        for channel, floor in group.floor.items()})
+    return replace(group, noise=noise, error_floor={
+        channel: error_floor - group.noise[channel] ** 2 + noise[channel] ** 2
+        for channel, error_floor in group.error_floor.items()})
 
 
 def _noise(recording: Recording, channel: str, p: np.void) -> float:
-    """Return the standard deviation of what noise leaves in a channel, that of its input too."""
+    """Return the standard deviation of a channel's noise, with the propagated noise."""
     noise, motion = recording.noise, recording.motion
     if channel == 'valve':
         return noise['valve_position']
@@ -145,7 +145,7 @@ def _noise(recording: Recording, channel: str, p: np.void) -> float:
     if channel == 'load':
         assert motion is not None
         share = math.sqrt(float(np.mean(motion.judge ** 2)))
-    return math.hypot(share * noise['force'], math.sqrt(passed_on(recording, channel, p)))
+    return math.hypot(share * noise['force'], math.sqrt(propagated_noise(recording, channel, p)))
 
 
 def _range(signals: Sequence[Array | None]) -> float:
@@ -155,7 +155,7 @@ def _range(signals: Sequence[Array | None]) -> float:
 
 
 def scales(recordings: Sequence[Recording]) -> Values:
-    """Return what the bounds of the effects are multiples of."""
+    """Return the units of the bounds of effects: sizes of the signals."""
     motions = [recording.motion for recording in recordings if recording.motion]
     command = _range([recording.command for recording in recordings])
     force = _range([recording.force for recording in recordings])
@@ -190,8 +190,8 @@ def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
     chosen = {}
     for name in (name for channel in channels for name in UNCERTAIN[channel]):
         if nominal[name] != 0.0 and _is_modelled(name, nominal):
-            # The valve position is known by the product of three uncertain parameters; of the
-            # force that a command makes two of them cancel.
+            # Three uncertain parameters act on the valve position as a product; two of them
+            # cancel in the force.
             wide = name == 'valve_characteristic_gain' and valve_by_itself
             chosen[name] = Free(name, low ** 2 / high if wide else low,
                                 high ** 2 / low if wide else high, (1.0,), 'nominal')
@@ -199,13 +199,13 @@ def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
         if _is_modelled(free.field, nominal) and (free.scale != 'nominal'
                                                   or nominal[free.field] != 0.0):
             chosen[free.field] = free
-    if 'force' in channels:   # a real corner is never quite hard
+    if 'force' in channels:   # a real saturation is rounded
         chosen['corner'] = Free('corner', 0.0, 0.1, (0.03,))
     return tuple(chosen.values())
 
 
 def _formulation_error(recordings: Sequence[Recording], channel: str, p: np.void) -> float:
-    """Return the mean square that the formulation of the nominal nonlinearities may leave."""
+    """Return the mean square formulation error of the nominal nonlinearities."""
     error = 0.0
     for fields, share in FORMULATION_ERROR[channel]:
         if _is_modelled(fields[0], p):
@@ -228,32 +228,32 @@ def channels_of(variant: Variant, group: Group) -> set[str]:
     return shows & set(group.channels)
 
 
-def _shown() -> dict[str, set[str]]:
+def _channels_by_field() -> dict[str, set[str]]:
     """Return the channels that each parameter acts on, by field."""
-    shown: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
+    acts_on: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
                                   'drive_delay': {'load'}, 'drive_lag': {'load'},
                                   'corner': {'valve', 'force'}}
     for channel, names in UNCERTAIN.items():
         for name in names:
-            shown.setdefault(name, set()).add(channel)
+            acts_on.setdefault(name, set()).add(channel)
         for free in SHAPES[channel]:
-            shown.setdefault(free.field, set()).add(channel)
+            acts_on.setdefault(free.field, set()).add(channel)
     for effect in EFFECTS:
         for variant in effect.variants:
             for free in variant.free:
-                shown.setdefault(free.field, set()).update(variant.channels)
-    return shown
+                acts_on.setdefault(free.field, set()).update(variant.channels)
+    return acts_on
 
 
-SHOWN = _shown()
+ACTS_ON = _channels_by_field()
 
 
-def shows_in(field: str, channel: str, group: Group) -> bool:
+def acts_on(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
     field = field.partition('@')[0]
-    through = channel == 'force' and not group.measures_valve and 'valve' in SHOWN[field]
+    through = channel == 'force' and not group.measures_valve and 'valve' in ACTS_ON[field]
     inert = (field in ('load_mass', 'piston_share')
              and group.nominal['force_sensor_mass_share'] != 0.0)
     carried = (channel == 'force' and field in UNCERTAIN['load']
-               and not all(map(moves, group.recordings)))
-    return channel in SHOWN[field] or through or inert or carried
+               and not all(map(has_motion, group.recordings)))
+    return channel in ACTS_ON[field] or through or inert or carried

@@ -3,8 +3,8 @@ A rigid joint or drive as nominal model, in the block language of the actuator.
 
 Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
 friction and a constant offset, identified from the recording where no values are given. Commanded
-by its position: a servo that follows at once. Where command and force are both measured, the drive
-between them is such a servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
+by its position: an ideal servo. Where command and force are both measured, the drive between them
+is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,22 +28,22 @@ OFF = {f'{block}.model': 'off' for block in (
 IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_limit': 1e5,
                            'valve_characteristic.maximum_force': 1.0,
                            'valve_characteristic.full_opening': 0.01}
-# What a joint has another range of than the actuator: its inertia may be a millionth.
+# Parameters with another range than the actuator's: the inertia of a joint may be very small.
 OF_ANY_SIZE = frozenset(('load.mass', 'load.damping'))
-SERVO_SHARE = 0.1   # of the motion: a servo that follows better is not where the gap is
-# Share of a signal that a rigid model of a machine with gears, belts and cables does not explain.
+SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
+# General model error, share of a signal: a rigid model of gears, belts and cables,
 RIGID_ERROR = 0.02
-SERVO_ERROR = 0.03   # and a drive without any dynamics of its own
+SERVO_ERROR = 0.03   # and a drive without dynamics
 BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of the dynamics
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
-QUASI_STATIC = 0.05 # share of the force below which the mass shows nothing
-TYPICAL = 0.3       # share of the force that mass or damper may take and hide behind friction
+QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
+TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
-# A position loop that loses motion at each turn: one play, which all of the motion goes through.
+# Lost motion of a position loop at reversals: one play in series.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
                       ('valve',), (('loop_share', 1.0), ('loop_spread', 0.0)))
-# The position loop of a slow machine waits and lags ten times as long as a valve.
+# Delay and lag of a slow machine's position loop: ten times those of a valve.
 SLOW = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
         for field in ('command_delay', 'valve_lag')}
 
@@ -84,15 +84,16 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     groups = []
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
-    sensed = all(run.force_n is not None for run in runs)
-    return [*groups, _telling(_mechanics(recordings, given, tolerance, sensed))], notes
+    force_measured = all(run.force_n is not None for run in runs)
+    mechanics = _mechanics(recordings, given, tolerance, force_measured)
+    return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
-def _telling(group: Group) -> Group:
+def _without_hidden_compliance(group: Group) -> Group:
     """
-    Return a group without the compliance of a load that is moved so slowly that no mass shows.
+    Return a group without load compliance if the motion is too slow to show the inertia.
 
-    What is behind a compliance cannot show then either; it would pass for friction.
+    The compliance cannot be identified then, and would be confused with friction.
     """
     mass = float(group.nominal['load_mass'])
     for recording in group.recordings:
@@ -116,7 +117,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     nominal['load_mass'] = 0.0
     if proportional:
         nominal['valve_characteristic_gain'] = _gain(recordings)
-    # A gain that was identified without a lag is far too small where there is one.
+    # The gain was identified without a lag, and is far too small if there is one.
     low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
     effects = tuple(effect._replace(variants=(LOST_MOTION,))
@@ -137,7 +138,7 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
-               sensed: bool) -> Group:
+               force_measured: bool) -> Group:
     """Return the group that compares the force with what the motion takes."""
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
@@ -151,39 +152,39 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
             if nominal[field] > 0.0:   # a share of nothing is nothing
                 nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
         else:
-            # What was identified without friction may be far from what is true with it.
+            # Identified without friction; the true value may be far off.
             value = identified[field]
             nominal[field] = value
             nuisance.append(Free(field, 0.0, 3.0 * max(value, TYPICAL * typical[field]), (value,)))
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
-    # Of a wheel that spins the damping takes the mean of the force, which may be taken off.
+    # At a constant speed the damping explains the mean force, which may have been removed.
     most = max(1.0, 2.0 * abs(start))
     nuisance.append(Free('load_offset', -most, most, (start,), 'force'))
     period = max(recording.period_s for recording in recordings)
-    # A held command acts half a sample late; a stamp may be off as much. A force that is read
-    # before the command's next value comes is late itself.
-    nuisance.append(Free('drive_hold', -period if sensed else 0.0, period, (0.0,)))
+    # A held command acts half a sample late, and its stamp may be off by as much; a force may be
+    # sampled before the next command.
+    nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
-    effects = joint_effects(period, travel, 'load.mass' in given, sensed)
+    effects = joint_effects(period, travel, 'load.mass' in given, force_measured)
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
                       model_error=RIGID_ERROR)
 
 
-def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> tuple[Effect, ...]:
+def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool
+                  ) -> tuple[Effect, ...]:
     """
     Return the effects that may be at work between the force and the motion of a joint.
 
-    period: of the samples, s; travel: range of motion, m or rad; weighed: the mass is given, so
-    that a wrong force is not taken for another mass; sensed: the force is measured, not commanded.
-    Left out is what the nominal model's own free parameters do just as well: a constant
-    disturbance is an offset. So is the constant part of asymmetric friction; that there is no
-    offset besides is an explanation of its own.
+    period: of the samples, s; travel: range of motion, m or rad; mass_given: the mass is known, so
+    that a gain error of the force can be identified; force_measured: not only commanded. Effects
+    that equal free parameters of the nominal model are left out: a constant disturbance is an
+    offset. So is the constant part of asymmetric friction, which is fitted without an offset.
     """
     covered = {'disturbance', 'sensor_offset'}
-    if not weighed:
+    if not mass_given:
         covered |= {'viscous', 'sensor_gain_error'}
-    if not sensed:
+    if not force_measured:
         covered |= {'sensor_gain_error', 'sensor_lag', 'sensor_lag_split', 'sensor_drift',
                     'sensor_drift_curve', 'sensor_drift_bend'}
     low, high = (share * travel for share in BRISTLE)
@@ -192,7 +193,7 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
              # Slower than that is no force sensor, but a load that gives way.
              'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
 
-    def kept(variant: Variant) -> bool:
+    def applies(variant: Variant) -> bool:
         fields = {free.field for free in variant.free}
         return 'load' in variant.channels and not fields <= covered
 
@@ -204,8 +205,8 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
         return variant._replace(free=(*free, NO_OFFSET) if uneven else free)
 
     effects = [effect._replace(variants=variants) for effect in EFFECTS
-               if (variants := tuple(scaled(v) for v in effect.variants if kept(v)))]
-    if not sensed:
+               if (variants := tuple(scaled(v) for v in effect.variants if applies(v)))]
+    if not force_measured:
         effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=(
             Variant((Free(field, period, 0.1, (0.002, 0.006, 0.02), '', 's'),), ('load',)),))
             for name, field in (('transport_delay', 'drive_delay'), ('valve_lag', 'drive_lag'))]
@@ -214,17 +215,17 @@ def joint_effects(period: float, travel: float, weighed: bool, sensed: bool) -> 
 
 def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[str]]:
     """
-    Return recordings whose force has no large mean (pressure, gravity), and notes.
+    Return recordings without a large mean force (pressure, gravity), and notes.
 
-    A force of 150 N that swings by 7 N is judged by what swings. Where the means differ by more
-    than forces swing, each recording has its own.
+    The error is relative to the varying part of the force. If the means differ by more than that,
+    each recording has its own mean.
     """
     means = [float(r.force[r.valid].mean()) for r in recordings if r.force is not None]
     swing = min(float(r.force.std()) for r in recordings if r.force is not None)
     if max(map(abs, means), default=0.0) < BIASED * swing:
         return recordings, []
-    alike = max(means) - min(means) < 2.0 * swing
-    taken = [float(np.mean(means))] * len(means) if alike else means
+    similar = max(means) - min(means) < 2.0 * swing
+    taken = [float(np.mean(means))] * len(means) if similar else means
     shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean)
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
@@ -236,7 +237,7 @@ def _identified(recordings: Sequence[Recording]) -> tuple[dict[str, float], dict
     """
     Return mass, damping and offset by least squares on the fitted parts, none below zero.
 
-    And of mass and damping that which would take the whole force.
+    And the values of each with which it would make the whole force by itself.
     """
     rows, right = [], []
     for recording in recordings:

@@ -1,4 +1,4 @@
-"""What a channel of a recording should have measured, by a record of the plant."""
+"""Predict a channel of a recording from its measured inputs and a record of the plant."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,26 +16,25 @@ from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 
-# Valve position and velocity come sampled, and lags are exact for what moves straight, so finer
-# steps than the first tell nothing new of the force; delays and a solid friction of the nominal
-# model take the second; the hysteresis of the full model, whose width follows the rate of the
-# command and so jumps within a sample, the third.
+# Largest sub-steps. Lags are exact for inputs that are linear between samples, so the force needs
+# no smaller step than the first; delays and dry friction of the nominal model take the second, the
+# hysteresis of the full model, whose width depends on the rate of the command, the third.
 FORCE_STEP_S = 5e-4
 STEP_S = 2.5e-4
 FINER = 2
 HYSTERESIS_STEP_S = 2e-4
-# Of the load that is moved, against the damping of the oil that is late by 0.16 ms.
+# Of the simulated load: the hydraulic damping acts with a delay of 0.16 ms.
 TRAVEL_STEP_S = 1e-4
-CONTACT_STEP_S = 1e-4   # of a load that touches
-# What valve and parts of the force depend on, and how many of them are kept.
-SEALS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
+CONTACT_STEP_S = 1e-4   # of a load with contact
+# Fields that the cached parts of a prediction depend on, and the number of cached parts.
+FRICTION_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('friction_', 'viscous')))
-ASKED = tuple(name for name in blocks.PLANT_DTYPE.names or () if name.startswith((
+STEADY_FORCE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or () if name.startswith((
     'valve_characteristic_', 'hydraulic_damping_', 'fluid_dynamics_', 'supply_', 'damping_',
     'orifice_', 'force_limit', 'corner')))
-VALVE = tuple(name for name in blocks.PLANT_DTYPE.names or ()
+VALVE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('valve_', 'command_', 'loop_', 'corner')))
-KEPT = 6
+CACHE_SIZE = 6
 
 
 def plant_record(nominal: Mapping[str, Value]) -> np.void:
@@ -54,7 +53,7 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
 
 
 def predict(recording: Recording, channel: str, p: np.void) -> Array:
-    """Return what a channel should have measured: n samples, in the channel's unit."""
+    """Return the predicted output of a channel: n samples, in the channel's unit."""
     p = _in_recording(p, recording.number)
     if channel == 'load':
         return _load(recording, p)
@@ -62,22 +61,24 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
         return _valve(recording, p)
     position = recording.valve_position
     if position is None:
-        position = _kept(recording, VALVE, p, (), lambda: _valve(recording, p))
+        position = _cached(recording, VALVE_FIELDS, p, (), lambda: _valve(recording, p))
     velocity = _velocity(recording, p, position)
-    stiff = FULL in (p['force_sensor_model'], p['friction_model'])
+    fine = FULL in (p['force_sensor_model'], p['friction_model'])
     count = recording.sub_steps(FORCE_STEP_S)
-    wanted = _kept(recording, ASKED, p, (position, velocity), lambda: _finely_run(
-        blocks.asked, recording, p, (position, velocity), count))
-    if stiff:   # friction changes faster than valve and motion
-        wanted, count = _finely(wanted, FINER), FINER * count
-    rub = _kept(recording, SEALS, p, (velocity,), lambda: _finely_run(
-        blocks.seals, recording, p, (velocity,), count))
+    steady_force = _cached(
+        recording, STEADY_FORCE_FIELDS, p, (position, velocity), lambda: _finely_run(
+            blocks.steady_state_force, recording, p, (position, velocity), count))
+    if fine:   # friction changes faster than valve and motion
+        steady_force, count = _finely(steady_force, FINER), FINER * count
+    friction = _cached(recording, FRICTION_FIELDS, p, (velocity,), lambda: _finely_run(
+        blocks.cylinder_friction, recording, p, (velocity,), count))
     out = np.empty(recording.fit.size)
     # The smoothed motion, where there is one: noise grows with each derivative.
     motion = recording.motion
     acceleration = (np.gradient(velocity, recording.period_s) if motion is None else
                     motion.acceleration[motion.pad:motion.pad + out.size])
-    blocks.force(wanted, rub, acceleration, *blocks.parts(p), recording.period_s, count, out)
+    blocks.force(steady_force, friction, acceleration, *blocks.parts(p), recording.period_s,
+                 count, out)
     return out
 
 
@@ -105,12 +106,11 @@ def _in_recording(p: np.void, number: int) -> np.void:
     return own
 
 
-def passed_on(recording: Recording, channel: str, p: np.void) -> float:
+def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
     """
-    Return the mean square that the noise of its measured inputs leaves in what a channel predicts.
+    Return the propagated noise of a channel: the mean square from the noise of its inputs.
 
-    Of valve position and motion. What acts behind a lag passes on less, and a lag that has to be
-    undone more.
+    The inputs are valve position and motion. A lag reduces it, an inverted lag increases it.
     """
     if channel == 'valve':
         return 0.0
@@ -138,23 +138,23 @@ def passed_on(recording: Recording, channel: str, p: np.void) -> float:
             motion, velocity=motion.velocity + np.fft.irfft(smoothed, motion.velocity.size),
             acceleration=motion.acceleration + np.fft.irfft(1j * motion.omega * smoothed,
                                                             motion.velocity.size))
-    made = predict(replace(recording, kept={}, **noisy), channel, p) - predict(
+    made = predict(replace(recording, cache={}, **noisy), channel, p) - predict(
         recording, channel, p)
     return float(np.mean(made[recording.held_out] ** 2))
 
 
-def _kept(recording: Recording, fields: tuple[str, ...], p: np.void,
+def _cached(recording: Recording, fields: tuple[str, ...], p: np.void,
           signals: tuple[Array, ...], make: Callable[[], Array]) -> Array:
     """
-    Return a part of a prediction, as it was if nothing that it depends on has changed.
+    Return a part of a prediction, from the cache if nothing that it depends on has changed.
 
-    For a derivative only one parameter is moved, and that is in one part.
+    A numerical derivative changes one parameter, which acts on one part.
     """
     key = (fields[0], *(float(p[name]) for name in fields),
            *(hash(signal.tobytes()) for signal in signals))
-    known = recording.kept
+    known = recording.cache
     if key not in known:
-        while len(known) >= KEPT:
+        while len(known) >= CACHE_SIZE:
             del known[next(iter(known))]
         known[key] = make()
     known[key] = known.pop(key)   # the latest last
@@ -163,7 +163,7 @@ def _kept(recording: Recording, fields: tuple[str, ...], p: np.void,
 
 def _finely_run(part: Callable[..., None], recording: Recording, p: np.void,
                 signals: tuple[Array, ...], count: int) -> Array:
-    """Return what a part of the force makes of signals at `count` sub-steps a sample."""
+    """Return a part of the force at `count` sub-steps a sample."""
     out = np.empty((recording.fit.size - 1) * count + 1)
     part(*(_finely(signal, count) for signal in signals), *blocks.parts(p),
          recording.period_s / count, out)
@@ -171,17 +171,17 @@ def _finely_run(part: Callable[..., None], recording: Recording, p: np.void,
 
 
 def _finely(signal: Array, count: int) -> Array:
-    """Return a signal at `count` sub-steps a sample, straight from sample to sample."""
+    """Return a signal at `count` sub-steps a sample, by linear interpolation."""
     rise = np.diff(signal)[:, None] * (np.arange(count) / count)
     return np.append((signal[:-1, None] + rise).ravel(), signal[-1])
 
 
 def _valve(recording: Recording, p: np.void) -> Array:
-    """Return the valve position (m) that the recorded command should have made."""
+    """Return the valve position (m) predicted from the recorded command."""
     out = np.empty(recording.fit.size)
     longest = HYSTERESIS_STEP_S if p['valve_hysteresis_model'] == FULL else STEP_S
     if p['valve_flexure_model'] != FULL:
-        # With nothing slow behind it only a mean over a whole sample moves with the delay.
+        # Without a lag only the mean over a sample depends smoothly on the delay.
         longest = recording.period_s
     blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
                  recording.sub_steps(longest), out)
@@ -189,7 +189,7 @@ def _valve(recording: Recording, p: np.void) -> Array:
 
 
 def _velocity(recording: Recording, p: np.void, position: Array) -> Array:
-    """Return the velocity (m/s) of the piston; not measured, what the nominal load does."""
+    """Return the velocity (m/s) of the piston; simulated with the nominal load if not measured."""
     if recording.velocity is not None:
         return recording.velocity
     motion = recording.motion
@@ -204,7 +204,7 @@ def _velocity(recording: Recording, p: np.void, position: Array) -> Array:
 
 
 def _load(recording: Recording, p: np.void) -> Array:
-    """Return the force (N) that the measured motion takes, as the sensor reads it, in band."""
+    """Return the force (N) for the measured motion, as read by the sensor, band-limited."""
     motion = recording.motion
     assert motion is not None
     _, damping, stiffness = blocks.load_constants(p)
@@ -234,13 +234,13 @@ def _load(recording: Recording, p: np.void) -> Array:
 
 
 def _read(omega: Array, p: np.void) -> Complex:
-    """Return what is read, or was commanded, over the force that the load takes."""
+    """Return the response from the force on the load to the reading, or to the command."""
     return blocks.sensor_response(omega, p) * blocks.drive_inverse(omega, p)
 
 
 def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void
             ) -> Complex:
-    """Return the spectrum of the force that the linear load takes of a motion, as it is read."""
+    """Return the spectrum of the force of the linear load for a motion, as read."""
     if p['compliance'] > 0.0 or p['backlash'] > 0.0:
         return blocks.behind(omega, velocity, position, slack, p) * _read(omega, p)
     _, _, stiffness = blocks.load_constants(p)
@@ -248,7 +248,7 @@ def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, 
 
 
 def measured(recording: Recording, channel: str) -> Array:
-    """Return what a channel has measured."""
+    """Return the measured output of a channel."""
     signal = {'valve': recording.valve_position, 'force': recording.force,
               'load': recording.force_judged}[channel]
     assert signal is not None

@@ -18,20 +18,20 @@ from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
 from asi_analysis.gap.check.check import score
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
-from asi_analysis.gap.inference import quality
+from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import (
+    LinearScreen,
     Problem,
-    Promise,
     fit_null,
-    fit_part,
+    fit_subset,
     fit_variants,
     with_known_gain,
 )
-from asi_analysis.gap.inference.seen import seen
+from asi_analysis.gap.inference.initial_guesses import initial_guesses
+from asi_analysis.gap.inference.probability import Evidence, probabilities
 from asi_analysis.gap.inference.uncertainty import Likelihood, end
-from asi_analysis.gap.inference.verdict import Evidence, probabilities
 from asi_analysis.gap.model.effects import BY_NAME
-from asi_analysis.gap.model.predict import passed_on, plant_record, predict
+from asi_analysis.gap.model.predict import plant_record, predict, propagated_noise
 from asi_analysis.gap.prepare import prepare
 from asi_examiner import bags
 from asi_examiner.cases import draw
@@ -89,7 +89,7 @@ def test_nominal_parameter_far_off_is_seen_and_fitted():
     group = groups[-1]
     null = fit_null(group)
     variant = BY_NAME['coulomb_friction'].variants[-1]
-    promise = Promise(null)
+    promise = LinearScreen(null)
     assert promise.cost(group, [variant]) < 0.5 * null.cost
     fitted = fit_variants(group, promise, [variant])
     assert fitted.cost < 0.5 * null.cost
@@ -138,7 +138,7 @@ def test_hysteresis_that_first_goes_back_as_it_turns_is_fitted():
     group = actuator_groups([dataclasses.replace(run, valve_position_m=valve)], TEXTBOOK, 0.2,
                             [False])[0][0]
     null = fit_null(group)
-    fitted = fit_variants(group, Promise(null), BY_NAME['valve_hysteresis'].variants[:1])
+    fitted = fit_variants(group, LinearScreen(null), BY_NAME['valve_hysteresis'].variants[:1])
     assert fitted.held_out['valve'] < 0.003 * null.held_out['valve']
 
 
@@ -156,8 +156,8 @@ def test_steps_of_a_command_are_seen(deadband, command):
     group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][0]
     fitted = fit_null(group)
     if deadband:
-        fitted = fit_variants(group, Promise(fitted), BY_NAME['valve_deadband'].variants[:1])
-    assert seen(fitted)['residual_step_edge'] == pytest.approx(67.5, rel=5e-3)
+        fitted = fit_variants(group, LinearScreen(fitted), BY_NAME['valve_deadband'].variants[:1])
+    assert initial_guesses(fitted)['residual_step_edge'] == pytest.approx(67.5, rel=5e-3)
 
 
 def test_force_that_is_limited_before_it_is_lost_is_fitted():
@@ -170,8 +170,8 @@ def test_force_that_is_limited_before_it_is_lost_is_fitted():
     group = actuator_groups([run], model, 0.2, [False])[0][-1]
     limit, supply = (BY_NAME['valve_saturation'].variants[1],
                      BY_NAME['supply_pressure'].variants[0])
-    first = fit_variants(group, Promise(fit_null(group)), (limit,))
-    both = fit_variants(group, Promise(first), (limit, supply))
+    first = fit_variants(group, LinearScreen(fit_null(group)), (limit,))
+    both = fit_variants(group, LinearScreen(first), (limit, supply))
     assert both.held_out['force'] < 1.2 * group.noise['force'] ** 2
 
 
@@ -181,8 +181,8 @@ def test_push_that_ends_where_nothing_is_fitted_is_timed():
     run = dataclasses.replace(run, command_n=None, valve_position_m=None, force_n=pushed)
     group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][0]
     null = fit_null(group)
-    group.scale.update(seen(null))
-    pulse = fit_variants(group, Promise(null), BY_NAME['disturbance_force'].variants[2:])
+    group.scale.update(initial_guesses(null))
+    pulse = fit_variants(group, LinearScreen(null), BY_NAME['disturbance_force'].variants[2:])
     assert pulse.values['disturbance_end'] == pytest.approx(2.8, abs=0.003)
 
 
@@ -194,7 +194,7 @@ def test_effect_behind_a_lag_passes_less_noise_on():
         p = nominal.copy()
         for name, value in changed.items():
             p[name] = value
-        return passed_on(recording, 'force', p)
+        return propagated_noise(recording, 'force', p)
 
     assert passed(air_time=5e-3) < 0.5 * passed()
     assert passed(viscous=1000.0, friction_inside=1.0) > 1.2 * passed()
@@ -234,9 +234,9 @@ def test_second_effect_is_seen_beyond_what_the_law_of_the_first_may_leave(first,
     left = {(): 60.0, (first,): 3.0, (second,): 55.0, (first, second): 1.4}
     pair = tuple(sorted((first, second)))
     evidence = Evidence(
-        noise={'force': 1.96}, floor={'force': 2.9}, formulation={'force': 0.0},
+        noise={'force': 1.96}, error_floor={'force': 2.9}, formulation={'force': 0.0},
         independent={'force': 4000.0}, held_out_s=5.0,
-        left={tuple(sorted(names)): {'force': rms ** 2} for names, rms in left.items()},
+        residual={tuple(sorted(names)): {'force': rms ** 2} for names, rms in left.items()},
         parameters={(): 0, (first,): 2, (second,): 2, pair: 4})
     chance = probabilities(evidence)
     assert max(chance, key=lambda names: chance[names]) == (
@@ -260,7 +260,7 @@ def test_fit_may_start_from_one_that_is_beyond_its_bounds():
     group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][-1]
     null = fit_null(group)   # without compliance, which what touches has
     floating = BY_NAME['backlash'].variants[-1]
-    fitted = fit_part(group, null, (floating,), null)
+    fitted = fit_subset(group, null, (floating,), null)
     assert null.record['compliance'] == 0.0 < fitted.values['compliance']
 
 
@@ -299,7 +299,7 @@ def test_recording_that_would_mislead_is_refused(spoil, words):
 
 def test_force_a_little_before_its_cause_is_said():
     groups, _ = actuator_groups([_late(recorded(), -10)], TEXTBOOK, 0.2, [False])
-    notes = [note for group in groups for note in quality.check_against_model(group)]
+    notes = [note for group in groups for note in plausibility.check_against_model(group)]
     assert notes and all('early by' in note and 'clocks of force' in note for note in notes)
 
 

@@ -12,9 +12,9 @@ from asi_analysis.gap.answer.command import diagnose as asi_diagnose
 from asi_analysis.gap.answer.command import recorded_model
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain, sentences
 from asi_analysis.gap.experiment.next_experiment import suggestion
-from asi_analysis.gap.inference.fit import Promise, fit_null, fit_variants
-from asi_analysis.gap.inference.verdict import Candidate, Weighed, explaining
-from asi_analysis.gap.inference.where import by_block, explained
+from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
+from asi_analysis.gap.inference.localisation import by_block, explained
 from asi_analysis.gap.model.effects import BY_NAME
 
 
@@ -24,7 +24,7 @@ def test_each_effect_of_a_pair_has_the_share_that_it_explains():
     null = fit_null(group)
     names = ('disturbance_force', 'sensor_offset')
     variants = tuple(BY_NAME[name].variants[0] for name in names)
-    both = Candidate(names, variants, fit_variants(group, Promise(null), variants))
+    both = Candidate(names, variants, fit_variants(group, LinearScreen(null), variants))
     weighed = Weighed(group, {(): Candidate((), (), null), names: both}, {(): 0.0, names: 1.0})
     found = explained(weighed, names, 'load')
     assert 0.0 < found['sensor_offset'] < 0.5 * found['disturbance_force']
@@ -38,7 +38,8 @@ def test_effect_of_size_zero_is_no_hypothesis():
              ('valve_bias', 'valve_lag'): 49.99, ('transport_delay', 'valve_lag'): 40.0}
     found = {names: Candidate(names, (), SimpleNamespace(cost=cost))
              for names, cost in costs.items()}
-    assert set(explaining(found)) == {(), ('valve_lag',), ('transport_delay', 'valve_lag')}
+    assert set(effective_hypotheses(found)) == {
+        (), ('valve_lag',), ('transport_delay', 'valve_lag')}
 
 
 def test_parameter_at_the_limit_of_its_tolerance_is_said():

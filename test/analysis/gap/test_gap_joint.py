@@ -12,8 +12,8 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer import report
 from asi_analysis.gap.diagnose import diagnose, document
-from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, imagined
-from asi_analysis.gap.inference.seen import _pulse
+from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
+from asi_analysis.gap.inference.initial_guesses import _pulse
 
 RATE_HZ, SUB_STEPS = 500.0, 40
 INERTIA, DAMPING = 0.02, 0.05       # kg m2, N m s/rad
@@ -93,7 +93,7 @@ def test_friction_of_a_joint_that_turns(monkeypatch, tmp_path):
     group = diagnosis.groups[0].group
     known = group.recordings[0].motion
     for name in CATALOGUE:
-        moved = imagined(group, name)[0].motion
+        moved = simulated(group, name)[0].motion
         for here, there in ((moved.position, known.position), (moved.velocity, known.velocity)):
             assert np.ptp(here[moved.pad:-moved.pad]) < 1.1 * np.ptp(there), name
 

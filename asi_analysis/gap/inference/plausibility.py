@@ -1,8 +1,8 @@
 """
 Refuse, or warn of, recordings that would lead to a confident wrong answer.
 
-What a model error cannot do, but a mistake in the recording can: a sign reversed, a factor of ten
-or a thousand, one clock ahead of another, no excitation, another robot.
+These are mistakes of a recording, not of a model: a reversed sign, a factor of ten or a thousand,
+clocks that differ, no excitation, another machine.
 """
 
 import numpy as np
@@ -23,17 +23,17 @@ from asi_analysis.gap.prepare import (
 
 LEAST_SWING = 5.0      # times the noise that a signal must move
 FACTOR = 4.0           # no actuator differs so much from its own model
-SOFTER = 2.0           # times as much: what a load may give way more than its model
-UNLIKE = 0.3           # correlation with the model below which it is another machine
-ALIKE = 0.6            # correlation above which a factor or a sign is told apart from the shape
-FAR = 20.0             # a factor that is refused whatever the shape
+SOFTER = 2.0           # times as much for a load that is softer than its model
+LEAST_CORRELATION = 0.3  # correlation with the model below which it is another machine
+SHAPE_CORRELATION = 0.6  # correlation above which a factor or a reversed sign is reliable
+LARGEST_FACTOR = 20.0  # a factor that is refused whatever the shape
 BRAKED = 0.2           # correlation of force and velocity that no load has against the motion
 EARLY_S, LATE_S = 0.004, 0.08
 EARLY_SAMPLES = 1.5    # or so many samples: a reply may be logged beside the next command
-SAME = 0.93            # correlation above which a shift is all that differs
+SHIFTED_CORRELATION = 0.93  # correlation, after a time shift, above which only that differs
 IMPROVED = 0.1         # by which a shift of the clock must raise the correlation
 
-# What a channel compares: what is measured, and what it is driven by.
+# The output and the input of each channel.
 COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
             'load': ('force', 'velocity or position')}
 
@@ -65,7 +65,7 @@ def check_joint(group: Group) -> None:
     for recording in group.recordings:
         for channel in group.channels:
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
-            kept = recording.valid
+            valid = recording.valid
             if channel == 'load':
                 what = 'force (or command) against what the motion takes'
                 against = recording.motion
@@ -73,28 +73,29 @@ def check_joint(group: Group) -> None:
                 inner = slice(against.pad, against.pad + real.size)
                 # A load takes power, whatever it is made of, and friction always does.
                 velocity = against.velocity[inner]
-                with_velocity = float(np.corrcoef(real[kept], velocity[kept])[0, 1])
+                with_velocity = float(np.corrcoef(real[valid], velocity[valid])[0, 1])
                 # But a command that acts late turns against the velocity of a mass.
                 with_acceleration = float(np.corrcoef(
-                    real[kept], np.gradient(velocity)[kept])[0, 1])
+                    real[valid], np.gradient(velocity)[valid])[0, 1])
                 reversed_ = with_velocity < -BRAKED and with_acceleration < BRAKED
-                real_size, model_size = float(np.std(real[kept])), float(np.std(model[kept]))
+                real_size, model_size = float(np.std(real[valid])), float(np.std(model[valid]))
                 # Friction and gravity take more than the model, not less.
-                if FAR * real_size < model_size:
+                if LARGEST_FACTOR * real_size < model_size:
                     raise InputError(f'{recording.source}: {what}: a factor of '
                                      f'{real_size / model_size:.3g}; check the units, or '
                                      'load.mass and load.damping of the model')
             else:
                 what = 'what the drive did against its command'
-                reversed_ = float(np.corrcoef(real[kept], model[kept])[0, 1]) < -ALIKE
-                shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
-                if abs(shifted) < UNLIKE and not reversed_:
+                correlation = float(np.corrcoef(real[valid], model[valid])[0, 1])
+                reversed_ = correlation < -SHAPE_CORRELATION
+                shift, shifted = best_delay(real[valid], model[valid], recording.period_s)
+                if abs(shifted) < LEAST_CORRELATION and not reversed_:
                     raise InputError(f'{recording.source}: {what}: nothing in common')
-                slope = float(np.std(real[kept]) / np.std(model[kept]))
-                if shifted > ALIKE and not 1.0 / FACTOR < slope < FACTOR:
+                slope = float(np.std(real[valid]) / np.std(model[valid]))
+                if shifted > SHAPE_CORRELATION and not 1.0 / FACTOR < slope < FACTOR:
                     raise InputError(f'{recording.source}: {what}: a factor of {slope:.3g}; check '
                                      'the units')
-                if shift < -_earliest(recording) and shifted > ALIKE:
+                if shift < -_earliest(recording) and shifted > SHAPE_CORRELATION:
                     raise InputError(f'{recording.source}: {what}: it comes {-1e3 * shift:.0f} ms '
                                      'before it; the clocks differ')
             if reversed_:
@@ -114,11 +115,11 @@ def check_excitation(recording: Recording) -> None:
 
 
 def _moves_something(recording: Recording) -> bool:
-    """Return whether a command that looks like noise is answered: it is a fast random one."""
+    """Return whether force or valve follow a command that looks like noise."""
     answer = recording.valve_position
     answer = recording.force if answer is None else answer
     return (answer is not None and recording.command is not None
-            and best_shift(answer, recording.command, recording.period_s)[1] > UNLIKE)
+            and best_delay(answer, recording.command, recording.period_s)[1] > LEAST_CORRELATION)
 
 
 def check_motion(run: Run) -> list[str]:
@@ -135,49 +136,52 @@ def check_motion(run: Run) -> list[str]:
 
 
 def _earliest(recording: Recording) -> float:
-    """Return by how much (s) an effect may be stamped before its cause."""
+    """Return by how much (s) an output may be stamped before its input."""
     return max(EARLY_S, EARLY_SAMPLES * recording.period_s)
 
 
 def check_against_model(group: Group) -> list[str]:
-    """Refuse what no effect could do to these channels; return a warning of what is too early."""
+    """Refuse channels that no effect explains; return warnings of outputs before their inputs."""
     notes = []
     for recording in group.recordings:
         # The load before the force, which takes its velocity from the same motion.
         for channel in sorted(group.channels, reverse=True):
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
-            kept = recording.valid
+            valid = recording.valid
             output, driven = COMPARED[channel]
             where = f'{recording.source}: {output} against what the model makes of {driven}'
-            if np.std(model[kept]) == 0.0:
+            if np.std(model[valid]) == 0.0:
                 raise InputError(f'{where}: the model says that it never moves')
-            alike = float(np.corrcoef(real[kept], model[kept])[0, 1])
-            slope = float(np.std(real[kept]) / np.std(model[kept]))
-            if alike < -ALIKE:
-                raise InputError(f'{where}: the sign is reversed (correlation {alike:.2f}); check '
-                                 f'the sign of {output} and of {driven}')
+            correlation = float(np.corrcoef(real[valid], model[valid])[0, 1])
+            slope = float(np.std(real[valid]) / np.std(model[valid]))
+            if correlation < -SHAPE_CORRELATION:
+                raise InputError(f'{where}: the sign is reversed (correlation {correlation:.2f}); '
+                                 f'check the sign of {output} and of {driven}')
             least = 1.0 / FACTOR if channel != 'load' else 1.0 / (SOFTER * FACTOR)
-            if (alike > ALIKE and not least < slope < FACTOR) or not 1.0 / FAR < slope < FAR:
+            implausible = not 1.0 / LARGEST_FACTOR < slope < LARGEST_FACTOR
+            if implausible or (correlation > SHAPE_CORRELATION and not least < slope < FACTOR):
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
                                  f'and of {driven}, or the model')
-            shift, shifted = best_shift(real[kept], model[kept], recording.period_s)
-            if shifted < UNLIKE:
-                raise InputError(f'{where}: nothing in common (correlation {alike:.2f}): this is '
-                                 'not the actuator of the model, or not the signal that it says')
+            shift, shifted = best_delay(real[valid], model[valid], recording.period_s)
+            if shifted < LEAST_CORRELATION:
+                raise InputError(f'{where}: nothing in common (correlation {correlation:.2f}): '
+                                 'this is not the actuator of the model, or not '
+                                 'the signal that it says')
             early = shift < -_earliest(recording)
             off = (f'{where}: {"late" if shift > 0.0 else "early"} by {abs(shift) * 1e3:.0f} ms '
-                   f'(correlation {alike:.3f}, shifted {shifted:.3f}): the clocks of {output} and '
-                   f'{driven}')
-            # With a wrong damping a free load may be ahead of its model too, but not so alike.
-            if (early or shift > LATE_S) and shifted > max(alike + IMPROVED, SAME):
+                   f'(correlation {correlation:.3f}, shifted {shifted:.3f}): the clocks of '
+                   f'{output} and {driven}')
+            # With a wrong damping a free load may lead its model too, but correlates less.
+            if (early or shift > LATE_S) and shifted > max(correlation + IMPROVED,
+                                                           SHIFTED_CORRELATION):
                 raise InputError(f'{off} differ')
-            if early and 1.0 - shifted < 0.5 * (1.0 - alike):
+            if early and 1.0 - shifted < 0.5 * (1.0 - correlation):
                 notes.append(f'{off} may differ')
     return notes
 
 
-def best_shift(real: Array, model: Array, period: float) -> tuple[float, float]:
-    """Return the delay (s) of `real` behind `model` at which they are most alike, and how much."""
+def best_delay(real: Array, model: Array, period: float) -> tuple[float, float]:
+    """Return the delay (s) of `real` behind `model` with the largest correlation, and that."""
     a, b = real - real.mean(), model - model.mean()
     most = min(int(1.0 / period), a.size // 4)
     both = correlate(a, b, 'full', 'fft') / (np.linalg.norm(a) * np.linalg.norm(b))

@@ -1,4 +1,4 @@
-"""Where the gap lies: by block, along the chain, and by regime."""
+"""Locate the gap: by block, along the signal chain, and by regime."""
 
 import itertools
 from collections.abc import Mapping
@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from asi_analysis.gap.inference.fit import held_out_error
-from asi_analysis.gap.inference.verdict import Names, Weighed
+from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.blocks import impedance, load_constants
 from asi_analysis.gap.model.effects import BLOCKS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
@@ -17,16 +18,16 @@ from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass
 
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
-# Without a verdict about a channel its gap is laid at the blocks that it goes through.
+# Blocks of each channel: they share its gap if no effect is named.
 ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
          'load': ('mechanics', 'sensor')}
 
 
-LEAST_SHARE = 0.01     # of the samples: what is rarer is no regime; of a gap: a trace
-LEAST_TOLD = 0.02      # probability of a hypothesis whose effects are told apart
+LEAST_SHARE = 0.01     # of the samples in a regime, and of a gap
+LEAST_PROBABILITY = 0.02      # probability of a hypothesis above which its effects are separated
 BINS = 16
-TOLD_SHARE = 0.2       # of what is left, that is worth a word
-TOLD_FACTOR = 1.6      # between the regime with most and that with least
+REPORTED_SHARE = 0.2       # of the residual, above which a dependence is reported
+REPORTED_FACTOR = 1.6      # between the regime with most and that with least
 
 
 class Regime(NamedTuple):
@@ -47,9 +48,9 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
     """
     Return the share of each block in the gap, most first.
 
-    The gap of a channel (what the refitted nominal model leaves beyond the noise, over the size
-    of the signal) belongs to the blocks of the hypotheses, by their probability; within one, to
-    each effect by what it explains.
+    The gap of a channel is the residual of the refitted nominal model above the error floor,
+    relative to the signal. It is shared by the blocks of the hypotheses in proportion to their
+    probability, and within a hypothesis by what each effect explains.
     """
     share = dict.fromkeys(BLOCKS, 0.0)
     for weighed in groups:
@@ -57,7 +58,7 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
         null = weighed.candidates[()].fitted.held_out
         for channel in group.channels:
             size = np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings])
-            gap = max(null[channel] - group.floor[channel], 0.0) / float(size)
+            gap = max(null[channel] - group.error_floor[channel], 0.0) / float(size)
             for names, probability in weighed.probability.items():
                 for block, part in _blocks_of(weighed, names, channel, probability).items():
                     share[block] += gap * probability * part
@@ -70,7 +71,7 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
 def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
                ) -> dict[str, float]:
     """Return the share of each block in a channel's gap under a hypothesis; their sum is 1."""
-    if len(names) > 1 and names in weighed.candidates and probability > LEAST_TOLD:
+    if len(names) > 1 and names in weighed.candidates and probability > LEAST_PROBABILITY:
         parts = explained(weighed, names, channel)
     else:
         parts = {name: 1.0 for name in names if name != UNKNOWN}
@@ -78,7 +79,7 @@ def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
     for name, part in parts.items():
         block = str(block_of(name))
         blocks[block] = blocks.get(block, 0.0) + part
-    if not blocks:   # no gap, or unknown: as the best effect of each block would explain it
+    if not blocks:   # no gap, or unknown: by the best single effect of each block
         null = weighed.candidates[()].fitted.held_out[channel]
         for block in ALONG[channel]:
             blocks[block] = LEAST_SHARE * null + max(
@@ -94,22 +95,22 @@ def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
     """
     Return how much each effect of a hypothesis explains of a channel (mean square).
 
-    Shapley values: its mean over all orders in which the effects are put into the fitted model;
-    at least a trace of what all of them explain.
+    Shapley values: the mean over all orders in which the effects are added to the model; at least
+    LEAST_SHARE of the largest.
     """
     group, whole = weighed.group, weighed.candidates[names]
     fields = {effect.name: {free.field for variant in effect.variants
                             if variant in whole.variants for free in variant.free}
               for effect in group.effects if effect.name in names}
 
-    def left(present: frozenset[str]) -> float:
+    def residual(present: frozenset[str]) -> float:
         p = whole.fitted.record.copy()
-        kept = set().union(*(fields[name] for name in present))
-        for field in set().union(*fields.values()) - kept:
+        used = set().union(*(fields[name] for name in present))
+        for field in set().union(*fields.values()) - used:
             p[field] = group.nominal[field]
         return held_out_error(group, p)[channel]
 
-    known = {chosen: left(chosen) for count in range(len(names) + 1)
+    known = {chosen: residual(chosen) for count in range(len(names) + 1)
              for chosen in map(frozenset, itertools.combinations(names, count))}
     parts = dict.fromkeys(names, 0.0)
     orders = list(itertools.permutations(names))
@@ -122,7 +123,7 @@ def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
 
 
 def _load_velocity(recording: Recording, p: np.void) -> Array:
-    """Return the velocity (m/s) that the nominal load takes under the measured force."""
+    """Return the velocity (m/s) of the nominal load under the measured force."""
     force = recording.force
     assert force is not None
     frequency = np.fft.rfftfreq(force.size, recording.period_s)
@@ -140,19 +141,19 @@ def along_the_chain(valve: Group, force: Group, p_valve: np.void, p_force: np.vo
     """
     Return the share of each part of the chain in the gap of the force.
 
-    Shapley values over swapping the measured for the simulated valve position and velocity; what
-    is left with both measured belongs to hydraulics and sensor.
+    Shapley values over replacing measured valve position and velocity by simulated ones; what
+    remains with both measured belongs to hydraulics and sensor.
     """
     recording = valve.recordings[0]
     simulated = {'valve_position': predict(recording, 'valve', p_valve),
                  'velocity': _load_velocity(recording, p_force)}
-    kept = recording.valid
+    valid = recording.valid
 
     def error(*swapped: str) -> float:
         changed: dict[str, Any] = {name: simulated[name] for name in swapped}
         mixed = replace(recording, **changed)
-        left = measured(recording, 'force') - predict(mixed, 'force', p_force)
-        return float(np.mean(left[kept] ** 2))
+        residual = measured(recording, 'force') - predict(mixed, 'force', p_force)
+        return float(np.mean(residual[valid] ** 2))
 
     none, z, v = error(), error('valve_position'), error('velocity')
     both = error('valve_position', 'velocity')
@@ -196,26 +197,26 @@ def regimes_of(recording: Recording, channel: str) -> dict[tuple[str, str], Mask
 
 def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> list[Regime]:
     """
-    Return where in frequency, amplitude, motion and time the gap of a channel is large.
+    Return the gap of a channel by frequency, amplitude, motion and time.
 
     before, after: records of the refitted nominal model and of the verdict.
     """
     square: dict[tuple[str, str], Array] = {}   # sums over all recordings: before, after, samples
     total = np.zeros(3)
     for recording in group.recordings:
-        kept = recording.valid
+        valid = recording.valid
         real = measured(recording, channel)
-        left = np.array([real - predict(recording, channel, p) for p in (before, after)])
-        total += [*np.sum(left[:, kept] ** 2, axis=1), kept.sum()]
-        inner = slice(*np.flatnonzero(kept)[[0, -1]])   # without what is not judged at the start
+        residual = np.array([real - predict(recording, channel, p) for p in (before, after)])
+        total += [*np.sum(residual[:, valid] ** 2, axis=1), valid.sum()]
+        inner = slice(*np.flatnonzero(valid)[[0, -1]])   # without the start, which is not used
         for low, high in BANDS_HZ:
             if high < 0.45 / recording.period_s:
                 edge = (high if low == 0.0 else np.array([low, high])) * 2.0 * recording.period_s
                 kind = 'lowpass' if low == 0.0 else 'bandpass'
-                band = sosfiltfilt(butter(2, edge, kind, output='sos'), left[:, inner])
-                _add(square, ('frequency', f'{low:g} to {high:g} Hz'), band, kept[inner])
+                band = sosfiltfilt(butter(2, edge, kind, output='sos'), residual[:, inner])
+                _add(square, ('frequency', f'{low:g} to {high:g} Hz'), band, valid[inner])
         for regime, mask in regimes_of(recording, channel).items():
-            _add(square, regime, left, kept & mask)
+            _add(square, regime, residual, valid & mask)
     whole = np.sqrt(total[:2] / total[2])
     return [Regime(kind, name, float(np.sqrt(part[0] / part[2]) / (whole[0] or 1.0)),
                    float(np.sqrt(part[1] / part[2]) / (whole[0] or 1.0)),
@@ -223,14 +224,14 @@ def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> li
             for (kind, name), part in square.items() if part[2] > LEAST_SHARE * total[2]]
 
 
-def _add(square: dict[tuple[str, str], Array], regime: tuple[str, str], left: Array, kept: Mask
-         ) -> None:
-    sums = np.array([*np.sum(left[:, kept] ** 2, axis=1), kept.sum()])
+def _add(square: dict[tuple[str, str], Array], regime: tuple[str, str], residual: Array,
+         valid: Mask) -> None:
+    sums = np.array([*np.sum(residual[:, valid] ** 2, axis=1), valid.sum()])
     square[regime] = square.get(regime, np.zeros(3)) + sums
 
 
 def velocity_of(recording: Recording) -> Array | None:
-    """Return the velocity (m/s), measured or from the position; None if nothing tells it."""
+    """Return the velocity (m/s), measured or from the position; None without either."""
     motion = recording.motion
     if recording.velocity is not None or motion is None:
         return recording.velocity
@@ -239,23 +240,23 @@ def velocity_of(recording: Recording) -> Array | None:
 
 def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
     """
-    Return how much of what a model leaves is a function of one quantity alone, 0 to 1.
+    Return the share (0 to 1) of a residual that is a function of one quantity alone.
 
-    The share of its mean square that the means in BINS bins explain, less what chance would.
+    The share of its mean square that the means in BINS bins explain.
     """
-    left, kinds = [], []
+    residual, kinds = [], []
     for recording in group.recordings:
-        kept = recording.valid
-        left.append((measured(recording, channel) - predict(recording, channel, p))[kept])
+        valid = recording.valid
+        residual.append((measured(recording, channel) - predict(recording, channel, p))[valid])
         motion = recording.motion
         inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
-        kinds.append({name: values[kept] for name, values in (
+        kinds.append({name: values[valid] for name, values in (
             ('position', motion.position[inner] if motion and motion.measured else None),
             ('velocity', velocity_of(recording)), ('command', recording.command),
             ('valve position', recording.valve_position),
             ('force', recording.force), ('time in the run', recording.time_s),
             ) if values is not None and not (name == 'valve position' and channel == 'valve')})
-    rest = np.concatenate(left)
+    rest = np.concatenate(residual)
     found = {}
     for name in set.intersection(*(set(kind) for kind in kinds)):
         values = np.concatenate([kind[name] for kind in kinds])
@@ -268,15 +269,15 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
 
 
 def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
-    """Return what the unexplained part of a gap depends on, in a sentence."""
-    said = [f'{100 * share:.0f} % of it is a function of the {name}'
-            for name, share in list(depends.items())[:2] if share > TOLD_SHARE]
+    """Return in a sentence what the unexplained part of a gap depends on."""
+    parts = [f'{100 * share:.0f} % of it is a function of the {name}'
+            for name, share in list(depends.items())[:2] if share > REPORTED_SHARE]
     for kind in dict.fromkeys(regime.kind for regime in regimes):
         own = [regime for regime in regimes if regime.kind == kind]
         most = max(own, key=lambda regime: regime.after)
         least = min(own, key=lambda regime: regime.after)
-        if most.after > TOLD_FACTOR * least.after:
-            said.append(f'by {kind} it is largest at {most.regime}'
+        if most.after > REPORTED_FACTOR * least.after:
+            parts.append(f'by {kind} it is largest at {most.regime}'
                         if kind != 'frequency' else f'it is strongest at {most.regime}')
-    return ('What is left: ' + '; '.join(said) + '.' if said else
+    return ('What is left: ' + '; '.join(parts) + '.' if parts else
             'What is left depends on nothing that was recorded more than on anything else.')

@@ -14,7 +14,7 @@ from scipy.fft import next_fast_len
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.effects import of_recording
-from asi_analysis.gap.model.group import Values, shows_in
+from asi_analysis.gap.model.group import Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
 
@@ -38,7 +38,7 @@ ORDER = 3          # of harmonics that what is not linear is seen by
 RESPONSE_S = 0.2   # after which a valve has answered
 
 
-def seen(fitted: Fitted) -> Values:
+def initial_guesses(fitted: Fitted) -> Values:
     """
     Return initial guesses of the parameters that a fit finds only from nearby.
 
@@ -77,7 +77,7 @@ def _left(fitted: Fitted, channel: str, recording: Recording) -> tuple[Array, Ar
     left = (measured(recording, channel) - base) * judged
     columns = [np.full_like(base, FREE * np.linalg.norm(left))]
     for number, free in enumerate(fitted.free):
-        if shows_in(free.field, channel, group):
+        if acts_on(free.field, channel, group):
             step = STEP if fitted.theta[number] < 0.5 else -STEP
             moved = fitted.theta.copy()
             moved[number] += step
@@ -194,7 +194,7 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     def promise(counts: Array, levels: Array, way: tuple[float, float]) -> Array:
         values, level = np.unique(levels, return_inverse=True)
         out = np.empty(counts.size)
-        blocks.steps_promise(values, np.bincount(level, judged), np.bincount(level, asked),
+        blocks.step_gain(values, np.bincount(level, judged), np.bincount(level, asked),
                              largest / counts, *way, blocks.parts(p)[1], out)
         return out
 

@@ -1,0 +1,302 @@
+"""
+Fit the hypotheses: the nominal model, each effect, and combinations of the best, and weigh them.
+
+Each group of channels is weighed by itself, since each block is driven by its measured input.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.gap.inference.fit import (
+    Fitted,
+    LinearScreen,
+    fit_null,
+    fit_subset,
+    fit_variants,
+    independent_samples,
+    polish,
+    refit,
+    with_known_gain,
+)
+from asi_analysis.gap.inference.initial_guesses import initial_guesses
+from asi_analysis.gap.inference.probability import (
+    LEAST_RESIDUAL,
+    Evidence,
+    Names,
+    join_probabilities,
+    probabilities,
+)
+from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant, parameter_error
+from asi_analysis.gap.model.group import Group, Values, acts_on, channels_of, with_lower_noise
+from asi_analysis.gap.model.predict import propagated_noise
+from asi_common.record import field_name
+
+NOISE_UNCERTAINTY = 0.2   # of the mean square of the propagated noise
+# Single effects that are fitted, after the linear screen; how many of them get a second effect,
+# how many second effects are fitted to each, and in how many variants each effect is fitted.
+SINGLES, FOLLOWED, SECONDS, FORMS = 8, 3, 4, 2
+LEAST_EXPLAINED = 0.002   # of the cost: an effect that lowers it by less has size zero
+LEAST_SCREENED_GAIN = 0.04   # of the cost, in the linear screen: below it no fit is made
+# How many fits are polished, of those with at most this multiple of the least cost.
+POLISHED, RIVAL = 4, 4.0
+RETRIED = 3        # hypotheses from whose parameters the null fit is repeated
+SUFFICIENT = 0.8   # times the error floor: below it no further effect is tried
+
+
+class Candidate(NamedTuple):
+    """A hypothesis of a group: its effects, their variants and the best fit."""
+
+    names: Names
+    variants: tuple[Variant, ...]
+    fitted: Fitted
+
+
+class Weighed(NamedTuple):
+    """A group with its fitted hypotheses and the probability of each, by effect names."""
+
+    group: Group
+    candidates: dict[Names, Candidate]
+    probability: dict[Names, float]
+
+
+def excess(group: Group, residual: Values) -> float:
+    """Return the largest ratio of residual to error floor (mean squares) over the channels."""
+    return max(residual[channel] / group.error_floor[channel] for channel in group.channels)
+
+
+def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda: None
+                  ) -> dict[Names, Candidate]:
+    """Return the fits of single effects, of pairs of the best, and of triples on the best pair."""
+    found: dict[Names, Candidate] = {(): Candidate((), (), null)}
+    group.scale.update(initial_guesses(null))
+    choices: dict[Names, list[tuple[Variant, ...]]] = {
+        (effect.name,): [(variant,) for variant in effect.variants
+                         if channels_of(variant, group) and not variant.joined]
+        for effect in group.effects}
+    found |= _fit_best_screened(group, null, choices, SINGLES, tick)
+    singles = sorted((c for c in found.values() if len(c.names) == 1),
+                     key=lambda c: c.fitted.cost)
+    null = refit(group, null, [single.fitted for single in singles[:RETRIED]])
+    found[()] = Candidate((), (), null)
+    if not singles or excess(group, singles[0].fitted.held_out) < SUFFICIENT:
+        return found
+    for first in singles[:FOLLOWED]:
+        found |= _extended(first, found, tick)
+    found |= _refitted_pairs(group, found)
+    pairs = [candidate for names, candidate in found.items() if len(names) == 2]
+    if pairs:
+        found |= _extended(min(pairs, key=lambda c: c.fitted.cost), found, tick)
+    for first in singles[:FOLLOWED]:
+        richer = sorted((c.fitted for names, c in found.items()
+                         if len(names) == 2 and set(first.variants) <= set(c.variants)),
+                        key=lambda fitted: fitted.cost)
+        better = [fitted for fitted in richer[:1] if fitted.cost < 0.98 * first.fitted.cost]
+        found[first.names] = first._replace(fitted=refit(group, first.fitted, better))
+    return found | _pruned(group, found)
+
+
+def _refitted_pairs(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """Return pairs with a higher cost than one of their effects alone, fitted again from that."""
+    better: dict[Names, Candidate] = {}
+    for names, pair in found.items():
+        if len(names) == 2:
+            alone = min((found[(name,)] for name in names if (name,) in found),
+                        key=lambda candidate: candidate.fitted.cost)
+            if alone.fitted.cost < pair.fitted.cost:
+                again = fit_variants(group, LinearScreen(alone.fitted), pair.variants)
+                better[names] = pair._replace(fitted=polish(group, again))
+    return better
+
+
+def _pruned(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """
+    Return the best hypothesis without one of its effects, where that improves the known fit.
+
+    A single effect may have been fitted in a variant that is not the best one in combination.
+    """
+    best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+    better: dict[Names, Candidate] = {}
+    for effect in (effect for effect in group.effects if effect.name in best.names):
+        names = tuple(name for name in best.names if name != effect.name)
+        variants = tuple(each for each in best.variants if each not in effect.variants)
+        if names and len(variants) == len(names) and not any(each.joined for each in variants):
+            fitted = fit_subset(group, found[()].fitted, variants, best.fitted)
+            if names not in found or fitted.cost < found[names].fitted.cost:
+                better[names] = Candidate(names, variants, fitted)
+    return better
+
+
+def _extended(first: Candidate, found: dict[Names, Candidate], tick: Callable[[], None]
+           ) -> dict[Names, Candidate]:
+    """Return a hypothesis extended by one effect, for the best effects of the linear screen."""
+    group = first.fitted.problem.group
+    # Guesses improve with the first effect fitted; those that its own bounds use stay.
+    group = replace(group, scale=group.scale | {
+        name: value for name, value in initial_guesses(first.fitted).items()
+        if name not in {free.scale for free in first.fitted.free}})
+    more = {tuple(sorted({*first.names, effect.name})): list(_second_effects(group, first, effect))
+            for effect in group.effects if effect.name not in first.names}
+    return _fit_best_screened(group, first.fitted, {
+        names: variants for names, variants in more.items() if variants}, SECONDS, tick, 1, {
+            names: candidate.fitted.cost for names, candidate in found.items()})
+
+
+def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tuple[Variant, ...]]],
+                    most: int, tick: Callable[[], None], forms: int = FORMS,
+                    reached: Mapping[Names, float] = MappingProxyType({})
+                    ) -> dict[Names, Candidate]:
+    """
+    Fit the hypotheses and variants with the lowest cost in the linear screen.
+
+    reached: costs of hypotheses that were fitted from another base; they are fitted again if the
+    screen expects a lower cost from this one.
+    """
+    if not choices:
+        return {}
+    screen = LinearScreen(base)
+    screened = []
+    for names, ways in choices.items():
+        costs = [(screen.cost(group, variants), number)
+                 for number, variants in enumerate(ways)]
+        screened += [(cost, names, ways[number]) for cost, number in sorted(costs)[:forms]
+                     if cost < (1.0 - LEAST_SCREENED_GAIN) * min(base.cost,
+                                                           reached.get(names, math.inf))]
+        tick()
+    screened.sort(key=lambda entry: entry[0])
+    chosen = list(dict.fromkeys(names for _, names, _ in screened))[:most]
+    found: dict[Names, Candidate] = {}
+    for _, names, variants in screened:
+        if names in chosen:
+            fitted = fit_variants(group, screen, variants, forms)
+            best = found[names].fitted.cost if names in found else reached.get(names, math.inf)
+            if fitted.cost < best:
+                found[names] = Candidate(names, variants, fitted)
+    least = sorted(candidate.fitted.cost for candidate in found.values())[:POLISHED]
+    limit = min(RIVAL * least[0], least[-1]) if least else 0.0
+    return {names: candidate._replace(fitted=polish(group, candidate.fitted))
+            if candidate.fitted.cost <= limit else candidate
+            for names, candidate in found.items()}
+
+
+def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:
+    """Return whether a variant acts on a channel whose residual is above the error floor."""
+    return any(fitted.held_out[channel] > SUFFICIENT * group.error_floor[channel]
+               for channel in channels_of(variant, group))
+
+
+def _second_effects(group: Group, first: Candidate, effect: Effect
+                    ) -> Iterable[tuple[Variant, ...]]:
+    """Return the variants of a further effect that are compatible with the first, joined to it."""
+    fixed = dict(pair for variant in first.variants for pair in variant.fixed)
+    friction = any('friction_level' in {free.field for free in variant.free}
+                   for variant in first.variants)
+    for variant in effect.variants:
+        clash = any(fixed.get(name, value) != value for name, value in variant.fixed)
+        adds_friction = 'friction_level' in {free.field for free in variant.free}
+        # Two kinds of friction are combined in one friction model.
+        if _acts_above_floor(variant, group, first.fitted) and not clash and variant.joined == (
+                friction and adds_friction and effect.name == 'friction_asymmetry'):
+            yield (*first.variants, variant)
+
+
+def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
+    """
+    Return the evidence of a group's hypotheses.
+
+    Residuals are reduced by the propagated noise in excess of that of the nominal model, so that
+    they can be compared. The noise level is at most what all residuals allow.
+    """
+    best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+    noise = {channel: level ** 2 for channel, level in group.noise.items()}
+    propagated = {names: _propagated_noise(group, candidate.fitted)
+                  for names, candidate in found.items()}
+    residual = {names: dict(candidate.fitted.held_out) for names, candidate in found.items()}
+    for channel, level in noise.items():
+        more = {names: propagated[names][channel] - propagated[()][channel] for names in found}
+        share = min(1.0, *(residual[names][channel] / (level + more[names] + 1e-300)
+                           for names in found))
+        for names in found:
+            # Within its uncertainty, the propagated noise that leaves the common noise level.
+            ends = [factor * more[names] for factor in (
+                share * (1.0 - NOISE_UNCERTAINTY), 1.0 + NOISE_UNCERTAINTY)]
+            above = residual[names][channel] - share * level
+            residual[names][channel] = max(
+                residual[names][channel] - min(max(above, min(ends)), max(ends)),
+                LEAST_RESIDUAL * residual[names][channel])
+    return Evidence(
+        noise, group.error_floor, group.formulation,
+        independent_samples(group, best.fitted.record), group.held_out_s, residual,
+        {names: len({free.field.partition('@')[0] for variant in candidate.variants
+                     for free in variant.free})
+         for names, candidate in found.items()})
+
+
+def _propagated_noise(group: Group, fitted: Fitted) -> Values:
+    """Return the mean square propagated noise of each channel."""
+    return {channel: float(np.mean([propagated_noise(recording, channel, fitted.record)
+                                    for recording in group.recordings]))
+            for channel in group.channels}
+
+
+def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
+    """Return a group with the probability of every hypothesis, `unknown` among them."""
+    effective = effective_hypotheses(found)
+    return Weighed(group, effective, probabilities(evidence_of(group, effective)))
+
+
+def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """
+    Return the hypotheses in which every effect lowers the cost.
+
+    An effect that was fitted to size zero equals the hypothesis without it, and would take a share
+    of its probability.
+    """
+    def explains(candidate: Candidate) -> bool:
+        return all(candidate.fitted.cost < (1.0 - LEAST_EXPLAINED) * found[part].fitted.cost
+                   for part in (tuple(n for n in candidate.names if n != name)
+                                for name in candidate.names) if part in found)
+
+    return {names: candidate for names, candidate in found.items() if explains(candidate)}
+
+
+def weigh_groups(groups: Sequence[Group], tolerance: float,
+                 tick: Callable[[], None] = lambda: None) -> list[Weighed]:
+    """Return the groups, in the order of the signal chain, with all probabilities."""
+    weighed: list[Weighed] = []
+    for group in groups:
+        known = weighed and weighed[0].probability[(UNKNOWN,)] < 0.5
+        if known and weighed[0].group.channels == ('valve',):
+            best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
+            group = with_known_gain(group, weighed[0].candidates[best].fitted, tolerance)
+        null = fit_null(group)
+        if (quieter := with_lower_noise(group, null.held_out)) is not group:
+            group, null = quieter, fit_null(quieter)
+        group = with_parameter_errors(group, null, tolerance)
+        weighed.append(weigh(group, candidates_of(group, null, tick)))
+    return weighed
+
+
+def with_parameter_errors(group: Group, null: Fitted, tolerance: float) -> Group:
+    """
+    Return a group with hypotheses of nominal parameters beyond their tolerance.
+
+    One for each parameter at a limit in the null fit that is not a parameter of an effect.
+    """
+    dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
+    held = {free.field for effect in group.effects for variant in effect.variants
+            for free in variant.free}
+    more = tuple(parameter_error(dotted[field], field, limit, tolerance, tuple(
+                     channel for channel in group.channels if acts_on(field, channel, group)))
+                 for field, limit in null.at_limit.items() if field not in held)
+    return replace(group, effects=(*group.effects, *more))
+
+
+def join(groups: Sequence[Weighed]) -> dict[Names, float]:
+    """Return the probability of every hypothesis about all groups together."""
+    return join_probabilities([weighed.probability for weighed in groups])

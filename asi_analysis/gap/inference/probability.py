@@ -1,0 +1,233 @@
+"""
+Probabilities of hypotheses from the residuals of their fits.
+
+Two questions: how many effects there are, judged by the error floor, and which ones, judged by
+the noise and the effective sample size. doc/explanation/gap.md, point 5.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from asi_analysis.gap.model.effects import (
+    BY_NAME,
+    NO_GAP,
+    PARAMETER,
+    UNKNOWN,
+    has_one_law,
+)
+from asi_analysis.gap.model.group import Values
+
+Names = tuple[str, ...]
+
+
+class Constants(NamedTuple):
+    """
+    The constants of the probabilities, fitted on blind cases by asi_analysis.gap.check.tune.
+
+    How many effects: samples: effective samples of a channel with USUAL_S of held-out data; price:
+    log prior odds against a first effect; second: against each further one; formulation, exact:
+    rms error of the formulation of an effect, as a share of what it explains, without and with
+    one law; fitted_floor: weight of the smallest residual in the error floor, against its prior
+    value.
+    Which effects: trust: weight of the log likelihood; parameter: log prior odds against each
+    further parameter; indistinct: share of the formulation error within which residuals are
+    equal; formulation_samples: effective samples of the formulation error.
+    `unknown`: unknown_offset: log odds; unknown_floor, unknown_gap: their slopes in the log of the
+    residual relative to the error floor and to the gap; masked: probability of an effect that the
+    nominal nonlinearities mask, where their formulation makes the whole error floor.
+    """
+
+    samples: float = 21.0
+    price: float = 2.9
+    second: float = 4.85
+    formulation: float = 0.08
+    exact: float = 0.025
+    fitted_floor: float = 0.38
+    trust: float = 0.27
+    parameter: float = 0.53
+    indistinct: float = 0.29
+    formulation_samples: float = 100.0
+    unknown_offset: float = -2.5
+    unknown_floor: float = 1.45
+    unknown_gap: float = 1.17
+    masked: float = 0.17
+
+
+CONSTANTS = Constants()
+NOISE_SHARE = 0.1   # of the mean square noise: a smaller difference of residuals does not count
+LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
+USUAL_S = 5.0
+BEYOND_TOLERANCE = 1.1   # log prior odds of an effect against a parameter beyond its tolerance
+
+
+class Evidence(NamedTuple):
+    """
+    The data from which the probabilities of a group's hypotheses follow.
+
+    noise, error_floor, formulation: mean squares, as in `Group`; independent: effective sample
+    size; residual: mean square on the held-out parts; all by channel. parameters: number of free
+    parameters of the effects.
+    """
+
+    noise: Values
+    error_floor: Values
+    formulation: Values
+    independent: Values
+    held_out_s: float
+    residual: dict[Names, Values]
+    parameters: dict[Names, int]
+
+
+def as_plain(e: Evidence) -> dict[str, Any]:
+    """Return evidence as plain data, with the keys of rows.jsonl."""
+    names = list(e.residual)
+    return {'noise': e.noise, 'floor': e.error_floor, 'formulation': e.formulation,
+            'independent': e.independent, 'held_out_s': e.held_out_s,
+            'left': [e.residual[n] for n in names],
+            'parameters': [e.parameters[n] for n in names], 'names': [list(n) for n in names]}
+
+
+def as_evidence(plain: Mapping[str, Any]) -> Evidence:
+    """Return the inverse of `as_plain`."""
+    names = [tuple(n) for n in plain['names']]
+    return Evidence(plain['noise'], plain['floor'], plain['formulation'], plain['independent'],
+                    plain['held_out_s'], dict(zip(names, plain['left'], strict=True)),
+                    dict(zip(names, plain['parameters'], strict=True)))
+
+
+def _log_evidence(e: Evidence, c: Constants) -> dict[Names, float]:
+    """
+    Return the log evidence of each hypothesis against others with as many effects.
+
+    The log likelihood of the residual, with the effective sample size of that of the best
+    hypothesis. Models whose residual is near the noise are separated sharply; a larger residual
+    is correlated, so its effective sample size is small. The formulation errors of the nominal
+    nonlinearities and of the effects reduce it further.
+    """
+    evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
+                - BEYOND_TOLERANCE * sum(name.startswith(PARAMETER) for name in names)
+                for names in e.residual}
+    for channel, noise in e.noise.items():
+        best = min(e.residual, key=lambda names: e.residual[names][channel])
+        formulation = e.formulation[channel] + _formulation_error(e, c, best, channel)
+        share = formulation / (formulation + noise + 1e-300)
+        samples = 1.0 / (1.0 / e.independent[channel] + share / c.formulation_samples)
+        level = NOISE_SHARE * noise + c.indistinct * formulation
+        for names, residual in e.residual.items():
+            evidence[names] -= c.trust * 0.5 * samples * math.log(residual[channel] + level)
+    return evidence
+
+
+def _evidence_gain(e: Evidence, c: Constants, before: Names, after: Names) -> float:
+    """
+    Return the gain in log evidence from one set of effects to a larger one.
+
+    Relative to the error floor plus the formulation error of the smaller set.
+    """
+    samples, gain = _effective_samples(e, c), 0.0
+    for channel, floor in e.error_floor.items():
+        first, second = e.residual[before][channel], e.residual[after][channel]
+        least = min(residual[channel] for residual in e.residual.values())
+        least = min(max(least, LEAST_RESIDUAL * floor), floor)
+        level = (floor ** (1.0 - c.fitted_floor) * least ** c.fitted_floor
+                 + _formulation_error(e, c, before, channel))
+        gain += 0.5 * samples * math.log((first + level) / (second + level))
+    return gain
+
+
+def _formulation_error(e: Evidence, c: Constants, names: Names, channel: str) -> float:
+    """Return the mean square formulation error of the effects of a hypothesis."""
+    share = max((c.exact if has_one_law(name) else c.formulation for name in names), default=0.0)
+    return share ** 2 * max(e.residual[()][channel] - e.residual[names][channel], 0.0)
+
+
+def _effective_samples(e: Evidence, c: Constants) -> float:
+    # Model errors are correlated over a recording, so the information grows with the square root.
+    return c.samples * math.sqrt(e.held_out_s / USUAL_S)
+
+
+def _evidence_limit(e: Evidence, c: Constants) -> float:
+    """
+    Return the upper limit of the log evidence against the nominal model.
+
+    It is 0 where the residual of the nominal model is at the error floor, however small that of
+    another hypothesis is.
+    """
+    return 0.5 * _effective_samples(e, c) * sum(
+        max(math.log(e.residual[()][channel] / floor), 0.0)
+        for channel, floor in e.error_floor.items())
+
+
+def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
+    """
+    Return the probability of an effect outside the vocabulary.
+
+    It grows with the residual of the best hypothesis above the error floor, in the worst channel.
+    """
+    worst, masked = -math.inf, 0.0
+    for channel, floor in e.error_floor.items():
+        masked = max(masked, c.masked * e.formulation[channel] / floor)
+        residual, gap = e.residual[best][channel], e.residual[()][channel]
+        over = residual - floor
+        if over > 0.0:
+            worst = max(worst, c.unknown_offset + c.unknown_floor * math.log(residual / floor)
+                        + c.unknown_gap * math.log(over / max(gap - floor, over)))
+    outside = 1.0 / (1.0 + math.exp(-worst)) if worst > -50.0 else 0.0
+    return max(outside, 0.0 if best else masked)
+
+
+def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
+    """Return the probability of every hypothesis of a group, `unknown` among them."""
+    which = _log_evidence(e, c)
+    most = max(map(len, which))
+    score = {0: 0.0}
+    best: dict[int, Names] = {0: ()}
+    for count in range(1, most + 1):
+        best[count] = max((names for names in which if len(names) == count),
+                          key=lambda names: which[names])
+        score[count] = (score[count - 1] - (c.second if count > 1 else c.price)
+                        + _evidence_gain(e, c, best[count - 1], best[count]))
+    highest = max(score.values())
+    score[0] = max(0.0, highest - _evidence_limit(e, c))
+    weight = {count: math.exp(value - highest) for count, value in score.items()}
+    chance = {}
+    for names, value in which.items():
+        count = len(names)
+        same = sum(math.exp(which[other] - which[best[count]]) for other in which
+                   if len(other) == count)
+        chance[names] = (weight[count] / sum(weight.values())
+                         * math.exp(value - which[best[count]]) / same)
+    unknown = unknown_probability(e, max(chance, key=lambda names: chance[names]), c)
+    return {names: (1.0 - unknown) * p for names, p in chance.items()} | {(UNKNOWN,): unknown}
+
+
+def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, float]:
+    """Return the probability of every union of one hypothesis of each group."""
+    joined: dict[Names, float] = {}
+    for parts in itertools.product(*(chances.items() for chances in groups)):
+        names = tuple(sorted({name for part, _ in parts for name in part}))
+        joined[names] = joined.get(names, 0.0) + math.prod(p for _, p in parts)
+    return joined
+
+
+def marginals(joined: dict[Names, float]) -> dict[str, float]:
+    """Return the probability of each effect, of `no_gap` and of `unknown`."""
+    total: dict[str, float] = dict.fromkeys(BY_NAME, 0.0)
+    total[UNKNOWN] = 0.0
+    for names, probability in joined.items():
+        for name in names:
+            total[name] = total.get(name, 0.0) + probability
+    return total | {NO_GAP: joined.get((), 0.0)}
+
+
+def ambiguity_set(joined: dict[Names, float], coverage: float = 0.9) -> list[Names]:
+    """Return the smallest set of hypotheses with at least this total probability."""
+    chosen, total = [], 0.0
+    for names, probability in sorted(joined.items(), key=lambda item: -item[1]):
+        chosen.append(names)
+        total += probability
+        if total >= coverage:
+            break
+    return chosen
