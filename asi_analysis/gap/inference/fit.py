@@ -1,8 +1,8 @@
 """
-Fit the nominal model, and each effect on top of it, to recordings.
+Fit the nominal model, alone and with effects, to recordings.
 
-The uncertain nominal parameters stay within their declared tolerance by hard bounds: let
-loose, they swallow the effect. What is fitted on one part of the data is judged on another.
+The uncertain nominal parameters are bounded by their tolerance: without bounds they absorb the
+effect. Fits are compared on another part of the data.
 """
 
 import math
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.parameters import ACTUATOR_DTYPE
+from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
 from asi_analysis.gap.model.blocks import PLANT_DTYPE
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
@@ -24,29 +25,30 @@ from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
 
 STEP = 1e-3          # of a parameter's range, for the derivatives
-PRIOR_WEIGHT = 1.0           # of the start, on a parameter that is a whole range away
+PRIOR_WEIGHT = 1.0   # of the start, per range of a parameter
 ROUNDS = 15          # of the optimiser
-ROUGHLY, CLOSELY = 1e-3, 1e-4   # relative gain of a round that is not worth another
-POLISHING = 6        # of those, with all derivatives
-LARGEST = 3.0        # times a start that an effect is taken to be
+ROUGH, FINE = 1e-3, 1e-4   # relative gain of the last round
+POLISHING = 6        # rounds with all derivatives, at the end
+LARGEST = 3.0        # upper bound of an effect in the linear screen, as a multiple of its start
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
-AT_LIMIT = 0.005     # of the way between bounds, within which a parameter rests on one
-STARTS = 2           # of the best starting points that are followed
+AT_LIMIT = 0.005     # of the range: distance within which a parameter is at a bound
+STARTS = 2           # number of the best starts that are fitted
+LOG_RANGE = 50.0     # ratio of bounds above which a parameter has a logarithmic scale
 
 
 class Fitted(NamedTuple):
-    """One hypothesis, fitted: its record, its parameters and what it leaves."""
+    """The fit of a hypothesis: its record, parameters and residuals."""
 
     record: np.void
     free: tuple[Free, ...]
     theta: Array
-    cost: float                  # on the fitted parts, weighed by the floors
+    cost: float                  # on the fitted parts, in units of the error floor
     held_out: Values             # mean square residual on the held-out parts, by channel
     problem: 'Problem'
 
     @property
     def at_limit(self) -> dict[str, str]:
-        """Return the nominal parameters that rest on a bound: 'low' or 'high', by field."""
+        """Return the nominal parameters at a bound: 'low' or 'high', by field."""
         declared = {free for free in self.problem.group.nuisance
                     if free.scale == 'nominal' and free.field in NOMINAL_FIELDS}
         return {free.field: 'low' if share < 0.5 else 'high'
@@ -60,68 +62,59 @@ class Fitted(NamedTuple):
 
 
 def _residual(group: Group, channel: str, p: np.void) -> Array:
-    """Return what a channel leaves on the fitted parts, weighed by its floor."""
+    """Return the residual of a channel on the fitted parts, over the rms of the error floor."""
     parts = [(measured(recording, channel) - predict(recording, channel, p))[recording.fit]
              for recording in group.recordings if recording.fit.any()]
     return np.concatenate(parts) / math.sqrt(group.error_floor[channel])
 
 
 def _unit(free: Free, group: Group, p: np.void) -> float:
-    """Return what a free parameter's bounds are multiples of, in a record."""
+    """Return the unit of a free parameter's bounds, in a record."""
     own = float(group.nominal[free.field])
     if free.scale in NOMINAL_FIELDS:
         return own * float(p[free.scale] / group.nominal[free.scale])
     return own if free.scale == 'nominal' else group.scale[free.scale]
 
 
-def _bounds(free: Free, group: Group, p: np.void) -> tuple[float, float]:
+def _parameter(free: Free, group: Group, p: np.void) -> FreeParameter:
+    """
+    Return a free parameter with bounds in its own unit.
+
+    p: record that holds the parameter which `free.scale` refers to.
+    """
     unit = _unit(free, group, p)
-    return free.low * unit, free.high * unit
+    low, high = free.low * unit, free.high * unit
+    scale = Scale.LOG if low > 0.0 and high > LOG_RANGE * low else Scale.LINEAR
+    return FreeParameter(free.field, float(group.nominal[free.field]), low, high, scale)
 
 
-def _is_logarithmic(low: float, high: float) -> bool:
-    return low > 0.0 and high > 50.0 * low
-
-
-def _value(share: float, low: float, high: float) -> float:
-    """Return the value at a share, 0 to 1, of the way between bounds."""
-    if _is_logarithmic(low, high):
-        return low * (high / low) ** share
-    return low + share * (high - low)
-
-
-def _share(value: float, low: float, high: float) -> float:
-    """Return the inverse of `_value`, within 0.001 to 0.999; of what is beyond the bounds, too."""
-    value = min(max(value, low), high)
-    if _is_logarithmic(low, high):
-        share = math.log(value / low) / math.log(high / low)
-    else:
-        share = (value - low) / (high - low)
-    return min(max(share, 0.001), 0.999)
+def _share(parameter: FreeParameter, value: float) -> float:
+    """Return the share of a start value, at a small distance from the bounds."""
+    return min(max(parameter.share(value), 0.001), 0.999)
 
 
 def _record(group: Group, free: Sequence[Free], theta: Array,
             fixed: Sequence[tuple[str, float]]) -> np.void:
-    """Return the plant's record at a parameter vector (shares of the way between bounds)."""
+    """Return the plant's record at a parameter vector (shares of the ranges)."""
     p = group.nominal.copy()
     for name, value in fixed:
         p[name] = value
     ratios_last = sorted(zip(free, theta, strict=True),
                          key=lambda pair: pair[0].scale in NOMINAL_FIELDS)
     for parameter, share in ratios_last:
-        p[parameter.field] = _value(float(share), *_bounds(parameter, group, p))
+        p[parameter.field] = _parameter(parameter, group, p).value(float(share))
     return p
 
 
 def _comparable(recording: Recording, fit_on: Sequence[Recording]) -> npt.NDArray[np.bool_]:
-    """Return the held-out samples whose inputs lie within the range that the fits have seen."""
+    """Return the held-out samples whose inputs are within the range of the fitted parts."""
     inside = recording.held_out.copy()
     for name in ('command', 'valve_position', 'velocity'):
         here = getattr(recording, name)
-        seen = [getattr(other, name)[other.fit] for other in fit_on
+        fitted = [getattr(other, name)[other.fit] for other in fit_on
                 if other.fit.any() and getattr(other, name) is not None]
-        if here is not None and seen:
-            low, high = min(s.min() for s in seen), max(s.max() for s in seen)
+        if here is not None and fitted:
+            low, high = min(s.min() for s in fitted), max(s.max() for s in fitted)
             slack = 0.02 * (high - low)
             inside &= (here >= low - slack) & (here <= high + slack)
     return inside if inside.sum() > 0.2 * recording.held_out.sum() else recording.held_out
@@ -143,14 +136,14 @@ def held_out_error(group: Group, p: np.void) -> Values:
 
 def independent_samples(group: Group, p: np.void) -> Values:
     """
-    Return how many independent samples the held-out parts are worth, by channel.
+    Return the effective sample size of the residual on the held-out parts, by channel.
 
-    Their number over the time, in samples, that what is residual goes on for: the sum of its
-    autocorrelation up to where neighbours no longer agree (Geyer 1992).
+    The number of samples over the sum of the autocorrelation, truncated where the sum of two
+    neighbours is no longer positive (Geyer 1992, initial positive sequence).
     """
-    worth = {}
+    counts = {}
     for channel in group.channels:
-        worth[channel] = 0.0
+        counts[channel] = 0.0
         for recording in group.recordings:
             kept = recording.held_out.astype(float)
             residual = (measured(recording, channel) - predict(recording, channel, p)) * kept
@@ -158,27 +151,27 @@ def independent_samples(group: Group, p: np.void) -> Values:
             products = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:residual.size]
             pairs = np.fft.irfft(np.abs(np.fft.rfft(kept, size)) ** 2)[:residual.size]
             correlation = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
-            twos = correlation[1:residual.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
-            ends = int(np.argmax(np.append(twos, -1.0) <= 0.0))
-            worth[channel] += kept.sum() / (1.0 + 2.0 * float(twos[:ends].sum()))
-    return worth
+            pairs_sum = correlation[1:residual.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
+            ends = int(np.argmax(np.append(pairs_sum, -1.0) <= 0.0))
+            counts[channel] += kept.sum() / (1.0 + 2.0 * float(pairs_sum[:ends].sum()))
+    return counts
 
 
 def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
         fixed: Sequence[tuple[str, float]] = (), rounds: int = ROUNDS,
         known: Mapping[str, Array] = MappingProxyType({}), followed: int = STARTS) -> Fitted:
     """
-    Return the best fit of the free parameters, from the best few of the starts.
+    Return the best fit of the free parameters, from the best of the starts.
 
-    starts: parameter vectors, as shares of the way between bounds; the best `followed` of them
-    are followed; known: derivatives, by field, that are taken for granted.
+    starts: parameter vectors, as shares of the ranges; the best `followed` of them are fitted;
+    known: derivatives by field, which are not computed again.
     """
     problem = Problem(group, tuple(free), tuple(fixed))
     ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
     best_cost, best_theta = math.inf, ranked[0]
     for start in ranked[:followed if len(starts) > 3 else 1]:
         theta, cost = minimise(problem.residual, lambda theta: problem.jacobian(theta, known),
-                               start, PRIOR_WEIGHT, rounds, ROUGHLY if known else CLOSELY)
+                               start, PRIOR_WEIGHT, rounds, ROUGH if known else FINE)
         if cost < best_cost:
             best_cost, best_theta = cost, theta
     record = problem.record(best_theta)
@@ -208,14 +201,14 @@ class Problem:
         return self._last
 
     def residual(self, theta: Array) -> Array:
-        """Return what is residual on the fitted parts, channel after channel, in floors."""
+        """Return the weighted residual on the fitted parts, channel after channel."""
         return np.concatenate(self._by_channel(theta))
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({})) -> Array:
         """
-        Return its derivatives, by differences; only of channels that a parameter acts on.
+        Return its derivatives by finite differences, for the channels that a parameter acts on.
 
-        known: those that are not worked out, by field.
+        known: derivatives by field, which are not computed again.
         """
         base = self._by_channel(theta)
         columns = np.zeros((sum(part.size for part in base), theta.size))
@@ -238,11 +231,11 @@ class Problem:
 
 def with_known_gain(group: Group, valve: Fitted, tolerance: float) -> Group:
     """
-    Return a group whose valve passes as much as the fit of the valve channel leaves possible.
+    Return a group with the static gain limited by the fit of the valve channel.
 
-    Command to valve position and valve position to force share the full opening: by itself each
-    may be off by the tolerance of several parameters, together by that of the gain alone. Where
-    the valve opens fully the thrust tells by itself; elsewhere only its ratio to the opening.
+    Command to valve position and valve position to force share the full opening. Each gain has
+    the tolerance of several parameters, their product only that of one. Where the valve opens
+    fully the maximum force is identifiable; elsewhere only its ratio to the opening.
     """
     opening, thrust = ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force')
     if not any(free.field == opening for free in group.nuisance):
@@ -265,22 +258,22 @@ def fit_null(group: Group) -> Fitted:
     """
     Return the nominal model with its uncertain parameters refitted.
 
-    To the end: a fit that is stuck here would make any effect look like an explanation.
+    With more rounds than other fits: without convergence here any effect would seem to help.
     """
-    theta = np.array([_share(_start(free, group), *_bounds(free, group, group.nominal))
+    theta = np.array([_share(_parameter(free, group, group.nominal), _start(free, group))
                       for free in group.nuisance])
     return fit(group, group.nuisance, [theta], rounds=3 * ROUNDS)
 
 
 def _fit_from(group: Group, problem: Problem, other: Fitted) -> Fitted:
-    """Return the fit of a problem's parameters from where another fit has them."""
-    theta = np.array([_share(float(other.record[free.field]), *_bounds(free, group, other.record))
-                      for free in problem.free])
+    """Return the fit of a problem, started from the parameters of another fit."""
+    theta = np.array([_share(_parameter(free, group, other.record),
+                             float(other.record[free.field])) for free in problem.free])
     return fit(group, problem.free, [theta], problem.fixed)
 
 
 def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
-    """Return a fit, tried again from where richer hypotheses took its parameters."""
+    """Return the best of a fit and its repetitions, started from the parameters of other fits."""
     best = fitted
     for other in others:
         again = _fit_from(group, fitted.problem, other)
@@ -300,12 +293,12 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
     new: dict[str, Free] = {}
     for variant in variants:
         for free in variant.free:
-            old = new.get(free.field)   # where both hold a field the wider bounds win
+            old = new.get(free.field)   # the wider bounds of a shared field
             new[free.field] = free if old is None else free._replace(
                 low=min(free.low, old.low), high=max(free.high, old.high))
     frees = [free for free in base.free if free.field not in new] + list(new.values())
-    warm = {free.field: _share(float(base.record[free.field]),
-                               *_bounds(free, group, base.record))
+    warm = {free.field: _share(_parameter(free, group, base.record),
+                               float(base.record[free.field]))
             for free in frees if free.field in known}
     fresh = [free for free in new.values() if free.field not in known]
     starts = []
@@ -314,8 +307,9 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
             if index == 0 and count > 0:
                 continue
             begin = warm | {
-                other.field: _share(_start(other, group, index if other is free else 0),
-                                    *_bounds(other, group, group.nominal)) for other in fresh}
+                other.field: _share(_parameter(other, group, group.nominal),
+                                    _start(other, group, index if other is free else 0))
+                for other in fresh}
             starts.append(np.array([begin[other.field] for other in frees]))
     if not fresh:
         starts.append(np.array([warm[free.field] for free in frees]))
@@ -323,7 +317,7 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
 
 
 def fit_subset(group: Group, null: Fitted, variants: Sequence[Variant], whole: Fitted) -> Fitted:
-    """Return the fit of some of the variants of a fit, from where that has their parameters."""
+    """Return the fit of some variants of a larger fit, started from its parameters."""
     problem, _ = _added(group, null, variants)
     return _fit_from(group, problem, whole)
 
@@ -331,32 +325,31 @@ def fit_subset(group: Group, null: Fitted, variants: Sequence[Variant], whole: F
 def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Variant],
                  followed: int = STARTS) -> Fitted:
     """
-    Return the fit of one variant each of one or more effects, all together, nearly.
+    Return an approximate fit of one variant each of one or more effects.
 
-    screen: of the fit to start from (nested warm start): its parameters stay, those of the
-    variants are added. Their derivatives change little, and are taken from there.
-    followed: how many of the best starts are followed.
+    screen: of the fit to start from (nested warm start), to which the parameters of the variants
+    are added; its derivatives are used, since they change little. followed: number of the best
+    starts that are fitted.
     """
     problem, starts = _added(group, screen.base, variants)
-    # A nominal parameter that gets wider bounds has other derivatives: by shares of those.
+    # The derivative by the share of a parameter with other bounds differs.
     own = {free.field for variant in variants for free in variant.free}
     known = {name: column for name, column in screen.derivatives.items() if name not in own}
     return fit(group, problem.free, starts, problem.fixed, known=known, followed=followed)
 
 
 def polish(group: Group, fitted: Fitted) -> Fitted:
-    """Return a fit that is nearly there, fitted to the end with all derivatives."""
+    """Return an approximate fit, completed with all derivatives."""
     return fit(group, fitted.free, [fitted.theta], fitted.problem.fixed, rounds=POLISHING)
 
 
 class LinearScreen:
     """
-    How much an effect on top of a fit could explain, from a few simulations of it.
+    Linear screen of effects on top of a fit: the expected cost, from a few simulations.
 
-    At each of its starts: the least squares of what is residual over the change that the effect
-    makes, at any size up to LARGEST times, and over the parameters that are fitted already, all
-    of it linear and within the bounds: those of the effect where it is a nominal parameter that
-    is off by more than its tolerance.
+    At each start of an effect: bounded linear least squares of the residual over the change by
+    the effect (up to LARGEST times) and over the parameters of the fit. A nominal parameter
+    beyond its tolerance has the bounds of the effect.
     """
 
     def __init__(self, base: Fitted) -> None:
@@ -369,24 +362,24 @@ class LinearScreen:
         self._right = self._jacobian.T @ self._residual
 
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
-        """Return the cost that a fit of these variants may be expected to reach."""
+        """Return the expected cost of a fit of these variants."""
         problem, starts = _added(group, self.base, variants)
         p = self.base.record
-        wide = {free.field: _bounds(free, group, p) for free in problem.free}
+        wide = {free.field: _parameter(free, group, p) for free in problem.free}
         low, high = -self.base.theta, 1.0 - self.base.theta
         for i, free in enumerate(self.base.free):
-            least, most = _bounds(free, group, p)
-            low[i] += (wide[free.field][0] - least) / (most - least)
-            high[i] += (wide[free.field][1] - most) / (most - least)
-        own = any(free.field.partition('@')[0] in OF_A_RECORDING
-                  for variant in variants for free in variant.free)
-        return min(self._linear(problem.residual(start) - self._residual, low, high, own)
+            own = _parameter(free, group, p)
+            low[i] += (wide[free.field].low - own.low) / (own.high - own.low)
+            high[i] += (wide[free.field].high - own.high) / (own.high - own.low)
+        per_recording = any(free.field.partition('@')[0] in OF_A_RECORDING
+                            for variant in variants for free in variant.free)
+        return min(self._linear(problem.residual(start) - self._residual, low, high, per_recording)
                    for start in starts)
 
-    def _linear(self, change: Array, low: Array, high: Array, own: bool) -> float:
+    def _linear(self, change: Array, low: Array, high: Array, per_recording: bool) -> float:
         group = self.base.problem.group
         changes, least = change[:, None], 0.0
-        if own and group.nominal.dtype != PLANT_DTYPE:   # of another size in each recording
+        if per_recording and group.nominal.dtype != PLANT_DTYPE:   # one size for each recording
             number = np.concatenate([np.full(r.fit.sum(), r.number) for r in group.recordings])
             number = np.tile(number, len(group.channels))
             changes, least = change[:, None] * (number[:, None] == np.unique(number)), -LARGEST

@@ -16,12 +16,12 @@ NO_GAP, UNKNOWN = 'no_gap', 'unknown'
 
 class Free(NamedTuple):
     """
-    A free parameter: a field of the plant's record, its bounds and where to start.
+    A free parameter: a field of the plant's record, its relative bounds and start values.
 
-    scale: what low, high and starts are multiples of: '' for the plain unit, the name of a signal
-    (its range in the recording), what is seen in what the nominal model leaves ('residual_...'),
-    'nominal' (the field's own nominal value), or another nominal parameter: the field's own
-    nominal value, as many times as that parameter is its own, so that their ratio is free.
+    scale: unit of low, high and starts: '' for the plain unit, the name of a signal (its range in
+    the recording), an initial guess from the residual ('residual_...'), 'nominal' (the field's
+    nominal value), or another nominal parameter, so that the ratio to it is free. In a fit it
+    becomes a `FreeParameter` (fit.py): its bounds depend on the recording and on that parameter.
     """
 
     field: str
@@ -32,7 +32,7 @@ class Free(NamedTuple):
     unit: str = ''
 
 
-# Fields that belong to one recording: nothing says that the next has the same.
+# Fields with an own value in each recording.
 OF_A_RECORDING = (
     'load_offset', 'disturbance', 'disturbance_wave', 'disturbance_frequency', 'disturbance_phase',
     'disturbance_pulse', 'disturbance_start', 'disturbance_end', 'sensor_offset', 'sensor_drift',
@@ -45,7 +45,7 @@ def of_recording(field: str, number: int) -> str:
 
 
 def in_each(frees: tuple[Free, ...], count: int) -> tuple[Free, ...]:
-    """Return free parameters for `count` recordings, those of a recording once for each."""
+    """Return free parameters for `count` recordings; fields of a recording once for each."""
     return tuple(each for free in frees for each in (
         (free._replace(field=of_recording(free.field, number), scale=of_recording(
             free.scale, number) if free.scale.startswith('residual_') else free.scale)
@@ -56,7 +56,7 @@ class Variant(NamedTuple):
     """
     One form of an effect.
 
-    channels: what it shows in: 'valve', 'force', 'load'; fixed: fields it sets; needs: fields of
+    channels: those it acts on: 'valve', 'force', 'load'; fixed: fields it sets; needs: fields of
     the nominal record that must not be zero; joined: only together with another effect.
     """
 
@@ -71,8 +71,8 @@ class Effect(NamedTuple):
     """
     An effect of the vocabulary.
 
-    exact: whether its forms here hold those of the books: a gain, a corner, a linear lag. Not
-    where there is memory, contact, chance, or the flow of oil.
+    exact: whether it has one established law (a gain, a corner, a linear lag), unlike effects with
+    memory, contact, randomness or fluid flow.
     """
 
     name: str
@@ -152,7 +152,7 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('orifice_bias', -0.7, 0.7, (0.02, -0.02), 'valve_position', 'm'),),
                 FORCE_SIDE),
     ), exact=True),
-    Effect('valve_lag', VALVE, 'the valve follows later, the faster the less', (
+    Effect('valve_lag', VALVE, 'the valve follows with a lag, less at high frequency', (
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
         # Of a servo without a load of its own, what is beyond one lag is called dead time.
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
@@ -243,13 +243,13 @@ EFFECTS: tuple[Effect, ...] = (
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}
 
-# A nominal parameter beyond its tolerance is an answer too: `parameter:load.mass`.
+# A nominal parameter beyond its tolerance is a hypothesis too: `parameter:load.mass`.
 PARAMETER = 'parameter:'
 BLOCK_OF_PARAMETER = {
     'valve_flexure.delay': COMMAND_PATH, 'valve_characteristic.maximum_force': HYDRAULICS,
     'valve_characteristic.full_opening': HYDRAULICS, 'valve': VALVE, 'hydraulic': HYDRAULICS,
     'fluid': HYDRAULICS, 'friction': MECHANICS, 'load': MECHANICS, 'force_sensor': SENSOR}
-BEYOND = 5.0   # times nominal, or this part of it: how far off a parameter may be
+BEYOND = 5.0   # largest factor, up or down, of a parameter beyond its tolerance
 
 
 def block_of(name: str) -> str | None:
