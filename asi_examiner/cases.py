@@ -1,12 +1,13 @@
 """
-Blind cases: which effect, how large, which excitation, which errors of the nominal model.
+Blind cases: effect, size, excitation and errors of the nominal model, drawn from a seed.
 
-Everything of a case follows from its seed. An effect is drawn large enough to be seen: at least
-VISIBLE times the noise after all that errors of the nominal parameters can explain of it, which is
-worked out with the examiner's own plant (`visibility`).
+An effect is drawn large enough to be detectable: at least VISIBLE times the noise after errors of
+the nominal parameters have explained as much of it as they can, computed with the examiner's own
+plant (`visibility`).
 
-Of the world `foreign` nothing is as the diagnosis was made for: another machine, gain of the loop
-and course, louder and coloured noise, and a few more effects, each too small to see.
+A case of the world `foreign` differs from the conditions for which the diagnosis was developed:
+another machine, loop gain and excitation, more and coloured noise, and a few additional effects
+that are too small to detect.
 """
 
 import math
@@ -25,9 +26,9 @@ DURATION_S = 10.0
 ERROR = 0.2
 VISIBLE, INVISIBLE = 2.0, 0.5
 NOISE = np.array([1.0, 2e-8, 1e-6, 5e-4])   # N, m, m, m/s
-TRIFLES = 3   # how many more effects, too small to see, a foreign world has
+SMALL_EFFECTS = 3   # number of additional undetectable effects of a foreign case
 
-# The nominal parameters of the actuator, by the name that the user's model file has.
+# The nominal parameters of the actuator: name in the user's model file, and value.
 NOMINAL = {
     'gain': ('valve_characteristic.gain', 0.535),
     'coil': ('valve_flexure.coil_frequency', 26.1),
@@ -54,7 +55,7 @@ FULL = {
     'sensor_corner': ('force_sensor.natural_frequency', 800.0),
     'sensor_delay': ('force_sensor.delay', 0.1e-3),
 }
-# What the full plant has built in (plant.py), so that the user's model says the same.
+# Fixed properties of the full plant (plant.py) in the user's model.
 FULL_MODEL = {
     'hydraulic_damping.centre_share': 0.021, 'hydraulic_damping.saturation_shift': 0.112,
     'hydraulic_damping.saturation_narrowing': 0.422, 'hydraulic_damping.velocity_width': 0.198,
@@ -71,7 +72,7 @@ TEXTBOOK_MODEL = {
 }
 EXCITATIONS = ('loop', 'multisine', 'chirp', 'steps', 'triangle')
 FOREIGN_EXCITATIONS = (*EXCITATIONS, 'tones', 'noise', 'binary')
-# By which factors a foreign machine differs from the nominal ones above.
+# Ranges of the factors between a foreign machine and the nominal parameters above.
 FOREIGN = {'gain': (0.5, 2.0), 'coil': (0.6, 2.5), 'pipe': (0.4, 1.2), 'full_opening': (0.1, 10.0),
            'fluid': (0.2, 1.5), 'mass': (0.4, 10.0), 'stiffness': (0.2, 4.0),
            'damper': (0.3, 10.0), 'damping': (0.5, 2.0)}
@@ -88,15 +89,15 @@ EFFECTS = {
 }
 OUTSIDE = ('slew_limit', 'one_sided_gain', 'cubic_spring', 'fading_gain', 'dropouts', 'ripple',
            'resonance', 'position_gain')
-# What may be there a little (a fiftieth of it) in a foreign world.
-TRIFLING = ('transport_delay', 'valve_hysteresis', 'valve_deadband', 'valve_bias', 'valve_lag',
+# Effects that a foreign case may have in addition, at a fiftieth of their size.
+MAY_BE_SMALL = ('transport_delay', 'valve_hysteresis', 'valve_deadband', 'valve_bias', 'valve_lag',
             'hydraulic_damping', 'internal_leakage', 'coulomb_friction', 'viscous_friction',
             'disturbance_force', 'sensor_offset', 'sensor_lag', 'sensor_drift', 'one_sided_gain',
             'position_gain', 'cubic_spring', 'fading_gain')
 
 
 class Case(NamedTuple):
-    """One blind case: what the bag shows, and what the answer file says."""
+    """One blind case: the recording and the true answer."""
 
     seed: int
     world: str                    # 'textbook', 'full' or 'foreign'
@@ -122,7 +123,7 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def draw_effect(name: str, rng: np.random.Generator, size: Values, world: str) -> Values:
-    """Return the plant's parameters of an effect; size: the sizes of the signals without it."""
+    """Return the plant's parameters of an effect; size: amplitudes of the signals without it."""
     u, force, v, x, z = (size[key] for key in 'ufvxz')
     friction = {'slip_distance': _log(rng, 1e-5, 1e-4),
                 'dahl': _log(rng, 0.5, 2.0) * float(rng.random() < 0.5)}
@@ -177,8 +178,8 @@ def draw_effect(name: str, rng: np.random.Generator, size: Values, world: str) -
         'position_gain': {'position_gain': _sign(rng) * rng.uniform(0.3, 0.6) / x},
     }
     values = choices[name]
-    if world == 'full':   # present already: what is wrong is that it is other than believed
-        other = {
+    if world == 'full':   # the model has these effects; the plant has them with another size
+        changed = {
             'valve_hysteresis': {'base_hysteresis': 14.0 * _log(rng, 3.0, 8.0)},
             'hydraulic_damping': {'damping': 970.0 * rng.choice([0.4, 1.8, 2.5])},
             'stiction': {'base_push': 27.0 * rng.uniform(2.0, 4.0),
@@ -186,12 +187,12 @@ def draw_effect(name: str, rng: np.random.Generator, size: Values, world: str) -
             'coulomb_friction': {'base_coulomb': 7.0 * rng.uniform(2.5, 5.0),
                                  'base_push': 27.0 + 14.0, 'base_pull': 15.0 + 20.0},
         }
-        return other.get(name, values)
+        return changed.get(name, values)
     return values
 
 
 def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
-    """Return n desired forces or valve commands of a kind of excitation; peak: its largest."""
+    """Return n desired forces or valve commands of a kind of excitation; peak: its maximum."""
     t = np.arange(int(DURATION_S / PERIOD_S)) * PERIOD_S
     if kind == 'multisine':
         tones = np.geomspace(0.4, rng.uniform(30, 80), 25)
@@ -211,7 +212,7 @@ def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
     elif kind == 'triangle':
         f = rng.uniform(0.3, 0.8)
         signal = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * f * t)) * (0.4 + 0.6 * t / t[-1])
-    else:   # steps, and the reference of the closed loop: levels held, with rests and reversals
+    else:   # steps, and the reference of the closed loop: random constant levels
         signal = np.zeros(t.size)
         start = 0
         while start < t.size:
@@ -227,44 +228,44 @@ def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
 def visibility(p: np.void, without: np.void, believed: Values, recording: Array,
                noise: Array) -> float:
     """
-    Return how far an effect stands out, in multiples of the noise.
+    Return the rms of the signal change due to an effect, in multiples of the noise.
 
-    Both plants replay the recorded command, without noise. What errors of the nominal parameters
-    can explain (linear, as far from what the user believes as is allowed) is taken away; the
-    largest over the signals counts.
+    Both plants replay the recorded command, without noise. The part that errors of the nominal
+    parameters explain (linearised, within ERROR of the nominal values `believed`) is subtracted;
+    the result is the largest over the signals.
     """
     quiet = Bench(False, 0.0, 0.0, np.zeros(4), 0.0)
     command = recording[0]
     base = simulate(without, command, quiet, 0)
-    gap = simulate(p, command, quiet, 0) - base
+    change = simulate(p, command, quiet, 0) - base
     columns, low, high = [], [], []
     for name, value in believed.items():
         low.append((1.0 - ERROR) * value / without[name] - 1.0)
         high.append((1.0 + ERROR) * value / without[name] - 1.0)
-        moved = without.copy()
-        moved[name] *= 1.02
-        columns.append((simulate(moved, command, quiet, 0) - base) / 0.02)
-    best = 0.0
+        varied = without.copy()
+        varied[name] *= 1.02
+        columns.append((simulate(varied, command, quiet, 0) - base) / 0.02)
+    largest = 0.0
     for signal, level in ((1, noise[0]), (2, noise[1]), (4, noise[3])):
         matrix = np.array([column[signal] for column in columns]).T
-        explained = lsq_linear(matrix / level, gap[signal] / level, (low, high))
-        best = max(best, math.sqrt(2.0 * explained.cost / gap[signal].size))
-    return best
+        fit = lsq_linear(matrix / level, change[signal] / level, (low, high))
+        largest = max(largest, math.sqrt(2.0 * fit.cost / change[signal].size))
+    return largest
 
 
 def foreign(rng: np.random.Generator, closed: bool, names: dict[str, tuple[str, float]]
             ) -> tuple[dict[str, tuple[str, float]], Bench]:
     """Return the nominal parameters of another machine, and its bench."""
-    other = {key: (name, value * _log(rng, *FOREIGN[key]) if key in FOREIGN else value)
+    drawn = {key: (name, value * _log(rng, *FOREIGN[key]) if key in FOREIGN else value)
              for key, (name, value) in names.items()}
     noise = NOISE * [_log(rng, 0.3, 5.0) for _ in NOISE]
-    noise[1] *= other['full_opening'][1] / names['full_opening'][1]
-    return other, Bench(closed, rng.uniform(0.5, 3.0), 1.0 / other['gain'][1], noise,
+    noise[1] *= drawn['full_opening'][1] / names['full_opening'][1]
+    return drawn, Bench(closed, rng.uniform(0.5, 3.0), 1.0 / drawn['gain'][1], noise,
                         rng.uniform(0.3, 0.95) if rng.random() < 0.5 else 0.0)
 
 
-def trifling(effect: Values) -> Values:
-    """Return an effect of a fiftieth of its size, of the same form."""
+def scaled_down(effect: Values) -> Values:
+    """Return an effect with a fiftieth of its size and the same shape."""
     return {key: value * (1.0 if key in (
         'slip_distance', 'dahl', 'breakaway', 'piston_share', 'drift_time') else 0.02)
         for key, value in effect.items()}
@@ -272,27 +273,26 @@ def trifling(effect: Values) -> Values:
 
 def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | None = None,
          effects: tuple[str, ...] | None = None, excitation: str | None = None) -> Case:
-    """Return the case of a seed; what is not given is drawn: 70 % of cases hold one effect."""
-    rng, other = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 13])
+    """Return the case of a seed; arguments that are not given are drawn."""
+    rng, world_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 13])
     excitation = excitation or EXCITATIONS[rng.choice(5, p=[0.3, 0.25, 0.2, 0.15, 0.1])]
     kind = kind or str(rng.choice(['effect', 'pair', 'none', 'small', 'outside'],
                                   p=[0.6, 0.12, 0.12, 0.04, 0.12]))
-    known = world   # what the user's model knows of
+    model = world   # the user's model: textbook or full
     if world == 'foreign':
-        known = str(other.choice(['textbook', 'full']))
-        excitation = str(other.choice(FOREIGN_EXCITATIONS))
+        model = str(world_rng.choice(['textbook', 'full']))
+        excitation = str(world_rng.choice(FOREIGN_EXCITATIONS))
     names = {**NOMINAL, **(SPRING if load == 'spring' else LOCKED),
-             **(TEXTBOOK if known == 'textbook' else FULL)}
+             **(TEXTBOOK if model == 'textbook' else FULL)}
     bench = Bench(excitation == 'loop', 3.0, 1.0 / 0.535, NOISE, 0.0)
     if world == 'foreign':
-        names, bench = foreign(other, bench.closed, names)
+        names, bench = foreign(world_rng, bench.closed, names)
     nominal: dict[str, Any] = dict(names.values())
     nominal |= {'load.type': load} | (
-        TEXTBOOK_MODEL if known == 'textbook' else FULL_MODEL)
+        TEXTBOOK_MODEL if model == 'textbook' else FULL_MODEL)
     true = {key: value * (1.0 + ERROR * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
-    # The flow that opens the valve fully and the thrust are known together: the gain is what errs.
-    true['friction_inside'] = float(rng.random() < 0.5) if known == 'textbook' else 1.0
-    true['saturates'] = true['family'] = float(known == 'full')
+    true['friction_inside'] = float(rng.random() < 0.5) if model == 'textbook' else 1.0
+    true['saturates'] = true['family'] = float(model == 'full')
     believed = {key: value for key, (_, value) in names.items()}
 
     force = rng.uniform(250, 700)
@@ -302,10 +302,10 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             for name, signal in zip('ufzxv', clean, strict=True)}
     size |= {'z': size['z'] / true['full_opening'], 'k': true['stiffness'],
              'full': true['full_opening']}
-    trifles = tuple(map(str, other.choice(TRIFLING, TRIFLES, replace=False)
-                        if world == 'foreign' else ()))
-    for name in trifles:
-        true |= trifling(draw_effect(name, other, size, 'textbook'))
+    small = tuple(map(str, world_rng.choice(MAY_BE_SMALL, SMALL_EFFECTS, replace=False)
+                      if world == 'foreign' else ()))
+    for name in small:
+        true |= scaled_down(draw_effect(name, world_rng, size, 'textbook'))
     without = plant(true)
 
     for _ in range(30):
@@ -318,29 +318,30 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
         else:
             chosen = tuple(map(str, rng.choice(list(EFFECTS), 2 if kind == 'pair' else 1,
                                                replace=False)))
-        values, seen = dict(true), math.inf
-        extras = [draw_effect(name, rng, size, known) for name in chosen]
-        if len(extras) == 2 and extras[0].keys() & extras[1].keys():
-            continue   # the second would take the place of the first: that is one effect
-        for extra in extras:
+        values, weakest = dict(true), math.inf
+        changes = [draw_effect(name, rng, size, model) for name in chosen]
+        if len(changes) == 2 and changes[0].keys() & changes[1].keys():
+            continue   # both set the same parameter: only one effect would remain
+        for change in changes:
             if kind == 'small':
-                extra = trifling(extra)
-            single = plant({**true, **extra})
+                change = scaled_down(change)
+            single = plant({**true, **change})
             recording = simulate(single, reference, bench, seed)
             if np.isfinite(recording).all():
-                seen = min(seen, visibility(single, without, believed, recording,
-                                            bench.noise))
+                weakest = min(weakest, visibility(single, without, believed, recording,
+                                                  bench.noise))
             else:
-                seen = -1.0
-            values |= extra
+                weakest = -1.0
+            values |= change
         if not chosen:
-            seen = 0.0
+            weakest = 0.0
             break
-        if kind == 'small' and 0.0 <= seen <= INVISIBLE or kind != 'small' and seen >= VISIBLE:
+        if (kind == 'small' and 0.0 <= weakest <= INVISIBLE
+                or kind != 'small' and weakest >= VISIBLE):
             break
-    if trifles and kind in ('none', 'small'):   # to see one of them after all is no false alarm
-        kind, chosen = 'small', (*chosen, *trifles)
-    truth = plant(values)
-    recording = simulate(truth, reference, bench, seed)
-    return Case(seed, world, excitation, load, chosen, kind, seen, nominal, truth, without,
+    if small and kind in ('none', 'small'):   # detecting one of them is not a false alarm
+        kind, chosen = 'small', (*chosen, *small)
+    actual = plant(values)
+    recording = simulate(actual, reference, bench, seed)
+    return Case(seed, world, excitation, load, chosen, kind, weakest, nominal, actual, without,
                 reference, bench, recording)

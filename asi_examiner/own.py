@@ -2,8 +2,8 @@
 Cases of the simulator itself: unchanged, or with one of its parameters changed.
 
 Recorded by the code of the two nodes, at 1, 2 and 5 kHz, with every load and several excitations,
-with and without noise. The truth lies inside the model that a diagnosis may fit, so that no other
-formulation excuses a wrong answer.
+with and without noise. The true parameters are within the model that a diagnosis fits, so that no
+difference of formulation can cause a wrong answer.
 """
 
 import math
@@ -20,8 +20,8 @@ RATES_HZ = (1000.0, 2000.0, 5000.0)
 LOADS = ('locked', 'spring', 'free')
 DURATION_S = 8.0
 UNCHANGED = 0.3        # share of cases of the unchanged simulator
-FACTOR = (1.4, 2.5)    # that a parameter is changed by, up or down
-VISIBLE = 2.0          # times the noise: what changes the signals by less counts as too small
+FACTOR = (1.4, 2.5)    # range of the factor, or its reciprocal, by which a parameter is changed
+VISIBLE = 2.0          # times the noise; a smaller change of the signals counts as too small
 NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
 PROPORTIONAL: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
 OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
@@ -35,8 +35,8 @@ EXCITATIONS: dict[str, dict[str, Value]] = {
     'steps': {**PROPORTIONAL, 'reference.shape': 'prbs', 'reference.frequency': 1.5},
     'triangle': {**PROPORTIONAL, 'reference.shape': 'triangle', 'reference.frequency': 0.5},
 }
-# Parameters that are changed: what a right answer calls them (an effect of the vocabulary, where
-# there is one for it), and their block.
+# Parameters that are changed: the name of the right answer (an effect of the vocabulary, if it has
+# one for it), and the block.
 CHANGED = {
     'valve_hysteresis.radius': ('valve_hysteresis', 'valve'),
     'valve_flexure.coil_frequency': ('valve_lag', 'valve'),
@@ -58,11 +58,11 @@ ONLY_OF = {'load.locked_stiffness': 'locked', 'load.stiffness': 'spring', 'load.
 
 
 class OwnCase(NamedTuple):
-    """One case: the truth (parameter and factor, None if nothing is changed), and its runs."""
+    """One case: the changed parameter (None if none) and its factor, and the recordings."""
 
     parameter: str | None
     factor: float
-    visibility: float       # change of the signals before any refit, in multiples of the noise
+    visibility: float       # change of the signals, nothing refitted, in multiples of the noise
     excitation: str
     rate_hz: float
     nominal: dict[str, Value]
@@ -71,7 +71,7 @@ class OwnCase(NamedTuple):
 
 
 def draw_own(seed: int) -> OwnCase:
-    """Return the case of a seed; with the same one it is the same."""
+    """Return the case of a seed."""
     rng = np.random.default_rng([seed, 14])
     rate, load = float(rng.choice(RATES_HZ)), str(rng.choice(LOADS))
     excitation = str(rng.choice(list(EXCITATIONS)))
@@ -97,7 +97,7 @@ def draw_own(seed: int) -> OwnCase:
 
 def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz: float,
               seed: list[int], noise: float) -> Run:
-    """Return what the nodes record; the second of a case has another course where it is random."""
+    """Return the recording of the nodes; a random reference differs in a case's second one."""
     controller = {**EXCITATIONS[excitation], 'reference.amplitude': size,
                   'reference.start': 0.05, 'reference.seed': 2 if seed[1] == 1 else 1}
     signals = simulate_loop(actuator, controller, DURATION_S, rate_hz)._asdict()
@@ -109,7 +109,7 @@ def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz:
 
 
 def truth(case: OwnCase) -> tuple[str, list[str], list[str]]:
-    """Return kind, effects and blocks of the answer."""
+    """Return kind, effects and blocks of the right answer."""
     if case.parameter is None:
         return 'none', [], []
     effect, block = CHANGED[case.parameter]

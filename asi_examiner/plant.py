@@ -1,13 +1,14 @@
 """
-The examiner's own plant: the actuator of the paper with one or two effects that are withheld.
+The examiner's own plant: the actuator of the paper with one or two withheld effects.
 
-Semi-implicit Euler at 10 us, while the diagnosis never takes steps below 100 us. Formulations
-that differ from the diagnosis': hysteresis by Bouc and Wen, or a Preisach sum of relays, against
-plays; friction by generalised Maxwell slip whose reaches grow geometrically, with an exponential
-Stribeck curve, or by Dahl's law with an exponent of 0.5 to 2, against evenly spread slips and an
-exponent of 1; extra lags of second order; a delay that jitters; quadratic corners; quadratic
-leakage; oil whose stiffness grows with the square of the pressure; backlash and compliance with
-two masses and a contact; warm-up drift; steps and bursts of disturbance.
+Semi-implicit Euler at 10 us; the steps of the diagnosis are 100 us or longer. Formulations that
+differ from those of the diagnosis: hysteresis by Bouc and Wen, or a Preisach sum of relays,
+instead of play operators; friction by generalised Maxwell slip with geometrically spaced slip
+distances and an exponential Stribeck curve, or by Dahl's law with an exponent of 0.5 to 2, instead
+of evenly spaced slip distances and an exponent of 1; extra lags of second order; a delay with
+jitter; quadratic corners; quadratic leakage; oil whose stiffness grows with the square of the
+pressure; backlash and compliance with two masses and a contact; warm-up drift; steps and bursts
+of disturbance.
 """
 
 import math
@@ -47,7 +48,7 @@ FIELDS = (
 
 
 class Bench(NamedTuple):
-    """How a machine is run and measured."""
+    """Loop and measurement noise of an experiment."""
 
     closed: bool
     gain: float           # of the closed loop
@@ -71,13 +72,13 @@ STATE = np.dtype([
     ('relays', np.float64, (WIDTHS, RELAYS)),
     ('slips', np.float64, SLIPS), ('base_slips', np.float64, SLIPS),
 ])
-# Inlined: what a sub-step calls takes a fifth longer out of line.
+# Inlined: a sub-step takes a fifth longer with calls.
 jit = numba.njit(cache=True, forceinline=True)
 
 
 @jit
 def soft_clip(x, limit):
-    """Return x clipped at the limit, with a corner that is a parabola over a tenth of it."""
+    """Return x clipped at the limit, with a parabolic corner of a tenth of the limit."""
     size = abs(x)
     width = 0.1 * limit
     if size <= limit - width:
@@ -90,7 +91,7 @@ def soft_clip(x, limit):
 
 @jit
 def soft_dead(x, width):
-    """Return x less a dead zone whose corners are rounded by a twentieth of it."""
+    """Return x with a dead zone whose corners are rounded over a twentieth of its width."""
     size = abs(x)
     corner = 0.05 * width
     rest = size - width
@@ -107,10 +108,10 @@ def maxwell_slip(elements, v, forward, backward, forward_break, backward_break, 
     """
     Return the friction force (N) after `h` s at velocity v; updates the elements.
 
-    elements: SLIPS springs, as shares of their own slip force; or, where it is not zero, a single
-    state after Dahl's law with the exponent `dahl`.
-    Forward or backward is which way an element is bent: by the sign of the velocity, the force of
-    one that sticks would jump with every tremor, and push.
+    elements: forces of SLIPS springs, as shares of their slip forces; if the exponent `dahl` is
+    not zero, a single state of Dahl's law. Forward or backward is the sign of an element's
+    deflection: with the sign of the velocity the force of a sticking element would jump at every
+    reversal.
     """
     fall = math.exp(-abs(v) / stribeck) if stribeck > 0.0 else 0.0
     ahead = forward + (forward_break - forward) * fall
@@ -122,8 +123,8 @@ def maxwell_slip(elements, v, forward, backward, forward_break, backward_break, 
         return (ahead if s >= 0.0 else back) * elements[0]
     total = 0.0
     for i in range(SLIPS):
-        reach = 0.3 * 1.5 ** i * distance
-        s = min(max(elements[i] + h * v / reach, -1.0), 1.0)
+        slip = 0.3 * 1.5 ** i * distance
+        s = min(max(elements[i] + h * v / slip, -1.0), 1.0)
         elements[i] = s
         total += (ahead if s >= 0.0 else back) * s / SLIPS
     return total
@@ -131,7 +132,7 @@ def maxwell_slip(elements, v, forward, backward, forward_break, backward_break, 
 
 @jit
 def preisach(relays, u, top, width):
-    """Return the output of the relays at an input u; updates them."""
+    """Return the output of the Preisach relays at an input u; updates them."""
     total = 0.0
     for j in range(WIDTHS):
         half = width * (0.2 + 0.4 * j)
@@ -146,8 +147,8 @@ def preisach(relays, u, top, width):
 
 
 @jit
-def sent(p, s, k, command, chance):
-    """Return what is sent of a command (N), and with how many sub-steps of delay."""
+def transmitted(p, s, k, command, chance):
+    """Return the command (N) after dropouts and quantisation, and its delay in sub-steps."""
     if p.dropout > 0.0 and k > s.hold_until and chance < p.dropout:
         s.hold_until = k + 40
     if k > s.hold_until:
@@ -155,16 +156,16 @@ def sent(p, s, k, command, chance):
     applied = s.held
     if p.quantum > 0.0:
         applied = p.quantum * math.floor(applied / p.quantum) + 0.5 * p.quantum
-    wait = p.delay + p.extra_delay * (1.0 + p.jitter * (2.0 * chance - 1.0))
-    return applied, int(wait / STEP_S)
+    delay_s = p.delay + p.extra_delay * (1.0 + p.jitter * (2.0 * chance - 1.0))
+    return applied, int(delay_s / STEP_S)
 
 
 @jit
-def received(p, s, applied, late):
-    """Return the command (N) at the valve after a sub-step."""
+def received(p, s, applied, delay):
+    """Return the command (N) at the valve after a sub-step; delay: in sub-steps."""
     s.at = (s.at + 1) % RING
     s.command_ring[s.at] = applied
-    u = s.command_ring[(s.at - late) % RING] + p.bias
+    u = s.command_ring[(s.at - delay) % RING] + p.bias
     if p.slew > 0.0:
         s.slewed += min(max(u - s.slewed, -p.slew * STEP_S), p.slew * STEP_S)
         u = s.slewed
@@ -172,9 +173,9 @@ def received(p, s, applied, late):
 
 
 @jit
-def magnetised(p, s, u, top):
-    """Return the current (N) after both hysteresis loops."""
-    # What is in both worlds of the full model: a rounded loop, and a lag for its growth.
+def hysteresis(p, s, u, top):
+    """Return the command (N) after the nominal hysteresis and that of the effect."""
+    # Nominal in the full model: a rounded loop, and a lag that widens it with the rate.
     if p.base_hysteresis > 0.0:
         du = u - s.base_input
         s.base_input = u
@@ -191,16 +192,16 @@ def magnetised(p, s, u, top):
         if du != 0.0:
             s.looped = preisach(s.relays, u, top, p.loop_width)
         return s.looped
-    grip = abs(s.bouc) ** p.loop_exponent
-    side = 1.0 if s.bouc * du >= 0.0 else -1.0
-    s.bouc += du / p.loop_width * (1.0 - grip * (0.5 + 0.5 * side))
+    power = abs(s.bouc) ** p.loop_exponent
+    direction = 1.0 if s.bouc * du >= 0.0 else -1.0
+    s.bouc += du / p.loop_width * (1.0 - power * (0.5 + 0.5 * direction))
     s.bouc = min(max(s.bouc, -1.0), 1.0)
     return u - p.loop_width * s.bouc
 
 
 @jit
-def bend(p, s, u):
-    """Advance coil and jet pipe by a sub-step under a current (N)."""
+def advance_valve(p, s, u):
+    """Advance coil and jet pipe by a sub-step under a command (N)."""
     if p.deadband > 0.0:
         u = soft_dead(u, p.deadband)
     if p.one_sided_gain != 0.0 and u > 0.0:
@@ -230,7 +231,7 @@ def valve_position(p, s):
 
 @jit
 def static_force(p, s, relative, opening, t):
-    """Return the force (N) of a valve that is open so far, at rest; the supply sags with use."""
+    """Return the force (N) at rest for a valve opening; the supply sags with use."""
     static = relative * p.maximum_force
     if p.saturates > 0.5:
         static = soft_clip(static, p.maximum_force)
@@ -244,7 +245,7 @@ def static_force(p, s, relative, opening, t):
 
 @jit
 def damping_force(p, v, opening):
-    """Return the force (N) that the oil sets against a velocity v (m/s)."""
+    """Return the hydraulic damping force (N) at a velocity v (m/s)."""
     against = (p.damping * v + p.turbulent * abs(v) * v
                + p.turbulent_opening * abs(opening) * v)
     if p.family <= 0.5:
@@ -261,7 +262,7 @@ def damping_force(p, v, opening):
 
 
 @jit
-def press(p, s, t):
+def advance_hydraulics(p, s, t):
     """Advance the hydraulic force by a sub-step."""
     relative = valve_position(p, s) / p.full_opening
     if p.orifice_deadband > 0.0:
@@ -279,23 +280,23 @@ def press(p, s, t):
 
 @jit
 def friction(p, s):
-    """Return the friction force (N) of the nominal model, and of the effects."""
-    rub = p.viscous * s.v
+    """Return the friction forces (N) of the nominal model and of the effects."""
+    added = p.viscous * s.v
     if p.friction > 0.0:
         forward = p.friction * (1.0 + p.asymmetry)
         backward = p.friction * (1.0 - p.asymmetry)
-        rub += maxwell_slip(s.slips, s.v, forward, backward, forward * p.breakaway,
-                            backward * p.breakaway, p.stribeck, p.slip_distance, p.dahl, STEP_S)
+        added += maxwell_slip(s.slips, s.v, forward, backward, forward * p.breakaway,
+                              backward * p.breakaway, p.stribeck, p.slip_distance, p.dahl, STEP_S)
     base = 0.0
     if p.base_push > 0.0:
         base = maxwell_slip(s.base_slips, s.v, p.base_coulomb, p.base_coulomb, p.base_push,
                             p.base_pull, 0.005, 1.2e-4, 0.0, STEP_S)
-    return base, rub
+    return base, added
 
 
 @jit
 def disturbance(p, s, t):
-    """Return the push (N) from outside at a time (s)."""
+    """Return the disturbance force (N) at a time (s)."""
     push = p.push_constant
     if p.push_frequency > 0.0:
         push += p.push_sine * math.sin(2.0 * math.pi * p.push_frequency * t)
@@ -307,7 +308,7 @@ def disturbance(p, s, t):
 
 
 @jit
-def move(p, s, total):
+def advance_mechanics(p, s, total):
     """Advance piston and load by a sub-step under a force (N)."""
     if p.gap > 0.0 or p.coupling > 0.0:
         stretch = s.x - s.load_x
@@ -331,13 +332,13 @@ def move(p, s, total):
 
 
 @jit
-def sense(p, s, force):
+def advance_sensor(p, s, force):
     """Advance the force sensor by a sub-step under a force (N)."""
     s.sensor_ring[s.at] = force
-    late = s.sensor_ring[(s.at - int(p.sensor_delay / STEP_S)) % RING]
+    delayed = s.sensor_ring[(s.at - int(p.sensor_delay / STEP_S)) % RING]
     if p.sensor_corner > 0.0:
         w = 2.0 * math.pi * p.sensor_corner
-        s.sensed_rate += STEP_S * (w * w * (late - s.sensed) - 1.4 * w * s.sensed_rate)
+        s.sensed_rate += STEP_S * (w * w * (delayed - s.sensed) - 1.4 * w * s.sensed_rate)
         s.sensed += STEP_S * s.sensed_rate
     else:
         s.sensed = force
@@ -347,8 +348,8 @@ def sense(p, s, force):
 
 
 @jit
-def reading(p, s, t):
-    """Return the force (N) that the sensor tells, without noise."""
+def sensor_output(p, s, t):
+    """Return the force (N) at the output of the sensor, without noise."""
     force = s.sensed if p.sensor_lag <= 0.0 else s.slow2
     return (force * (1.0 + p.sensor_scale) + p.sensor_offset
             + p.drift * (1.0 - math.exp(-t / p.drift_time)))
@@ -357,7 +358,7 @@ def reading(p, s, t):
 @jit
 def run(p, s, reference, bench, random, top, out):
     """
-    Put command N, force N, valve position m, position m and velocity m/s into out (5 x n).
+    Simulate; writes command N, force N, valve position m, position m, velocity m/s to out (5 x n).
 
     s: the state at rest; reference: n desired forces N if the loop is closed, else n valve
     commands N; random: 4 x n standard normal numbers for the noise, a fifth row of uniform ones
@@ -365,7 +366,7 @@ def run(p, s, reference, bench, random, top, out):
     """
     for k in range(out.shape[1]):
         t = k * PERIOD_S
-        force = reading(p, s, t) + bench.noise[0] * random[0, k]
+        force = sensor_output(p, s, t) + bench.noise[0] * random[0, k]
         command = reference[k]
         if bench.closed:
             command = bench.gain * (reference[k] - force) + reference[k] * bench.feed_forward
@@ -375,18 +376,18 @@ def run(p, s, reference, bench, random, top, out):
         out[2, k] = valve_position(p, s) + bench.noise[1] * random[1, k]
         out[3, k] = s.x + bench.noise[2] * random[2, k]
         out[4, k] = s.v + bench.noise[3] * random[3, k]
-        applied, late = sent(p, s, k, command, random[4, k])
+        applied, delay = transmitted(p, s, k, command, random[4, k])
         for _ in range(SUBSTEPS):
-            bend(p, s, magnetised(p, s, received(p, s, applied, late), top))
-            press(p, s, t)
-            base, rub = friction(p, s)
-            felt = s.hydraulic - base - (rub if p.friction_inside > 0.5 else 0.0)
-            move(p, s, s.hydraulic - base - rub + disturbance(p, s, t))
-            sense(p, s, felt)
+            advance_valve(p, s, hysteresis(p, s, received(p, s, applied, delay), top))
+            advance_hydraulics(p, s, t)
+            base, added = friction(p, s)
+            measured = s.hydraulic - base - (added if p.friction_inside > 0.5 else 0.0)
+            advance_mechanics(p, s, s.hydraulic - base - added + disturbance(p, s, t))
+            advance_sensor(p, s, measured)
 
 
 def rest() -> np.void:
-    """Return the state of the plant at rest: half of the relays are up."""
+    """Return the state of the plant at rest, with half of the relays up."""
     state = np.zeros(1, STATE)[0]
     state['hold_until'] = -1
     threshold = np.arange(RELAYS) + np.arange(WIDTHS)[:, None] / WIDTHS
@@ -395,7 +396,7 @@ def rest() -> np.void:
 
 
 def plant(values: dict[str, float]) -> np.void:
-    """Return the record of the plant's parameters; what is not given is zero."""
+    """Return the record of the plant's parameters; those not given are zero or neutral."""
     record = np.zeros(1, PLANT)[0]
     record['drift_time'] = record['supply_time'] = record['ripple_pitch'] = 1.0
     record['base_lag'] = 1e-3
