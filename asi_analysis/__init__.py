@@ -9,9 +9,9 @@ Run, record and understand a force-controlled hydraulic actuator, from Python.
     step.plot()
 
 Every function returns a `Result` (or a `Run`): it prints as a table, `plot()` draws it,
-`to_dict()` is the JSON document of the command, and `to_frame()` a pandas DataFrame. A function is
-named by a verb where its noun is a package (`detect_limit_cycles`, not `limit_cycle`). Importing
-this package loads none of its modules; a name loads what it needs when it is first used.
+`to_dict()` is the JSON document of the command, and `to_frame()` a pandas DataFrame. Functions
+whose noun is a package have a verb (`detect_limit_cycles`, not `limit_cycle`). Importing this
+package imports none of its modules; a name imports its module at first use.
 """
 
 import importlib

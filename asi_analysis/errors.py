@@ -1,14 +1,14 @@
-"""The one error that the user, not the program, has to mend."""
+"""`InputError` and `InputWarning`: wrong or damaged input, which the user has to correct."""
 
 
 class InputError(ValueError):
     """
     A file, an option or a value that cannot be used.
 
-    Its text is one line that names the file or field, what is wrong and what is allowed. The
-    commands print it on stderr and end with status 2.
+    The text is one line: the file or field, what is wrong, what is allowed. Commands print it on
+    stderr and end with status 2.
     """
 
 
 class InputWarning(UserWarning):
-    """A file could be used only in part; its text is one line that says what is missing."""
+    """A file is used in part only; its text is one line that says what is missing."""

@@ -1,4 +1,4 @@
-"""The one type for a parameter that a search or a fit may vary, and its scaling to 0 ... 1."""
+"""`FreeParameter`: a parameter that a search or fit varies, with bounds, scale and prior."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ class FreeParameter(NamedTuple):
 
     nominal, low, high: in the parameter's unit; bounds of a logarithmic scale are above 0.
     prior: standard deviation of a normal prior about the nominal, as a share of the scaled range;
-    infinite: no prior. source: what the bounds rest on.
+    infinite: no prior. source: of the bounds.
 
     >>> coil = FreeParameter('coil_frequency', 20.0, 10.0, 40.0, Scale.LOG)
     >>> coil.share(20.0), coil.value(0.5)
@@ -46,7 +46,7 @@ class FreeParameter(NamedTuple):
         return float(self.low + (self.high - self.low) * share)
 
     def share(self, value: float) -> float:
-        """Return the inverse of `value`; the bound that is nearer, for what lies outside."""
+        """Return the inverse of `value`; values outside the bounds are limited to them."""
         value = min(max(value, self.low), self.high)
         if self.scale is Scale.LOG:
             return math.log(value / self.low) / math.log(self.high / self.low)

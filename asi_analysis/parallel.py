@@ -1,7 +1,7 @@
 """
-Many independent pieces of work: in turn, in processes of this machine, or on a cluster.
+Independent tasks in sequence, in processes of this machine, or on a Dask cluster, by joblib.
 
-All through joblib; results come in the order of the work, so they do not depend on who did it.
+Results have the order of the tasks, whichever worker computed them.
 """
 
 import signal
@@ -14,22 +14,22 @@ import joblib
 
 from asi_analysis.errors import InputError
 
-# So long a scheduler may take to answer, s.
+# Longest wait for the answer of a scheduler, s.
 PATIENCE_S: Final = 10.0
 
 
 @contextmanager
 def workers(jobs: int = 1, dask: str | None = None) -> Iterator[None]:
     """
-    Let `each` use so many processes meanwhile, or the workers of an existing Dask cluster.
+    Context in which `each` uses `jobs` processes, or the workers of an existing Dask cluster.
 
-    dask: address of its scheduler; jobs is then not looked at. The workers need this package in
-    the same version; what a worker had in hand when it died is done again by another.
-    Raises InputError if no scheduler answers there, or without the extra `cluster`.
+    dask: address of its scheduler; jobs is then ignored. The workers need this package in the
+    same version; the task of a worker that dies is repeated by another. Raises InputError if no
+    scheduler answers, or without the extra `cluster`.
     """
     if dask is None:
         if jobs > 1:
-            resource_tracker.ensure_running()   # as it starts, it lets Ctrl-C through (see `each`)
+            resource_tracker.ensure_running()   # its start unblocks SIGINT (see `each`)
         with joblib.parallel_config('loky', n_jobs=jobs):
             yield
         return
@@ -46,8 +46,8 @@ def workers(jobs: int = 1, dask: str | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_wait() -> Iterator[None]:
-    """Hold Ctrl-C back meanwhile; processes started now inherit that, and keep it for good."""
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT; processes that are started now inherit that and stay blocked."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -57,11 +57,11 @@ def _interrupts_wait() -> Iterator[None]:
 
 def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
     """
-    Yield function(*arguments) of each arguments in `work`, in their order, as they are done.
+    Yield function(*arguments) for each tuple in `work`, in order, as soon as it is computed.
 
-    A terminal sends Ctrl-C to every process: here this one alone acts on it, and ends the others.
+    A terminal sends Ctrl-C to every process; only this one reacts, and ends the others.
     """
-    with _interrupts_wait():   # the call below starts the processes
+    with _interrupts_blocked():   # the call below starts the processes
         results = joblib.Parallel(return_as='generator')(
             joblib.delayed(function)(*arguments) for arguments in work)
     yield from results

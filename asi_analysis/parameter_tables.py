@@ -24,12 +24,12 @@ COMMAND: Final = 'python -m asi_analysis.parameter_tables'
 
 
 class NodeTables(NamedTuple):
-    """A node, where its YAML file is, and the tables of its parameters by title."""
+    """A node, its YAML file, and the tables of its parameters by title."""
 
     node: str
     file: str
     tables: dict[str, tuple[Parameter, ...]]
-    texts: Mapping[str, str] = {}    # what stands above a table in doc/reference/parameters.md
+    texts: Mapping[str, str] = {}    # text above a table in doc/reference/parameters.md
 
 
 NODES: Final = (

@@ -1,13 +1,13 @@
-"""What a command shows in the terminal: a progress bar while it works, and tables."""
+"""Output of commands in the terminal: progress bar and tables."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
-# progress(what is being done, share done or None if unknown)
+# progress(text, completed share or None if unknown)
 Progress = Callable[[str, float | None], None]
-# Columns for what is not printed to a terminal: a file, a pipe, a notebook.
+# Columns of output to a file, a pipe or a notebook.
 WIDTH: Final = 160
 
 
@@ -17,7 +17,7 @@ def silent(text: str, share: float | None) -> None:
 
 @contextmanager
 def bar() -> Iterator[Progress]:
-    """Give a progress function that shows a bar on stderr if that is a terminal."""
+    """Yield a progress function that shows a bar on stderr if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
@@ -39,13 +39,13 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence
     """Return a table as text no wider than the terminal; right: the right-aligned columns."""
     from rich.console import Console
     from rich.table import Table
-    made = Table(box=None, pad_edge=False, show_header=any(columns))
+    grid = Table(box=None, pad_edge=False, show_header=any(columns))
     for column in columns:
-        made.add_column(column, justify='right' if column in right else 'left')
+        grid.add_column(column, justify='right' if column in right else 'left')
     for row in rows:
-        made.add_row(*row)
+        grid.add_row(*row)
     console = Console(width=None if sys.stdout.isatty() else WIDTH, color_system=None,
                       markup=False, emoji=False, highlight=False)
     with console.capture() as captured:
-        console.print(made)
+        console.print(grid)
     return '\n'.join(line.rstrip() for line in captured.get().rstrip('\n').splitlines())

@@ -1,4 +1,4 @@
-"""The versions of the software that a recording or a report is made with."""
+"""Versions of the software, for the metadata of bags and reports."""
 
 import importlib.metadata
 import platform

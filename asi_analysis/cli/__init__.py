@@ -1,8 +1,8 @@
 """
-The `asi` command: reads the command line, calls the Python API, prints.
+The `asi` command: parses the command line, calls the Python API, prints the result.
 
-Nothing heavy is imported before a command needs it. A new command is one function with @command,
-in the module of its group; an exception becomes the exit status (see `main`).
+Modules are imported when a command needs them. A new command is one function with @command in the
+module of its group; exceptions become exit statuses (see `main`).
 """
 
 import sys
@@ -21,8 +21,8 @@ def main() -> int:
     """
     Run the command; return the exit status.
 
-    0: answered; 1: a check or a run failed; 2: the input or the call is wrong (InputError, or a
-    file that cannot be read or written), said in one line on stderr; 130: Ctrl-C.
+    0: answered; 1: a check or a run failed; 2: wrong input or call (InputError, or a file that
+    cannot be read or written), with one line on stderr; 130: Ctrl-C.
     """
     warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
     # Typer brings its own copy of click; this is its ClickException.
@@ -44,10 +44,10 @@ def main() -> int:
     except RuntimeError as error:
         return _fail(str(error), 1)
     except click_exception as error:
-        said = error.format_message().rstrip('.')
+        message = error.format_message().rstrip('.')
         where = error.ctx.command_path if getattr(error, 'ctx', None) else 'asi'
-        # Called without anything, a command has shown its help already.
-        return _fail(f'{said} (see {where} --help)', 2) if said else 2
+        # Called without arguments, a command has printed its help.
+        return _fail(f'{message} (see {where} --help)', 2) if message else 2
 
 
 def _fail(text: str, status: int) -> int:

@@ -31,9 +31,9 @@ def run(
         help='step, ramp, sine, triangle, chirp, multisine, prbs or topic')] = None,
     amplitude: Annotated[float | None, typer.Option(help='Size of the reference, N')] = None,
     offset: Annotated[float | None, typer.Option(
-        help='Force about which it moves, N')] = None,
+        help='Mean of the reference, N')] = None,
     frequency: Annotated[float | None, typer.Option(
-        help='Its frequency, or the first or lowest, Hz')] = None,
+        help='Frequency of the reference; the first or lowest of chirp or multisine, Hz')] = None,
     end_frequency: Annotated[float | None, typer.Option(
         help='Last or highest frequency of chirp or multisine, Hz')] = None,
     load: Annotated[str | None, typer.Option(help='locked, spring, free or prescribed')] = None,
@@ -56,7 +56,7 @@ def run(
     """
     Run one experiment over ROS: start the nodes, record a bag, analyse it.
 
-    The later wins: parameter files, then --set, then the options by name.
+    Order of precedence, lowest first: parameter files, --set, the other options.
     """
     from asi_analysis.experiments import experiment as ex
     from asi_analysis.experiments import running
@@ -72,16 +72,16 @@ def run(
     values = ex.gather({'actuator': actuator, 'controller': controller}, set_ or [],
                        {'actuator': {'load.type': load, 'force_sensor.noise_seed': seed},
                         'controller': named}, duration)
-    wanted = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
-                                      rate))
-    out = running.directory_of(wanted, out)
+    planned = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
+                                       rate))
+    out = running.directory_of(planned, out)
     try:
         with bar() as progress:
             if experiment:
                 from asi_analysis.limit_cycle.detection.experiment import isolation
-                result: Any = isolation(wanted, out, progress)
+                result: Any = isolation(planned, out, progress)
             else:
-                result = running.summary(wanted, running.run_experiment(wanted, out, progress))
+                result = running.summary(planned, running.run_experiment(planned, out, progress))
     except KeyboardInterrupt:
         if (out / 'bag').exists():
             print(f'asi: what was recorded is in {out / "bag"}', file=sys.stderr)
@@ -107,19 +107,20 @@ def import_(
     out: Annotated[Path, typer.Option(help='The bag to write')],
     map_: Annotated[list[str] | None, typer.Option(
         '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',
-        help='What a column is; once a signal; none for a file of `asi export`')] = None,
+        help='Signal of a column; once for each signal; none for a file of `asi export`')] = None,
     rate: Annotated[float | None, typer.Option(
-        help='Samples a second, if no column is the time')] = None,
+        help='Sampling rate, Hz, if no column is the time')] = None,
     skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0)] = 0,
-    delimiter: Annotated[str | None, typer.Option(help='Default: found out')] = None,
+    delimiter: Annotated[str | None, typer.Option(
+        help='Delimiter of the cells; default: detected')] = None,
     columns: Annotated[str | None, typer.Option(
-        help='Names, with commas between, for a file without a header')] = None,
+        help='Column names, separated by commas, of a file without a header')] = None,
     zero: Annotated[float, typer.Option(
-        help='Take off each signal its mean over so many seconds from the start')] = 0.0,
+        help='Subtract from each signal its mean over this time from the start, s')] = 0.0,
     as_json: Json = False,
 ) -> None:
     """
-    Make a bag of someone else's recording, so that every analysis runs on it.
+    Convert a recording of another system to a bag, for every analysis.
 
     Signals: time, reference, command, force, valve_position, position, velocity. A column of a
     rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/how_to/importing.md.

@@ -11,7 +11,7 @@ from asi_analysis.terminal import bar
 
 
 class GapCommands(typer.core.TyperGroup):
-    """Takes `asi gap BAG...` as `asi gap of BAG...`."""
+    """Parses `asi gap BAG...` as `asi gap of BAG...`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in {*self.commands, '-h', '--help'}:
@@ -30,30 +30,30 @@ app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --mod
 def gap(
     bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
     model: Annotated[Path | None, typer.Option(
-        help='Nominal parameters: a ROS parameter file; default: what the bag tells')] = None,
+        help='Nominal parameters: a ROS parameter file; default: those in the bag')] = None,
     set_: Annotated[list[str] | None, typer.Option(
         '--set', metavar='NAME=VALUE', help='One nominal parameter; may be repeated')] = None,
     plant: Annotated[Literal['actuator', 'joint'], typer.Option(
         help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
     held_out: Annotated[list[Path] | None, typer.Option(
-        help='A recording that is only judged on; may be repeated')] = None,
+        help='A recording of the validation set, not fitted; may be repeated')] = None,
     tolerance: Annotated[float, typer.Option(
-        help='How far off the nominal parameters may be, as a share')] = 0.2,
+        help='Tolerance of the nominal parameters, as a share')] = 0.2,
     drive: Annotated[Literal['force', 'position'] | None, typer.Option(
-        help='Of a joint; default: told from the signals')] = None,
+        help='Kind of drive of a joint; default: detected from the signals')] = None,
     report: Annotated[Path | None, typer.Option(
         callback=directory,
         help='Directory for an HTML report and the improved model file')] = None,
     as_json: Json = False,
 ) -> None:
-    """Tell where recordings differ from the simulator, why, and how far that can be mended."""
+    """Find where and why recordings differ from the simulator, and how far the gap shrinks."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.gap.answer.command import diagnose
     with bar() as progress:
         progress('reading', None)
         result = diagnose([read_bag(bag) for bag in bags], model, plant,
-                              [read_bag(bag) for bag in held_out or []], tolerance, drive,
-                              progress, set_ or [])
+                          [read_bag(bag) for bag in held_out or []], tolerance, drive,
+                          progress, set_ or [])
         if report:
             progress('report', None)
             result.write_report(report)
@@ -67,7 +67,7 @@ def gap_check(
              'new ones are written')] = None,
     cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
     seed: Annotated[int, typer.Option(
-        min=0, help='First seed of the new cases; those below 10000 were developed on')] = 20000,
+        min=0, help='First seed of the new cases; below 10000: used in development')] = 20000,
     world: Annotated[Literal['textbook', 'full', 'foreign', 'own'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
              'courses and noise, small effects everywhere; own: the simulator itself, one '
@@ -85,7 +85,7 @@ def gap_check(
     ] = Path('runs/gap_check'),
     as_json: Json = False,
 ) -> None:
-    """Diagnose blind cases, then open the sealed answers and say how often it was right."""
+    """Diagnose blind cases, then compare with the sealed answers: accuracy and calibration."""
     from asi_analysis.gap.check.check import check
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as progress:

@@ -27,16 +27,16 @@ from asi_analysis.terminal import bar
 @command('limit-cycle', 'asi limit-cycle runs/from_inside/bag runs/from_outside/bag')
 def limit_cycle(
     bags: Annotated[list[Path] | None, typer.Argument(
-        help='Bags of the same loop, judged together')] = None,
+        help='Bags of the same loop, analysed together')] = None,
     signal: Annotated[str | None, typer.Option(
-        help='Signal to judge; by default the force, or the first other that is there')] = None,
+        help='Signal to analyse; default: the force, or else the first signal')] = None,
     report: Report = None,
     check: Annotated[int | None, typer.Option(
-        min=1, help='No bag: so many signals of known truth in each class instead')] = None,
-    seed: Annotated[int, typer.Option(min=0, help='Of --check: which signals')] = 1,
+        min=1, help='Instead of a bag: number of synthetic signals of each class')] = None,
+    seed: Annotated[int, typer.Option(min=0, help='Seed of the signals of --check')] = 1,
     as_json: Json = False,
 ) -> None:
-    """Say of each stretch of a recording whether it is a limit cycle, and how surely."""
+    """Detect limit cycles in each segment of a recording, with a confidence."""
     if check is not None:
         from asi_analysis.limit_cycle.detection.check import check as check_detection
         with bar() as progress:
@@ -50,7 +50,7 @@ def limit_cycle(
     with bar() as progress:
         progress('reading', None)
         runs = [read_bag(bag) for bag in bags]
-        progress('judging', None)
+        progress('analysing', None)
         result = detect_limit_cycles(runs, signal)
         if report:
             result.write_report(report)
@@ -61,20 +61,20 @@ def limit_cycle(
 def predict(
     compensator: Compensator = None,
     gain: Annotated[float, typer.Option(
-        help='Where the search for a cycle begins: below the onset')] = 5.0,
+        help='Start of the search for a cycle: a gain below the onset')] = 5.0,
     step: Held = 100.0,
     steps: Annotated[str, typer.Option(
-        help='Steps (N, with commas) for which the onset is wanted too: Fig. 7')] = '',
+        help='Steps (N, separated by commas) for which the onset is computed too: Fig. 7')] = '',
     rate: Rate = 5000.0,
     set_: Settings = None,
     report: Report = None,
     as_json: Json = False,
 ) -> None:
     """
-    Predict the limit cycles of a loop from its model, and simulate them beside.
+    Predict the limit cycles of a loop from its model, and compare with simulation.
 
-    By the describing function of the hysteresis alone, as the paper, and by the harmonic balance
-    of all nonlinearities; the rate and its hold included.
+    By the describing function of the hysteresis alone, as the paper, and by harmonic balance of
+    all nonlinearities, with the sampling of the controller.
     """
     sizes = numbers('--steps', steps)
     from asi_analysis.limit_cycle.prediction.predict import predict_cycles
@@ -89,22 +89,22 @@ def predict(
 @command('attribute', 'asi attribute --step 100')
 def attribute(
     bag: Annotated[Path | None, typer.Argument(
-        help='A bag with an oscillation; without one, the model is asked')] = None,
+        help='A bag with an oscillation; without one, the model is analysed')] = None,
     compensator: Compensator = None,
     gain: Annotated[float | None, typer.Option(
-        help='Gain at which cycles are compared; by default a little above the onset')] = None,
+        help='Gain at which cycles are compared; default: a little above the onset')] = None,
     step: Held = 100.0,
     rate: Rate = 5000.0,
     set_: Settings = None,
-    signal: Annotated[str | None, typer.Option(help='Output to judge in the bag')] = None,
+    signal: Annotated[str | None, typer.Option(help='Output signal of the bag')] = None,
     report: Report = None,
     as_json: Json = False,
 ) -> None:
     """
-    Say which nonlinearity causes a limit cycle.
+    Find the nonlinearity that causes a limit cycle.
 
-    Of the model: each alone, and all but it. Of a bag: by the shape of command and output, for
-    any loop; a bag of this actuator is compared with what its model makes of each.
+    In the model: with each one alone, and with all others. In a bag of any loop: by the shapes of
+    command and output; a bag of this actuator is also compared with its model.
     """
     with bar() as progress:
         if bag is not None:
@@ -126,14 +126,14 @@ def quench(
     gain: Gain = None,
     step: Annotated[float, typer.Option(help='Force at which dither is tried, N')] = 100.0,
     conditions: Annotated[int, typer.Option(
-        help='Conditions that the attack tries', min=1)] = 200,
+        help='Number of conditions that the search for an oscillation tries', min=1)] = 200,
     rates: Annotated[str, typer.Option(
-        help='Control rates of the attack, Hz; the first is that of margin and design')] = '5000',
+        help='Control rates of the search, Hz; margin and design use the first')] = '5000',
     designs: Annotated[int, typer.Option(
-        help='Candidates of the design helper; 0: none', min=0)] = 0,
-    seed: Annotated[int, typer.Option(help='Seed of attack and design', min=0)] = 1,
+        help='Candidates of the automatic design; 0: none', min=0)] = 0,
+    seed: Annotated[int, typer.Option(help='Seed of search and design', min=0)] = 1,
     replay: Annotated[int, typer.Option(
-        help='How many of the worst finds to run over ROS', min=0)] = 0,
+        help='Number of the worst cases to run over ROS', min=0)] = 0,
     out: Annotated[Path, typer.Option(
         callback=directory, help='Directory for the bags of --replay')] = Path('runs/quench'),
     set_: Settings = None,
@@ -143,7 +143,7 @@ def quench(
     as_json: Json = False,
 ) -> None:
     """
-    Measure how far a compensator is from a limit cycle, and attack it.
+    Measure the margin of a compensator to a limit cycle, and search conditions that cause one.
 
     Exit status 1 if a sustained oscillation was found.
     """

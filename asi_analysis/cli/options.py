@@ -1,4 +1,4 @@
-"""What the commands share: the application, their options, how an answer is printed."""
+"""Shared by the commands: the application, common options, printing of results."""
 
 import json
 import math
@@ -23,12 +23,12 @@ Json = Annotated[bool, typer.Option(
 
 
 def directory(path: Path | None) -> Path | None:
-    """Return a directory to write to; raises InputError, before anything is computed."""
+    """Return a directory to write to; raises InputError if it is not writable."""
     if path is not None:
-        there = next((each for each in (path, *path.absolute().parents) if each.exists()), path)
-        if not there.is_dir() or not os.access(there, os.W_OK):
-            raise InputError(f'{path} cannot be written: {there} is '
-                             + ('not writable' if there.is_dir() else 'not a directory'))
+        parent = next((each for each in (path, *path.absolute().parents) if each.exists()), path)
+        if not parent.is_dir() or not os.access(parent, os.W_OK):
+            raise InputError(f'{path} cannot be written: {parent} is '
+                             + ('not writable' if parent.is_dir() else 'not a directory'))
     return path
 
 
@@ -40,31 +40,32 @@ Settings = Annotated[list[str] | None, typer.Option(
     '--set', metavar='NODE.NAME=VALUE',
     help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
 Compensator = Annotated[str | None, typer.Option(help=', '.join(COMPENSATORS))]
-Gain = Annotated[float | None, typer.Option(help='Its gain; 0: its own default')]
-Held = Annotated[float, typer.Option(help='Force that the loop is to hold, N')]
+Gain = Annotated[float | None, typer.Option(help='Gain of the compensator; 0: its default')]
+Held = Annotated[float, typer.Option(help='Force reference of the loop, N')]
 Rate = Annotated[float, typer.Option(help='Control rate, Hz')]
-Jobs = Annotated[int, typer.Option('--jobs', min=1, help='Processes; the result is the same')]
+Jobs = Annotated[int, typer.Option(
+    '--jobs', min=1, help='Number of processes; the result does not depend on it')]
 Dask = Annotated[str | None, typer.Option(
     '--dask', metavar='ADDRESS', help='Scheduler of a Dask cluster to use instead')]
 
 
 def command(name: str, example: str, of: typer.Typer = app
             ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Make a function a command; `example` is the end of its help."""
+    """Return a decorator that makes a function a command; `example` ends its help."""
     return of.command(name, epilog=f'Example: `{example}`')
 
 
 def show(result: Any, as_json: bool) -> None:
-    """Print a result: as one JSON document, or for people."""
+    """Print a result as one JSON document, or as text."""
     print(json.dumps(result.to_dict(), indent=2) if as_json else result)
 
 
 def numbers(option: str, text: str) -> list[float]:
-    """Return the numbers of an option, which have commas between them."""
+    """Return the numbers of an option, separated by commas."""
     try:
         found = [float(part) for part in text.split(',') if part.strip()]
         if not all(map(math.isfinite, found)):
             raise ValueError
         return found
     except ValueError:
-        raise InputError(f'{option} {text}: it takes numbers with commas between') from None
+        raise InputError(f'{option} {text}: it takes numbers separated by commas') from None

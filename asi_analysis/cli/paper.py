@@ -33,14 +33,14 @@ def reproduce(
         callback=directory,
         help='Directory for an HTML report with our version of Figs. 3 to 12')] = None,
     over_ros: Annotated[Path | None, typer.Option(
-        help='Make the closed-loop rows with the real nodes as well; their bags go into this '
-        'directory. A value that differs: exit status 1')] = None,
+        help='Repeat the closed-loop rows with the real nodes, with their bags in this '
+        'directory. Exit status 1 if a value differs')] = None,
     as_json: Json = False,
 ) -> None:
     """
-    Measure every fact that the paper publishes on the simulator, each beside its value.
+    Measure every published fact on the simulator, and compare with the paper's value.
 
-    Exit status 0, whether all are met or not: the table says so.
+    The exit status is 0 whether all are met or not.
     """
     from asi_analysis.experiments.experiment import read_parameters
     from asi_analysis.paper.reproduction.answer import reproduce_paper
@@ -64,26 +64,26 @@ def reproduce(
 @command('calibrate', 'asi calibrate --evaluations 2000 --jobs 2 --out runs/calibration')
 def calibrate(
     evaluations: Annotated[int, typer.Option(
-        help='Candidates of the global search, with those of an earlier call', min=0)] = 2000,
+        help='Candidates of the global search, including those of an earlier call', min=0)] = 2000,
     polish: Annotated[int, typer.Option(
-        help='Most rounds of successive linear programs from the best', min=0)] = 20,
+        help='Largest number of successive linear programs from the best candidate', min=0)] = 20,
     structure: Annotated[Literal['side', 'cylinder', 'locked', 'spring'], typer.Option(
-        help='What is searched')] = 'side',
+        help='Structure of the model that is fitted')] = 'side',
     seed: Annotated[int, typer.Option(help='Seed of the search', min=0)] = 1,
     spread: Annotated[float, typer.Option(
-        help='First spread of the search, share of the range of each parameter')] = 0.1,
+        help='Initial deviation of the search, share of the range of each parameter')] = 0.1,
     start: Annotated[Path | None, typer.Option(
         help='best.json of an earlier calibration to start from; default: the defaults')] = None,
     only: Annotated[list[str] | None, typer.Option(
-        help='Leave free only this quantity, or those that begin so; may be repeated')] = None,
+        help='Vary only this quantity, or those with this prefix; may be repeated')] = None,
     jobs: Jobs = 1,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
         callback=directory,
-        help='Directory of state and result; a search that is there is continued')
+        help='Directory of state and result; a search in it is continued')
     ] = Path('runs/calibration'),
     front: Annotated[str | None, typer.Option(
-        help='NAME=V1,V2,…: hold a quantity at each value, polish the rest, and show the cost')
+        help='NAME=V1,V2,…: fix a quantity at each value, fit the others, and show the cost')
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -103,8 +103,8 @@ def calibrate(
 
 @command('ensemble', 'asi ensemble --count 20')
 def ensemble(
-    count: Annotated[int, typer.Option(help='Members wanted', min=1)] = 20,
-    most: Annotated[int, typer.Option(help='Candidates to try at most', min=1)] = 1500,
+    count: Annotated[int, typer.Option(help='Number of members', min=1)] = 20,
+    most: Annotated[int, typer.Option(help='Largest number of candidates', min=1)] = 1500,
     seed: Annotated[int, typer.Option(help='Seed of the draws', min=0)] = 1,
     out: Annotated[Path, typer.Option(
         callback=directory, help='Directory of the members')] = Path('config/ensemble'),
@@ -116,7 +116,7 @@ def ensemble(
     dask: Dask = None,
     as_json: Json = False,
 ) -> None:
-    """Find parameter sets about the defaults that meet the paper's facts about equally well."""
+    """Find parameter sets near the defaults that meet the paper's facts about equally well."""
     from asi_analysis.paper.calibration.ensemble import run as run_ensemble
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as progress:

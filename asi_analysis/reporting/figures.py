@@ -1,7 +1,7 @@
 """
-The pictures of reports, in one style. Each function makes one matplotlib figure of plain arrays.
+Figures of reports in one style: each function draws arrays in one matplotlib figure.
 
-Drawn 5.2 inches wide with 9 point text: as large as a phone is wide, so nothing has to shrink.
+5.2 inches wide with 9 point text, so that they need no scaling on a phone.
 """
 
 import html
@@ -22,7 +22,7 @@ from asi_common.files import replacing
 Array = npt.NDArray[np.float64]
 
 WIDTH_IN: Final = 5.2
-# Okabe and Ito's colours, told apart with every kind of colour vision.
+# Okabe and Ito's colours, which people with colour blindness can distinguish.
 BLUE, ORANGE, GREEN, PURPLE, GREY = '#0072b2', '#d55e00', '#009e73', '#a0519b', '#9aa3ab'
 COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE)
 STYLE: Final[Any] = {
@@ -37,7 +37,7 @@ STYLE: Final[Any] = {
 
 
 def style() -> AbstractContextManager[None]:
-    """Return the context in which every figure is made and saved."""
+    """Return the context in which every figure is drawn and saved."""
     return matplotlib.rc_context(STYLE)
 
 
@@ -52,7 +52,7 @@ def save(figure: Figure, path: Path, dpi: float = STYLE['savefig.dpi']) -> None:
 
 
 def svg(figure: Figure, description: str) -> str:
-    """Return a figure as an <svg> element to be put into HTML; described for who cannot see it."""
+    """Return a figure as an <svg> element for HTML, with its description for screen readers."""
     text = io.StringIO()
     with style():
         figure.savefig(text, format='svg', metadata={'Date': None})
@@ -62,7 +62,7 @@ def svg(figure: Figure, description: str) -> str:
 
 def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], end_s: float) -> Figure:
     """
-    Draw force and valve command after a step, so that steps of different size compare.
+    Draw force and valve command after a step, relative to the size of the step.
 
     runs: label -> time since the step (s), force and command (% of the step); drawn to end_s.
     """
@@ -134,7 +134,7 @@ def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: flo
 
 
 def phase_plane(time: Array, force: Array, steady: npt.NDArray[np.bool_]) -> Figure:
-    """Draw force rate (kN/s) against force (N): the way in, and what stays."""
+    """Draw force rate (kN/s) against force (N): the transient and the last cycles."""
     with style():
         figure = _figure(3.9)
         axes = figure.subplots()
@@ -142,7 +142,7 @@ def phase_plane(time: Array, force: Array, steady: npt.NDArray[np.bool_]) -> Fig
         rate = 1e-3 * np.gradient(force, time)[:-1]
         force, steady = force[:-1], steady[:-1]
         axes.plot(force[~steady], rate[~steady], color=GREY, linewidth=0.5,
-                  label='the way in')
+                  label='transient')
         axes.plot(force[steady], rate[steady], color=BLUE, linewidth=0.9,
                   label='the last cycles')
         start = int(np.flatnonzero(np.abs(np.diff(force)) > 0)[0])
@@ -170,7 +170,7 @@ def spectrum(frequency: Array, amplitude: Array, harmonics: Sequence[tuple[float
         for number, (place, level) in enumerate(harmonics, 1):
             if place <= end_hz and level > 1e-4 * top:
                 text = f'{place:.1f} Hz\n{level:.0f} N' if number == 1 else f'{number}×'
-                # The window's main lobe may stand a little higher than the sine that was fitted.
+                # The main lobe of the window may be a little higher than the fitted sine.
                 peak = max(level, float(np.interp(place, frequency, amplitude)))
                 axes.annotate(text, (place, peak), xytext=(7 if number == 1 else 0, 3),
                               textcoords='offset points', ha='left' if number == 1 else 'center',
@@ -181,10 +181,10 @@ def spectrum(frequency: Array, amplitude: Array, harmonics: Sequence[tuple[float
 def hysteresis_loop(command: Array, valve_position: Array, straight: tuple[float, float],
                     width_n: float) -> Figure:
     """
-    Draw valve position (um) against command (N), with the way round.
+    Draw valve position (um) against command (N), with arrows in the direction of time.
 
-    straight: slope (m/N) and offset (m) of the line through the middle of the loop; width_n: how
-    far the branches are apart at the middle.
+    straight: slope (m/N) and offset (m) of the line through the middle of the loop; width_n: its
+    width at the middle (N).
     """
     with style():
         figure = _figure(3.7)

@@ -1,4 +1,4 @@
-"""How every report is written: one HTML file that needs nothing else, and its pictures as PNG."""
+"""Write reports: one self-contained HTML file, and its pictures as PNG."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,8 +18,8 @@ def write_report(out: Path, template: str, pictures: Mapping[str, tuple[Figure, 
     """
     Write report.html, and a PNG of each picture, into `out`; return the path of report.html.
 
-    template: one of templates/; pictures: file name without its end → figure and caption. The
-    template has both by that name, `figures` (SVG) and `captions`, and `values`.
+    template: one of templates/; pictures: file name without suffix → figure and caption. The
+    template gets both by that name as `figures` (SVG) and `captions`, and `values`.
     """
     out.mkdir(parents=True, exist_ok=True)
     for name, (figure, _) in pictures.items():
@@ -35,7 +35,7 @@ def write_report(out: Path, template: str, pictures: Mapping[str, tuple[Figure, 
 
 def write_pictures(out: Path, title: str, text: str, pictures: Mapping[str, tuple[Figure, str]]
                    ) -> Path:
-    """Write the report that is an answer for people and its pictures; as `write_report`."""
+    """Write a report of a text and pictures; as `write_report`."""
     return write_report(out, 'pictures.html', pictures, title=title, text=text)
 
 

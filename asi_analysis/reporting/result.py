@@ -1,4 +1,4 @@
-"""The result of an analysis: prints as a table, draws itself, and is plain data for scripts."""
+"""`Result` of an analysis: prints as tables, plots itself, and converts to JSON or pandas."""
 
 import html
 import json
@@ -30,18 +30,18 @@ Pictures = Mapping[str, tuple['Figure', str]]
 
 class Result(dict[str, Any]):
     """
-    What an analysis found, by the keys of its command's `--json`.
+    The result of an analysis, by the keys of its command's `--json`.
 
-    A key is an attribute too: `result.met` is `result['met']`. A result prints as its command
-    does. held: what the result was computed from (a run, a loop), kept as attributes.
+    Keys are attributes too: `result.met` is `result['met']`. It prints as the command does.
+    sources: what it was computed from (a run, a loop), stored as attributes.
     """
 
     title: ClassVar[str] = ''       # heading of the report
     rows: ClassVar[str | None] = None   # key of the list that `to_frame` returns
 
-    def __init__(self, document: Mapping[str, Any], **held: Any):
+    def __init__(self, document: Mapping[str, Any], **sources: Any):
         super().__init__(document)
-        vars(self).update(held)
+        vars(self).update(sources)
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -54,7 +54,7 @@ class Result(dict[str, Any]):
         return [*super().__dir__(), *self]
 
     def parts(self) -> Iterator[str | Table]:
-        """Yield the result for people: paragraphs and tables, in the order in which they print."""
+        """Yield the paragraphs and tables of the printed result, in order."""
         raise NotImplementedError
 
     def pictures(self) -> Pictures:
@@ -92,18 +92,18 @@ class Result(dict[str, Any]):
         from asi_analysis.reporting.report import write_pictures
         return write_pictures(out, self.title, str(self), self.pictures())
 
-    def everything(self) -> Iterator[str | Table]:
-        """Yield the parts, and what is wrong with the samples that they rest on."""
+    def all_parts(self) -> Iterator[str | Table]:
+        """Yield the parts, and the findings on the quality of the samples."""
         yield from self.parts()
         yield from (f'data: {finding["text"]}' for finding in self.get('quality', ()))
 
     def __str__(self) -> str:
-        return as_text(self.everything())
+        return as_text(self.all_parts())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return as_html(self.everything())
+        return as_html(self.all_parts())
 
 
 def frame(data: Any) -> 'pandas.DataFrame':
