@@ -1,1 +1,1 @@
-"""What the code costs, measured beside what it is measured against: `make bench`."""
+"""Benchmarks: computing time of the code against references, measured together (`make bench`)."""

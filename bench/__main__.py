@@ -1,8 +1,8 @@
 """
 `python -m bench [NAME ...]`: run the benchmarks, write doc/reference/performance.md.
 
-Named: only those, of the others the last results are shown with their date; the page is written
-only if there are results of all. --quick: a few rounds each, to see that they work, and no page.
+With names: only those; for the others the last results are shown with their date. The page is
+written if there are results of all. --quick: a few rounds each, as a test, without a page.
 """
 
 import argparse
@@ -33,7 +33,7 @@ PACKAGES: Final = ('ros-jazzy-rclpy', 'numpy', 'numba', 'llvmlite', 'scipy', 'co
 
 
 def machine() -> dict[str, str]:
-    """Return what the figures were measured on."""
+    """Return a description of the machine."""
     model = next((line.partition(':')[2].strip() for line in
                   Path('/proc/cpuinfo').read_text().splitlines() if line.startswith('model name')),
                  platform.processor())
@@ -52,7 +52,7 @@ def machine() -> dict[str, str]:
 
 
 def run(name: str, quick: bool) -> dict[str, Any]:
-    """Return what a benchmark measured, with date, load of the machine before, and seconds."""
+    """Return the results of a benchmark, with date, load of the machine before, and duration."""
     load, begin = os.getloadavg()[0], time.perf_counter()
     results: list[Result] = importlib.import_module(f'bench.{name}').measure(quick)
     seconds = time.perf_counter() - begin
@@ -63,7 +63,7 @@ def run(name: str, quick: bool) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run what is asked for, then write the page from the last results of all."""
+    """Run the named benchmarks, then write the page from the last results of all."""
     parser = argparse.ArgumentParser(description=__doc__, prog='python -m bench')
     parser.add_argument('names', nargs='*', metavar='NAME', help=', '.join(MODULES))
     parser.add_argument('--quick', action='store_true')
@@ -76,7 +76,7 @@ def main() -> None:
         try:
             last[name] = run(name, options.quick)
         except Exception:
-            # The others are still worth their minutes.
+            # Continue with the others.
             traceback.print_exc()
             failed.append(name)
         if not options.quick:

@@ -1,5 +1,5 @@
 """
-What the analysis of a recording costs, and how it grows with its length and with the cores.
+Processor time of the analyses, and its growth with the length of a recording.
 
 Recordings of the loop in process at 1 kHz, the rate of a real-time run: steps of the reference, a
 limit cycle, and a loop that only holds a force, with noise. Processor time.
@@ -56,7 +56,7 @@ def growth(quick: bool) -> list[Result]:
     """Return the time of step and limit-cycle analysis against the length of a recording."""
     results, lengths = [], (10, 20) if quick else LENGTHS_S
     for kind in GAINS:
-        # The first of all also loads what is loaded late.
+        # The first call also imports modules.
         detect_limit_cycles([recording(kind, 5)])
         cost = {}
         for length_s in lengths:
@@ -85,7 +85,7 @@ def reading(length_s: int) -> Result:
 
 
 def measure(quick: bool) -> list[Result]:
-    """Return what each analysis costs."""
+    """Return the processor time of each analysis."""
     loop = loop_of({}, {'gain': 5.0, 'reference.amplitude': 100.0}, RATE_HZ)
     one = OneHarmonic(loop, held=True)
     locus(one, COMMANDS_N[:2])

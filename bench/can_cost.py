@@ -1,4 +1,4 @@
-"""What a control period over CAN costs in computing time."""
+"""Computing time of a control period over CAN."""
 
 import statistics
 import sys
@@ -33,7 +33,7 @@ def timed(name: str, what: str, action: Callable[[], object], repeats: int,
 
 
 def measure(quick: bool) -> list[Result]:
-    """Return what coding and reading a frame cost, ours beside python-can's own bus."""
+    """Return the time to encode and to read a frame, ours and that of python-can's own bus."""
     repeats = REPEATS // 20 if quick else REPEATS
     frames = Frames()
     state = dict.fromkeys(('force', 'valve_position', 'enabled', 'command_lost', 'saturated',

@@ -1,8 +1,8 @@
 """
 Work spread over processes and over a Dask cluster of this machine, against one process.
 
-The work is that of `asi ensemble`: all facts of a parameter set are one piece. Each worker of the
-cluster is a process of its own. The cluster is up before; what it needs first it has imported.
+The work is that of `asi ensemble`: one task computes all facts of a parameter set. Each worker of
+the cluster is a process. The cluster is started, and has imported its modules, before.
 """
 
 import os
@@ -26,14 +26,14 @@ PIECES: Final = 6
 
 
 def piece(problem: Problem, number: int) -> str:
-    """Return what all facts are of a parameter set near the defaults: one piece of work."""
+    """Return all facts of a parameter set near the defaults: one task."""
     point = problem.start[list(problem.free)]
     point = np.clip(point + 0.01 * np.random.default_rng(number).normal(size=point.size), 0.0, 1.0)
     return repr(sorted(problem.measure(point).items()))
 
 
 def all_pieces(problem: Problem, count: int, **where: Any) -> list[str]:
-    """Return every piece, worked out where it is asked for."""
+    """Return the results of all tasks."""
     with workers(**where):
         return list(each(piece, ((problem, number) for number in range(count))))
 

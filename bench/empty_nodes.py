@@ -1,5 +1,5 @@
 """
-The rivals of the loop: two nodes that exchange the loop's messages and do nothing else.
+Reference for the loop: two nodes that exchange the messages of the loop and do nothing else.
 
 `python bench/empty_nodes.py controller …` answers every state. `… actuator` sends the next state
 at each answer, or with --rate at each tick of a timer, and prints as JSON how often, how evenly,
@@ -27,7 +27,7 @@ from asi_common.node.executor import LoopExecutor, choose_transport
 from asi_common.node.topics import CONTROL_QOS, STREAM_QOS
 from asi_common.topics import FRAME, JOINTS
 
-# What each end sends: nothing, one message each way, what the loop waits for, everything.
+# Topics that each node sends: none, one, those for which the loop waits, all.
 SENT: Final = {
     'none': ((), ()),
     'one': (('joint_states',), ('valve_command',)),
@@ -56,7 +56,7 @@ def messages() -> dict[str, Any]:
 
 
 class Empty(Node):
-    """Sends messages whenever it is told to: objects, or bytes that were serialised before."""
+    """Sends messages on request: objects, or bytes that were serialised before."""
 
     def __init__(self, name: str, sent: tuple[str, ...], serialised: bool):
         super().__init__(name)
@@ -73,7 +73,7 @@ class Empty(Node):
             type(messages()[topic]), topic, callback, CONTROL_QOS, raw=self.serialised))
 
     def all_there(self) -> bool:
-        """Return whether somebody listens to the first topic and speaks on what is heard."""
+        """Return whether the first topic has a subscription and every subscription a publisher."""
         return (all(p.get_subscription_count() for p, _ in self._sent[:1])
                 and all(s.get_publisher_count() for s in self._heard))
 
@@ -84,7 +84,7 @@ class Empty(Node):
 
 
 class Controller(Empty):
-    """Answers when everything that it waits for has come."""
+    """Answers when all topics that it waits for have arrived."""
 
     def __init__(self, arguments: argparse.Namespace):
         super().__init__('empty_controller', SENT[arguments.messages][1], arguments.serialised)
@@ -102,7 +102,7 @@ class Controller(Empty):
 
 
 class Actuator(Empty):
-    """Sends state after state, and takes the times."""
+    """Sends states one after the other, and measures the times."""
 
     def __init__(self, arguments: argparse.Namespace):
         super().__init__('empty_actuator', SENT[arguments.messages][0], arguments.serialised)
@@ -155,7 +155,7 @@ class Actuator(Empty):
 
 
 def main() -> None:
-    """Run one end until it has measured, or until it is killed."""
+    """Run one node until it has measured, or is killed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('end', choices=('actuator', 'controller'))
     parser.add_argument('--messages', choices=SENT, default='all')

@@ -1,10 +1,10 @@
 """
 The loop over ROS beside empty nodes that exchange the same messages, in the same minutes.
 
-Lock-step: ticks a second, and where the time of a tick goes. Real time: how evenly the period is
-held beside an empty timer, and how long a command takes beside an echo. Limits are rclpy's own
-executor with message objects, which is what a user would write, and as a floor our executor with
-bytes that were serialised before.
+Lock-step: ticks a second, and the parts of the time of a tick. Real time: jitter of the period
+compared with an empty timer, and latency of the command compared with an echo. References are
+rclpy's executor with message objects, as a user would write it, and as a lower bound our executor
+with bytes that were serialised before.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ SINE: Final = {'reference.shape': 'sine'}
 REALTIME_HZ: Final = (500.0, 1000.0, 2000.0)
 PATIENCE_S: Final = 60.0
 CONVERSIONS: Final = 10_000
-# Diagnostics, which tell our ticks, come twice a second; the first second warms up.
+# Diagnostics with the number of ticks come twice a second; the first second is a warm-up.
 WARM_UP_S: Final = 1.0
 FLOOR: Final = 'all seven, our executor, bytes'
 EMPTY: Final = {
@@ -74,28 +74,28 @@ def node(module: str, *arguments: str, **parameters: object) -> tuple[str, ...]:
 
 
 def empty(arguments: tuple[str, ...], seconds: float) -> dict[str, float]:
-    """Return what two empty nodes measure of their exchange."""
+    """Return the measurements of two empty nodes."""
     with process('bench.empty_nodes', 'controller', *arguments), \
             process('bench.empty_nodes', 'actuator', *arguments,
                     '--seconds', str(seconds)) as actuator:
-        told, _ = actuator.communicate(timeout=PATIENCE_S + seconds)
-    measured: dict[str, float] = json.loads(told)
+        output, _ = actuator.communicate(timeout=PATIENCE_S + seconds)
+    measured: dict[str, float] = json.loads(output)
     return measured
 
 
 class Listener:
-    """Hears what our nodes say of themselves on /diagnostics."""
+    """Subscribes to the /diagnostics of our nodes."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node('bench_listener')
-        self.said: dict[str, dict[str, str]] = {}
+        self.values: dict[str, dict[str, str]] = {}
         self.ticks: list[tuple[float, int]] = []    # of the actuator, since it was running
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._take, 10)
 
     def _take(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {value.key: value.value for value in status.values}
-            self.said[status.name] = values
+            self.values[status.name] = values
             if status.name == 'asi_actuator: loop' and status.message == 'running':
                 self.ticks.append((time.perf_counter(), int(values['ticks'])))
 
@@ -141,19 +141,19 @@ def our_realtime(rate_hz: float, seconds: float) -> dict[str, float]:
     with process(*node('bench.ticking_node', str(seconds), **common)) as actuator, \
             process(*node(CONTROLLER, **common, **SINE)), listener() as heard:
         heard.run(seconds)
-        latency_ms = float(heard.said['asi_actuator: loop']['latency median (ms)'])
-        return {'latency_median_ms': latency_ms, **told(actuator)}
+        latency_ms = float(heard.values['asi_actuator: loop']['latency median (ms)'])
+        return {'latency_median_ms': latency_ms, **node_times(actuator)}
 
 
 def in_turns(rivals: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[Any]]:
-    """Return what each says, one a round; each round in the opposite order of the last."""
-    said: dict[str, list[Any]] = {name: [] for name in rivals}
+    """Return the results of each by round; the order is reversed from round to round."""
+    results: dict[str, list[Any]] = {name: [] for name in rivals}
     names = list(rivals)
     for _ in range(rounds):
         for name in names:
-            said[name].append(rivals[name]())
+            results[name].append(rivals[name]())
         names.reverse()
-    return said
+    return results
 
 
 def lockstep(rounds: int, seconds: float) -> list[Result]:
@@ -177,52 +177,52 @@ def lockstep(rounds: int, seconds: float) -> list[Result]:
 
 
 def timed(seconds: float, *options: str) -> Counter[str]:
-    """Return what both nodes together spend in a tick, by part, us."""
+    """Return the time of both nodes together in a tick, by part, us."""
     with process(*node('bench.timed_node', 'controller', *options, **SINE)) as controller:
         with process(*node('bench.timed_node', 'actuator', *options)) as actuator, \
                 listener() as heard:
             heard.run(seconds)
-            spent = told(actuator)
-        spent.update(told(controller))
+            spent = node_times(actuator)
+        spent.update(node_times(controller))
     return spent
 
 
-def told(child: subprocess.Popen) -> Counter[str]:
-    """End a timed node and return what it says it has spent a tick, by part, us."""
+def node_times(child: subprocess.Popen) -> Counter[str]:
+    """End a timed node and return its time in a tick, by part, us."""
     child.terminate()
     text, _ = child.communicate(timeout=PATIENCE_S)
     return Counter(json.loads(text.splitlines()[-1]))
 
 
 def timed_empty(seconds: float) -> Counter[str]:
-    """Return the same of empty nodes, which do nothing but send the messages."""
+    """Return the same of empty nodes, which only send the messages."""
     command = 'bench.timed_node', 'empty'
     arguments = EMPTY[FLOOR]
     with process(*command, 'controller', *arguments) as controller, \
             process(*command, 'actuator', *arguments, '--seconds', str(seconds)) as actuator:
         actuator.wait(timeout=PATIENCE_S + seconds)
-        return told(actuator) + told(controller)
+        return node_times(actuator) + node_times(controller)
 
 
 def tick(rounds: int, seconds: float) -> list[Result]:
-    """Return where the time of a tick goes, of both nodes together."""
-    told_us: dict[str, list[Counter[str]]] = in_turns({
-        # Of nodes whose time is not taken, which makes the tick longer.
+    """Return the parts of the time of a tick, of both nodes together."""
+    times_us: dict[str, list[Counter[str]]] = in_turns({
+        # Of nodes without timing, as timing makes the tick longer.
         'period': lambda: Counter({'': 1e6 / our_rate(seconds, recorded=False)}),
         'whole': lambda: timed(seconds), 'apart': lambda: timed(seconds, '--parts'),
         'empty': lambda: timed_empty(seconds)}, rounds)
 
     def us(of: str, part: str) -> float:
-        return statistics.median(told[part] for told in told_us[of])
+        return statistics.median(times[part] for times in times_us[of])
 
     period_us, own_us = us('period', ''), us('whole', CALLBACKS)
     shares = [100.0 * whole[CALLBACKS] / period['']
-              for whole, period in zip(told_us['whole'], told_us['period'], strict=True)]
+              for whole, period in zip(times_us['whole'], times_us['period'], strict=True)]
     inside = {part: us('apart', part) for part in PARTS} | {'wiring': us('apart', CALLBACKS)}
     scale = own_us / sum(inside.values())
     spent = ({part: us('whole', part) for part in (SENDING, EXECUTOR)}
              | {part: us * scale for part, us in inside.items()})
-    # While one works the other mostly waits; what is left is DDS, and waking up.
+    # While one node works the other waits; the rest is DDS and waking up.
     spent['DDS, the kernel, waking up'] = period_us - sum(spent.values())
     return [
         Result('loop_rate.own', 'lock-step: our own code, of a tick', statistics.median(shares),
@@ -235,7 +235,7 @@ def tick(rounds: int, seconds: float) -> list[Result]:
 
 
 def cold(rounds: int) -> list[Result]:
-    """Return what the actuator's callback takes with nothing sent: warm, with caches emptied."""
+    """Return the time of the actuator's callback without sending: warm, and with cold caches."""
     found = []
     with mock.patch.object(Publisher, 'publish', lambda *_: None):
         node = ActuatorNode()
@@ -272,15 +272,15 @@ def conversions(rounds: int) -> list[Result]:
         wire.force(answer[0])
 
     found = []
-    # What is said, and what of it is heard: the first ones.
+    # Messages that are sent; the first `heard` of them are also received.
     for end, topics, packed, heard, ours in (
             ('actuator', SENT['all'][0], state, 2, ours_of_actuator),
             ('controller', SENT['all'][1][::-1], answer, 1, ours_of_controller)):
-        said = [sent[topic] for topic in topics]
-        bytes_heard = list(zip(packed, map(type, said), strict=True))[:heard]
+        objects = [sent[topic] for topic in topics]
+        bytes_heard = list(zip(packed, map(type, objects), strict=True))[:heard]
 
-        def by_rclpy(said: list[Any] = said, bytes_heard: list[Any] = bytes_heard) -> None:
-            for message in said:
+        def by_rclpy(objects: list[Any] = objects, bytes_heard: list[Any] = bytes_heard) -> None:
+            for message in objects:
                 serialize_message(message)
             for data, kind in bytes_heard:
                 deserialize_message(data, kind)

@@ -1,8 +1,8 @@
 """
-Many closed loops at once: what a simulated second costs as the batch grows, and with the cores.
+Many closed loops at once: time of a simulated second by size of the batch and number of cores.
 
-Each loop has parameters of its own; of each only the last 10 ms are kept. The cost is processor
-time, of all threads; the speed-up by the cores is by the clock.
+Each loop has its own parameters; only the last 10 ms are stored. The cost is the processor time of
+all threads; the speed-up by the cores is measured in wall time.
 """
 
 import os

@@ -1,8 +1,8 @@
 """
 The model's inner loop against the same equations written by hand in C.
 
-Every load with every combination of effects on and off. First the trajectories must be the same;
-then the time a sub-step takes, of processor time, the rivals in turns.
+Every load with every combination of effects on and off. The trajectories must be equal; then the
+processor time of a sub-step is measured, alternating between both.
 """
 
 import ctypes
@@ -50,7 +50,7 @@ WITHHELD: Final[dict[str, Value]] = {
     'load.external_force_frequency': 7.0, 'coupling.stiffness': 2e6, 'coupling.damping': 100.0,
     'backlash.gap': 2e-5, 'backlash.centre': 5e-6, 'force_sensor.lag_time': 0.0005,
     'force_sensor.drift': 3.0, 'force_sensor.drift_curve': -1.0}
-# The slowest combinations of the first look are looked at again: its worst is partly bad luck.
+# The slowest combinations are measured again, as the first maximum is biased by noise.
 AGAIN: Final = 8
 TARGET: Final = '<= 1.1'
 
@@ -128,7 +128,7 @@ def substeps(p: np.void) -> int:
 
 
 def difference(one: Array, other: Array) -> float:
-    """Return how far two trajectories are apart, as a share of the largest value of a signal."""
+    """Return the largest difference of two trajectories, relative to the largest value."""
     largest = np.maximum(np.abs(one).max(1), 1e-300)
     return float((np.abs(one - other).max(1) / largest).max())
 

@@ -1,4 +1,4 @@
-"""doc/reference/performance.md and its pictures, from what was measured."""
+"""Write doc/reference/performance.md and its pictures from the results."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from bench.result import Result
 
 Measured = Mapping[str, Mapping[str, Any]]
 
-# What the sizes of a module's curves are, and what a point costs.
+# Axes of the curves of a module: size and cost.
 SIZES: Final = {'many_runs': 'runs at once', 'analysis_speed': 'length of the recording, s'}
 
 
@@ -55,7 +55,7 @@ def curves(results: Sequence[Result]) -> dict[str, list[Result]]:
 
 
 def cost_against_size(measured: Measured) -> Figure:
-    """Draw what a piece of work costs as it grows, relative to the smallest size."""
+    """Draw the cost against size, relative to the smallest size."""
     chosen = [name for name in SIZES if name in measured]
     picture = Figure(figsize=(4.4 * len(chosen), 3.2), layout='constrained')
     axes = picture.subplots(1, len(chosen), squeeze=False)
@@ -87,7 +87,7 @@ def error_against_time(measured: Measured) -> Figure:
 
 
 def shares(measured: Measured) -> Figure:
-    """Draw how much of each limit's speed is reached."""
+    """Draw the share of each reference speed that is reached."""
     bars = [r for module in measured.values() for r in results_of(module) if r.share is not None]
     picture = Figure(figsize=(7.0, 0.6 + 0.36 * len(bars)), layout='constrained')
     _bars(picture.subplots(), bars[::-1])
@@ -104,7 +104,7 @@ def _bars(ax: Axes, bars: Sequence[Result]) -> None:
 
 
 def parts_of_tick(measured: Measured) -> Figure:
-    """Draw where the time of a lock-step tick goes, as one bar."""
+    """Draw the parts of the time of a lock-step tick as one bar."""
     picture = Figure(figsize=(7.0, 1.6), layout='constrained')
     ax = picture.subplots()
     begin = 0.0

@@ -1,9 +1,9 @@
 """
-Recording and reading: what the recorder keeps up with, what it costs, how fast a bag is read.
+Recording and reading of bags: rate without loss, processor time, and time to read.
 
-Recording: a replay publishes the six topics of the loop at a steady rate and the recorder writes
-them. Reading: a bag in the memory of the system into a run, beside the deserialisers of rosbags
-and of mcap, message by message, into nothing.
+Recording: a replay publishes the six topics of the loop at a constant rate and the recorder writes
+them. Reading: a cached bag into a `Run`, compared with deserialising each message by rosbags and
+by mcap.
 """
 
 import os
@@ -80,7 +80,7 @@ def payload_bytes(topics: list[Topic]) -> int:
 
 
 def recording(rates_hz: tuple[int, ...]) -> list[Result]:
-    """Return what is lost and what it costs, by rate, and the size on disk."""
+    """Return losses and processor time by rate, and the size on disk."""
     results = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -150,7 +150,7 @@ def reading(seconds: int, rounds: int) -> list[Result]:
 
 
 def measure(quick: bool = False) -> list[Result]:
-    """Return what the recorder keeps up with, its cost, and the times to read a bag."""
+    """Return the results of recording and reading."""
     if quick:
         return recording(RATES_HZ[:1]) + reading(10, 1)
     return recording(RATES_HZ) + reading(60, 3) + reading(600, 1)

@@ -1,8 +1,8 @@
 """
-One figure of the benchmark, and how rivals are timed.
+`Result`: one figure of a benchmark; timing of alternatives in turns.
 
 Each module of `bench` that measures has `measure(quick) -> list[Result]`; quick: a few rounds
-only, to see that it works. `make bench` runs them all and writes doc/reference/performance.md.
+only, as a test. `make bench` runs them all and writes doc/reference/performance.md.
 """
 
 import statistics

@@ -1,15 +1,15 @@
 """
-Our model against what a user would pick instead, as error against time.
+Error against computing time of our model, scipy, python-control and MuJoCo.
 
 scipy's solve_ivp (LSODA, Radau) and python-control get the same equations, written as a
 right-hand side that is compiled too. They have no delay, so both delays are 0; the play of the
 hysteresis is no differential equation, but while the command holds its output is the play's last
 one limited to a band that only narrows, so it is given to them in closed form. MuJoCo gets what it
-can state: a saturated force, a first-order lag, a mass with spring and damper.
+can express: a saturated force, a first-order lag, a mass with spring and damper.
 
 The error is the largest of the force at the control samples, as a share of the largest force,
-against our model at a 16 times finer sub-step than the default; that LSODA at its tightest comes
-to the same is shown too. Time is processor time for a simulated second.
+against our model at a 16 times finer sub-step than the default, which LSODA at its tightest
+tolerance confirms. Time is processor time for a simulated second.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""How long it takes until something happens: the help, the first simulation, a node."""
+"""Start-up times: the help, the first simulation, a node."""
 
 import os
 import signal

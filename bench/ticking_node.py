@@ -1,9 +1,8 @@
 """
-How evenly our actuator ticks: `python -m bench.ticking_node SECONDS --ros-args ...`.
+Jitter of the actuator node: `python -m bench.ticking_node SECONDS --ros-args ...`.
 
-Runs the node as it is, notes when it ticks, and prints at its end, as JSON, the jitter of the
-period: of the last SECONDS, which are the steady run, and of the start before, in which the other
-nodes are found and everything is done for the first time.
+Runs the unchanged node, stores the times of its ticks, and prints the jitter of the period (JSON):
+of the last SECONDS, the steady part, and of the start before, with discovery and first calls.
 """
 
 import json

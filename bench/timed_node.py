@@ -1,14 +1,13 @@
 """
-Where the time of a tick goes: `python -m bench.timed_node actuator|controller --ros-args ...`.
+Parts of the time of a tick: `python -m bench.timed_node actuator|controller --ros-args ...`.
 
-Or, for what Python takes to call a callback that does nothing, `... empty actuator|controller ...`
+For the overhead of a callback that does nothing: `... empty actuator|controller ...`
 (`bench/empty_nodes.py`).
 
-Runs the node as it is, but takes the time of the functions that matter, and prints at the end how
-long they took a tick (us), as JSON. To take the time of a function adds to the one around it, and
-in the loop, where little is in the processor's caches, more than in a test of that alone. So each
-is timed twice, from just outside and from just outside that; what the second adds to the first,
-the second itself adds to the one around, and is taken off there.
+Runs the node with timers around the main functions, and prints their time in a tick (us) as JSON.
+A timer adds to the time of the enclosing function, in the loop with its cold caches more than in a
+test of the timer alone. So each function has two nested timers: the difference of the two is the
+overhead of one, which is subtracted from the enclosing function.
 """
 
 import json

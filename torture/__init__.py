@@ -1,1 +1,1 @@
-"""`make torture`: break everything that a lab breaks, and count what is lost."""
+"""Fault injection in processes, links, files and clocks; counts the losses (`make torture`)."""

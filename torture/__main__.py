@@ -1,4 +1,4 @@
-"""Runs the scenarios for TORTURE_MINUTES (10) and prints what was tried and what was lost."""
+"""Run the scenarios for TORTURE_MINUTES (10) and print the number of faults and losses."""
 
 import os
 import random
@@ -34,16 +34,16 @@ SEED = int(os.environ.get('TORTURE_SEED', '1'))
 
 
 def main() -> int:
-    """Return 1 if anything was not survived."""
+    """Return 1 if a fault was not survived."""
     minutes = float(os.environ.get('TORTURE_MINUTES', '10'))
-    wanted = sys.argv[1:]
+    names = sys.argv[1:]
     os.environ.setdefault('ROS_DOMAIN_ID', str(42 + os.getpid() % 50))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     console = Console(stderr=True)
     tallies = []
     with tempfile.TemporaryDirectory(prefix='torture-') as folder:
         for scenario, share in SCENARIOS.items():
-            if wanted and scenario.__name__ not in wanted:
+            if names and scenario.__name__ not in names:
                 continue
             tally = Tally(scenario.__name__)
             tallies.append(tally)
@@ -51,7 +51,7 @@ def main() -> int:
             with console.status(f'{tally.name} ...'):
                 begin = time.monotonic()
                 try:
-                    scenario(rig, tally, begin + 60.0 * minutes * (1.0 if wanted else share))
+                    scenario(rig, tally, begin + 60.0 * minutes * (1.0 if names else share))
                 except NotThere as error:
                     tally.count('scenario', f'{error}: {rig.last_words()}')
                 finally:

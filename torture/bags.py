@@ -23,7 +23,7 @@ MAGIC_BYTES: Final = 8
 
 
 def _original() -> Run:
-    """Return a run in which every number is there only once."""
+    """Return a run in which every number is unique."""
     numbers = np.random.default_rng(1).normal(0.0, 100.0, (5, SAMPLES))
     time_s = np.arange(SAMPLES) / 1000.0
     return Run(time_s, numbers[0], numbers[1], numbers[2], numbers[3] * 1e-6,
@@ -50,7 +50,7 @@ def bags(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def _boundaries(data: bytes) -> list[int]:
-    """Return where the records of an MCAP file begin."""
+    """Return the offsets of the records of an MCAP file."""
     places, place = [], MAGIC_BYTES
     while place + RECORD.size <= len(data) - MAGIC_BYTES:
         places.append(place)
@@ -59,7 +59,7 @@ def _boundaries(data: bytes) -> list[int]:
 
 
 def _damaged(data: bytes, random: Random, every_boundary: bool) -> Iterator[tuple[str, bytes]]:
-    """Yield what was done to the file, and the file."""
+    """Yield a description of the damage, and the damaged file."""
     boundaries = _boundaries(data)
     for place in boundaries if every_boundary else random.sample(boundaries, 3):
         yield 'cut at a record', data[:place]
@@ -114,9 +114,9 @@ def _put(bag: Path, what: str, content: bytes) -> None:
 
 
 def _problem(run: Run, bag: Path, tally: Tally) -> str:
-    """Return what is wrong with what is read from a damaged bag, '' if nothing."""
+    """Return the error in what is read from a damaged bag, '' for none."""
     try:
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as noted:
             warnings.simplefilter('always')
             read = read_bag(bag)
     except InputError as error:
@@ -126,13 +126,13 @@ def _problem(run: Run, bag: Path, tally: Tally) -> str:
         return f'{type(error).__name__}: {error}'
     tally.notes['recovered, at least in part'] = tally.notes.get(
         'recovered, at least in part', 0) + 1
-    if read.time_s.size < SAMPLES and not said:
+    if read.time_s.size < SAMPLES and not noted:
         return f'{SAMPLES - read.time_s.size} samples are missing and nothing says so'
     return _wrong(run, read)
 
 
 def _wrong(run: Run, read: Run) -> str:
-    """Return which number was not written so, or not at that time."""
+    """Return the first number that was not written, or not at that time."""
     assert run.force_n is not None
     if read.force_n is None:
         return ''
@@ -152,7 +152,7 @@ def _wrong(run: Run, read: Run) -> str:
             continue
         signal = signal[there]
         differs = ~np.isnan(signal) & (signal != written[found])
-        # A command or reference that is missing is held; that is no wrong number, if said.
+        # A missing command or reference is held: no wrong number, if there is a warning.
         held = np.isin(signal, written) if name in ('command_n', 'reference_n') else False
         if np.any(differs & ~held):
             k = int(np.argmax(differs & ~held))

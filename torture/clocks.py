@@ -1,4 +1,4 @@
-"""The system clock is set while a loop runs in real time: it goes on, and so does its bag."""
+"""Setting the system clock while a loop runs in real time; loop and bag must continue."""
 
 import mmap
 import shutil
@@ -79,7 +79,7 @@ def clocks(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def disorder(bag: Path, rate_hz: float) -> str:
-    """Return how a bag of a loop in real time is out of order, '' if it is not."""
+    """Return how a bag of a loop in real time is out of order, '' if it is in order."""
     topics = read_contents(bag, lambda name: True).topics
     merged = sorted((time_ns, k) for topic in topics.values()
                     for k, time_ns in enumerate(topic.log_ns))

@@ -1,4 +1,4 @@
-"""A disk that is full while the recorder writes."""
+"""A full disk while the recorder writes."""
 
 import resource
 import signal
@@ -17,7 +17,7 @@ SIZES: Final = range(1_000, 150_000)
 
 
 def disk(rig: Rig, tally: Tally, end: float) -> None:
-    """Record to files that may only become so large, as on a disk that is full."""
+    """Record with a limit on the file size, as on a full disk."""
     while time.monotonic() < end or not tally.tried:
         size = rig.random.choice(SIZES)
         tally.count(f'disk full after {size} bytes', _record(rig, size, tally))

@@ -1,4 +1,4 @@
-"""CAN frames damaged on the way, and the bus taken away."""
+"""Damaged CAN frames, and loss of the bus."""
 
 import time
 from collections import deque
@@ -86,7 +86,7 @@ def frames(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def _damage(loop: Loop, kind: str, tally: Tally) -> None:
-    """Damage lines for a while; no force may come out that the actuator has never said."""
+    """Damage lines for a while; every published force must be one that the actuator has sent."""
     ways = Damage(kind, loop.rig.random), Damage(kind, loop.rig.random)
     begin = len(loop.states)
     loop.wire.to_peer.change, loop.wire.to_node.change = ways

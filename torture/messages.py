@@ -1,4 +1,4 @@
-"""Messages on the topics of the loop that nobody should send."""
+"""Unexpected messages on the topics of the loop."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""Parameters set to anything through the services of running nodes."""
+"""Arbitrary parameter values, set through the services of running nodes."""
 
 import time
 from typing import Any, Final
@@ -77,14 +77,14 @@ def _held(rig: Rig, node: str) -> dict[str, Any]:
 def _try(rig: Rig, node: str, new: dict[str, Any], atomic: bool) -> str:
     """Set values; return what is wrong with what the node then holds."""
     before = _held(rig, node)
-    wanted = [RosParameter(name, value=value).to_parameter_msg() for name, value in new.items()]
+    values = [RosParameter(name, value=value).to_parameter_msg() for name, value in new.items()]
     if atomic:
         answer = rig.ask(SetParametersAtomically, f'/{node}/set_parameters_atomically',
-                         SetParametersAtomically.Request(parameters=wanted))
+                         SetParametersAtomically.Request(parameters=values))
         taken = [answer.result.successful] * len(new)
     else:
         answer = rig.ask(SetParameters, f'/{node}/set_parameters',
-                         SetParameters.Request(parameters=wanted))
+                         SetParameters.Request(parameters=values))
         taken = [result.successful for result in answer.results]
     expected = before | {name: value for (name, value), ok in zip(new.items(), taken, strict=True)
                          if ok}

@@ -1,4 +1,4 @@
-"""Processes killed, stopped for a while, or asked to end, at random moments."""
+"""Processes killed, stopped for a while, or ended by a signal, at random moments."""
 
 import signal
 import struct
@@ -151,7 +151,7 @@ def processes(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def _break(loop: Loop, name: str, number: signal.Signals, tally: Tally) -> str:
-    """Hit a process; return what was not as it should be."""
+    """Send a signal to a process; return what went wrong."""
     process, wire = loop.processes[name], loop.wire
     heard = len(loop.states)
     wire.mark()

@@ -1,4 +1,4 @@
-"""What the scenarios share: processes, a ROS node that listens, and the tally."""
+"""Shared by the scenarios: processes, a listening ROS node, and the tally of faults."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""The CAN bus of the torture: two linked pseudo-terminals whose frames are seen and damaged."""
+"""The CAN bus of the scenarios: two linked pseudo-terminals, with frames inspected and damaged."""
 
 import math
 import time
