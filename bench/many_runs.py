@@ -26,7 +26,7 @@ RATE_HZ: Final = 5000.0
 def batch(size: int) -> Loops:
     """Return so many loops whose mass and gain differ."""
     loops = loops_of([{}], [{'gain': 3.0, 'reference.shape': 'step', 'reference.start': 0.0}],
-                     RATE_HZ).some(np.zeros(size, np.intp))
+                     RATE_HZ).subset(np.zeros(size, np.intp))
     loops.plants['load_mass'] = np.linspace(1.0, 4.0, size)
     loops.compensators['gain'] = np.linspace(1.0, 6.0, size)
     return loops

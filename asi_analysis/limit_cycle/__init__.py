@@ -1,1 +1,1 @@
-"""Limit cycles: detected in recordings, predicted, attributed to a nonlinearity, quenched."""
+"""Limit cycles: detection in recordings, prediction, attribution to a nonlinearity, quenching."""

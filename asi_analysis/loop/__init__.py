@@ -1,1 +1,1 @@
-"""The simulated loop in one process: time domain, linear model, describing functions, cycles."""
+"""Models of the closed loop: simulation, linear model, describing functions, harmonic balance."""

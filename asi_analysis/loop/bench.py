@@ -1,7 +1,7 @@
-"""The test bench: the actuator under one controller, run piece by piece in one process."""
+"""Simulated test bench: the actuator under one controller, run in successive pieces."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -9,19 +9,17 @@ import numpy.typing as npt
 
 from asi_actuator.model.actuator import Trajectory, rest, simulate
 from asi_analysis.experiments.experiment import Experiment
-from asi_analysis.loop.closed_loop import LoopRun, close_loop, simulate_loop
-from asi_common.parameter import Value
+from asi_analysis.loop.closed_loop import LoopRun, Values, close_loop, simulate_loop
 from asi_common.record import record_of
 from asi_controller.compensator import compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import SINE, STEP
 
 RATE_HZ: Final = 5000.0
-# Rest before a step.
+# Time at rest before a step.
 BEFORE_S: Final = 0.1
 
 Array = npt.NDArray[np.float64]
-Values = Mapping[str, Value]
 Runner = Callable[[Experiment], LoopRun]
 
 
@@ -40,12 +38,12 @@ class Bench:
         self.samples = 0
 
     def change(self, controller: Values) -> None:
-        """Replace the compensator while the loop runs, as the node does on a new parameter."""
+        """Replace the compensator of the running loop, as the node does on a changed parameter."""
         self.compensator = compensator(controller, RATE_HZ, self.compensator)
 
     def run(self, duration_s: float, amplitude_n: float, frequency_hz: float = 0.0,
             push_n: float = 0.0) -> LoopRun:
-        """Hold a force, or follow a sine about zero, while something pushes on the piston."""
+        """Run with a constant or sinusoidal reference and a constant external force (N)."""
         self.reference['reference_shape'] = SINE if frequency_hz else STEP
         self.reference['reference_amplitude'] = amplitude_n
         self.reference['reference_frequency'] = frequency_hz
@@ -58,13 +56,13 @@ class Bench:
 
 
 def open_loop(plant: np.void, commands: Array) -> Trajectory:
-    """Return what the actuator does with a sequence of valve commands (N) at the bench's rate."""
+    """Return the response of the actuator to valve commands (N) at RATE_HZ."""
     return simulate(plant, commands, 1.0 / RATE_HZ)
 
 
 def step_experiment(actuator: Values, controller: Values, amplitude_n: float, duration_s: float,
                     from_n: float = 0.0) -> Experiment:
-    """Return a step of the reference, after BEFORE_S at `from_n`: what `asi run --step` does."""
+    """Return the experiment of `asi run --step`: a step after BEFORE_S at `from_n`."""
     reference: Values = {'reference.shape': 'step', 'reference.offset': from_n,
                          'reference.amplitude': amplitude_n - from_n,
                          'reference.start': BEFORE_S}
@@ -72,6 +70,6 @@ def step_experiment(actuator: Values, controller: Values, amplitude_n: float, du
 
 
 def in_process(experiment: Experiment) -> LoopRun:
-    """Return what the nodes would do, computed in this process."""
+    """Return the run of the nodes, computed in this process."""
     return simulate_loop(experiment.actuator, experiment.controller, experiment.duration_s,
                          experiment.rate_hz)

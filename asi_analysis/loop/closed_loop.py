@@ -1,4 +1,4 @@
-"""The whole loop in one process: the compiled actuator, compensator and reference, no ROS."""
+"""Simulation of the closed loop in one process: compiled actuator, compensator and reference."""
 
 import math
 import os
@@ -18,8 +18,10 @@ from asi_controller.compensator import compensate, compensator
 from asi_controller.parameters import REFERENCE_PARAMETERS
 from asi_controller.reference import reference_force
 
-# Blocks of loops that a core gets, so that all cores end together.
+# Blocks of loops for each core: several, so that all cores finish at about the same time.
 BLOCKS_A_CORE: Final = 8
+
+Values = Mapping[str, Value]
 
 
 class LoopRun(NamedTuple):
@@ -36,10 +38,10 @@ class LoopRun(NamedTuple):
 
 class Loops(NamedTuple):
     """
-    Many closed loops of one control period: a record of each of m loops.
+    Records of m closed loops with the same control period.
 
-    They keep their states from one `close_many` to the next; what a loop is, and its reference,
-    may be changed between.
+    The states persist from one `close_many` to the next; the other records may be changed
+    in between.
     """
 
     states: npt.NDArray[np.void]        # STATE_DTYPE
@@ -48,7 +50,7 @@ class Loops(NamedTuple):
     references: npt.NDArray[np.void]    # of REFERENCE_PARAMETERS
     period_s: float
 
-    def some(self, chosen: npt.NDArray[np.intp]) -> 'Loops':
+    def subset(self, chosen: npt.NDArray[np.intp]) -> 'Loops':
         """Return a copy of the chosen loops."""
         return Loops(self.states[chosen], self.plants[chosen], self.compensators[chosen],
                      self.references[chosen], self.period_s)
@@ -56,14 +58,14 @@ class Loops(NamedTuple):
 
 @jit
 def _close_last(state, p, c, r, period, ticks, out):
-    """Close a loop for so many ticks; the last of them, as many as fit, go into `out`."""
+    """Run a loop for `ticks` control periods; fill `out` with the last of them."""
     steady = prepare(p, period)
-    left_out = ticks - out.shape[1]
+    skipped = ticks - out.shape[1]
     for tick in range(ticks):
         force, valve, position, velocity = measure(state, p)
         reference = reference_force(tick * period, r)
         command = compensate(c, reference, force)
-        k = tick - left_out
+        k = tick - skipped
         if k >= 0:
             out[0, k] = reference
             out[1, k] = command
@@ -77,7 +79,7 @@ def _close_last(state, p, c, r, period, ticks, out):
 @jit
 def close_loop(state, p, c, r, period, out):
     """
-    Close a loop for as many ticks as `out` (6 signals of LoopRun x ticks) holds.
+    Run a loop and fill `out` (6 signals of LoopRun x control periods).
 
     state, p, c, r: records of the actuator, advanced in place, its parameters, compensator and
     reference; period: s.
@@ -91,19 +93,19 @@ def _close_block(states, plants, compensators, references, period, ticks, out):
         _close_last(states[i], plants[i], compensators[i], references[i], period, ticks, out[i])
 
 
-def close_many(loops: Loops, duration_s: float, kept_s: float | None = None
+def close_many(loops: Loops, duration_s: float, last_s: float | None = None
                ) -> npt.NDArray[np.float64]:
     """
-    Run many loops on all cores; return what they did, as m x the 6 signals of LoopRun x ticks.
+    Run many loops on all cores; return m x 6 signals of LoopRun x control periods.
 
-    kept_s: keep only so much of the end (the memory that a large batch takes), all if not given.
-    Each row is bit for bit what `simulate_loop` returns: threads share nothing, and compiled code
-    runs without the interpreter's lock.
+    last_s: return only this duration at the end (to save memory), by default all. Each row is bit
+    for bit what `simulate_loop` returns: threads share no data, and compiled code releases the
+    interpreter's lock.
     """
     check_period(loops.period_s)
     ticks = math.ceil(duration_s / loops.period_s - 1e-9)
-    kept = ticks if kept_s is None else min(ticks, math.ceil(kept_s / loops.period_s - 1e-9))
-    out = np.empty((loops.states.size, 6, kept))
+    last = ticks if last_s is None else min(ticks, math.ceil(last_s / loops.period_s - 1e-9))
+    out = np.empty((loops.states.size, 6, last))
 
     cores = len(os.sched_getaffinity(0))
     size = max(1, loops.states.size // (cores * BLOCKS_A_CORE))
@@ -118,21 +120,20 @@ def close_many(loops: Loops, duration_s: float, kept_s: float | None = None
     return out
 
 
-def loops_of(actuators: Sequence[Mapping[str, Value]], controllers: Sequence[Mapping[str, Value]],
-             rate_hz: float) -> Loops:
+def loops_of(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float) -> Loops:
     """
     Return loops at rest, each with parameters by name as `simulate_loop` takes them.
 
     Raises ParameterError for one that is not allowed.
     """
-    made = [records(actuator, controller, rate_hz)
+    rows = [records(actuator, controller, rate_hz)
             for actuator, controller in zip(actuators, controllers, strict=True)]
-    plants, compensators, references = (np.array(column) for column in zip(*made, strict=True))
-    return Loops(np.zeros(len(made), STATE_DTYPE), plants, compensators, references, 1.0 / rate_hz)
+    plants, compensators, references = (np.array(column) for column in zip(*rows, strict=True))
+    return Loops(np.zeros(len(rows), STATE_DTYPE), plants, compensators, references, 1.0 / rate_hz)
 
 
-def records(actuator: Mapping[str, Value], controller: Mapping[str, Value], rate_hz: float
-           ) -> tuple[np.void, np.void, np.void]:
+def records(actuator: Values, controller: Values, rate_hz: float
+            ) -> tuple[np.void, np.void, np.void]:
     """
     Return the records of plant, compensator and reference, from parameters by name.
 
@@ -145,10 +146,10 @@ def records(actuator: Mapping[str, Value], controller: Mapping[str, Value], rate
             record_of(reference, REFERENCE_PARAMETERS))
 
 
-def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value],
-                  duration_s: float, rate_hz: float = 5000.0) -> LoopRun:
+def simulate_loop(actuator: Values, controller: Values, duration_s: float,
+                  rate_hz: float = 5000.0) -> LoopRun:
     """
-    Return what the two nodes do in lock-step, computed in this process by the same code.
+    Return the run of the two nodes in lock-step, computed in this process by the same code.
 
     actuator, controller: parameters by name, the rest at their defaults; the controller's are
     those of compensator and reference. Raises ParameterError for one that is not allowed.
@@ -160,5 +161,5 @@ def simulate_loop(actuator: Mapping[str, Value], controller: Mapping[str, Value]
 
 
 if __name__ == '__main__':
-    # `make setup` runs this once, so that no first run has to wait for the compiler.
+    # `make setup` runs this once to fill the cache of compiled code.
     simulate_loop({}, {'reference.shape': 'step'}, 0.01)

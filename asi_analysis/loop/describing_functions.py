@@ -1,9 +1,9 @@
 """
-Describing functions N(A, f, bias): what a nonlinearity passes of a sine's fundamental.
+Describing functions N(A, f, bias): fundamental of the output over that of a sinusoidal input.
 
-Each is worked out with the model's own block function: the memory is settled at every amplitude
+Each is computed with the block function of the model: the memory is settled at every amplitude
 before the output is projected (Gelb and Vander Velde, Multiple-Input Describing Functions, 1968).
-Where a closed form is known it stands beside, and the tests compare.
+The tests compare with closed forms where they are known.
 """
 
 import math
@@ -17,7 +17,7 @@ from asi_actuator.model.valve_characteristic import valve_characteristic
 from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
 from asi_common.jit import jit
 
-# Samples a period; the error falls with their square. Periods until the memory has settled.
+# Samples a period (the error is of second order), and periods until the memory has settled.
 SAMPLES: Final = 720
 SETTLING: Final = 3
 
@@ -26,14 +26,14 @@ SETTLING: Final = 3
 def _hysteresis(amplitude, frequency, limit, samples, p):
     step = 1.0 / (frequency * samples)
     decay = rate_decay(p, step)
-    # Of a command that moves in straight lines the rate filter lags by this, exactly.
+    # Exact lag of the rate filter for a piecewise linear command.
     lag = (1.0 - decay) / (2.0 * math.pi * p.valve_hysteresis_rate_filter * step)
     half = samples // 2
     flux = filtered = 0.0
     before = min(max(amplitude * math.sin(-2.0 * math.pi / samples), -limit), limit)
     total = 0.0 + 0.0j
-    # The block is odd, so half a period tells the other. The first half finds the periodic state
-    # of the filter, the second settles the play, the third is projected.
+    # The block is odd, so half a period determines the other. The first half yields the periodic
+    # state of the filter, the second settles the play, the third is projected.
     for k in range(3 * half):
         if k == half:
             filtered /= 1.0 + decay ** half
@@ -52,10 +52,10 @@ def _hysteresis(amplitude, frequency, limit, samples, p):
 def hysteresis(amplitude_n: float, frequency_hz: float, p: np.void, limit_n: float = math.inf,
                samples: int = SAMPLES) -> complex:
     """
-    Return N of the magnetic circuit (N/N) for a command A sin, cut at ± limit.
+    Return N of the magnetic circuit (N/N) for a command A sin, limited to ± limit.
 
     In continuous time. Play, rate filter and saturation have no common closed form: the block
-    function is run at so many samples a period, an even number.
+    function is run with `samples`, an even number, a period.
     """
     return complex(_hysteresis(amplitude_n, frequency_hz, limit_n, samples, p))
 

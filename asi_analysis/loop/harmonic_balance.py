@@ -1,9 +1,9 @@
 """
 Harmonic balance of the whole loop: all nonlinearities, several harmonics, sampled control.
 
-Unknown are the harmonics of the valve command and of the piston's velocity, the mean command, and
-the frequency. The linear blocks act on harmonics; each nonlinear one is run in time with the
-model's own function until its memory has settled, and its output is projected back (alternating
+The unknowns are the harmonics of the valve command and of the piston's velocity, the mean command,
+and the frequency. Linear blocks act on harmonics; nonlinear blocks are run in the time domain with
+the model's function until their memory has settled, and their output is projected (alternating
 frequency and time: Cameron and Griffin, J. Applied Mechanics 56, 1989). The command is held over
 each control period as the loop holds it, and averaged over the phases of the control clock.
 """
@@ -33,11 +33,11 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 HARMONICS: Final = 9
-GRID: Final = 512            # samples of a period where the clock plays no part
+GRID: Final = 512            # samples of a period in continuous time
 SETTLING: Final = 2          # periods
 AVERAGED: Final = 10         # periods over which the clock's phases are averaged
-SEALS_SETTLING: Final = 60   # periods at most until the seals are where they were a period ago
-SETTLED_N: Final = 1e-7      # how nearly, as a force
+SEALS_SETTLING: Final = 60   # most periods until the deflection of the seals is periodic
+SETTLED_N: Final = 1e-7      # tolerance of that, as a force
 SUBSTEPS: Final = 8          # of a control period, for the hysteresis
 TOLERANCE: Final = 1e-7      # of the residual, over the size of the command
 MOST_STEPS: Final = 30
@@ -45,10 +45,10 @@ MOST_STEPS: Final = 30
 
 class Loop(NamedTuple):
     """
-    What is balanced: plant and compensator as records, control period (s), reference (N).
+    The closed loop: plant and compensator as records, control period (s), reference (N).
 
-    friction_n: mean friction (N) that seals remember which the cycle does not slide, so that each
-    value has a cycle of its own; without one, that of a piston which came slowly.
+    friction_n: mean friction (N) of seals that do not slide; it depends on the history, and each
+    value has its own cycle. None: that of a piston that moved slowly to its position.
     """
 
     plant: np.void
@@ -85,7 +85,7 @@ class Balance(NamedTuple):
 
 @jit
 def _drive(state, command, frequency, limit, p, period, out):
-    """Project what the magnetic circuit makes of the held command onto harmonics, into `out`."""
+    """Project the response of the magnetic circuit to the held command onto harmonics `out`."""
     step = period / SUBSTEPS
     half = rate_decay(p, 0.5 * step)
     ticks = int(math.ceil((SETTLING + AVERAGED) / (frequency * period)))
@@ -136,7 +136,7 @@ def valve_forces(position: Array, velocity: Array, p: np.void) -> tuple[Array, A
 
 @jit
 def _friction(velocity, seal, period, p, out):
-    """Fill in the friction of a period that leaves the seals where it found them."""
+    """Fill in the friction of a period after which the seals are as before it."""
     step = period / velocity.size
     before = change_before = 0.0
     for turn in range(SEALS_SETTLING):
@@ -149,7 +149,7 @@ def _friction(velocity, seal, period, p, out):
         change = seal - begin
         if abs(change) * p.friction_presliding_stiffness < SETTLED_N:
             break
-        # Seals that hardly slide creep, for thousands of periods: by the secant instead.
+        # Seals that hardly slide creep for thousands of periods: secant method.
         slope = (change - change_before) / (begin - before) if turn > 0 else -1.0
         before, change_before = begin, change
         seal = begin - change / min(max(slope, -1.0), -0.01)
@@ -172,7 +172,7 @@ def _harmonics(wave: Array, count: int) -> Complex:
 
 def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz: float
                    ) -> tuple[Complex, Complex]:
-    """Return measured force, and force that the load is given beyond what it takes: harmonics."""
+    """Return harmonics of the measured force, and of the residual force on the load."""
     p, count = loop.plant, len(command) - 1
     f = frequency_hz * np.arange(count + 1)
     drive = np.empty(count + 1, complex)
@@ -186,7 +186,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     stiffness = load_spring(p)[0]
     seal = 0.0
     if p['friction_model'] == FULL and stiffness:
-        # Seals that never slide remember where they began: at the rest position.
+        # Seals that never slide are undeflected at the rest position.
         swing = _wave(np.concatenate([[0.0], velocity[1:] / (2j * np.pi * f[1:])]))
         springs = stiffness + p['friction_presliding_stiffness']
         mean = ((hydraulic[0].real + p['load_external_force']) / springs
@@ -207,7 +207,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
 
 def residual(loop: Loop, command: Complex, velocity: Complex, frequency_hz: float
              ) -> tuple[Array, Complex]:
-    """Return what is out of balance (N), as real numbers, and the measured force."""
+    """Return the residual of the balance (N), as real numbers, and the measured force."""
     force, excess = plant_response(loop, command, velocity, frequency_hz)
     f = frequency_hz * np.arange(len(command))
     answer = -frequency_response(loop.compensator, f, 1.0 / loop.period_s) * force
@@ -215,13 +215,13 @@ def residual(loop: Loop, command: Complex, velocity: Complex, frequency_hz: floa
                   * (frequency_response(loop.compensator, [0.0], 1.0 / loop.period_s)[0]
                      + loop.compensator['feedforward']))
     missing = command - answer
-    # The load's balance counts as what the controller would make of it.
+    # The residual force on the load, scaled to a command.
     weight = abs(loop.compensator['gain'])
     return np.concatenate([[missing[0].real], missing[1:].real, missing[1:].imag,
                            weight * excess.real, weight * excess.imag]), force
 
 
-# The unknowns in one vector: mean, Re of 1.., Im of 2.., velocity Re, Im, frequency, gain.
+# Vector of unknowns: mean, Re of 1.., Im of 2.., velocity Re, Im, frequency, gain.
 def _pack(balance: Balance) -> Array:
     u, v = balance.command, balance.velocity
     return np.concatenate([[u[0].real], u[1:].real, u[2:].imag, v[1:].real, v[1:].imag,
@@ -252,7 +252,7 @@ def _evaluate(loop: Loop, x: Array) -> tuple[Array, Complex]:
 
 
 def _sizes(x: Array) -> Array:
-    """Return the scale of each unknown: steps of Newton and arclength are measured in it."""
+    """Return the scale of each unknown, for Newton steps and arc length."""
     count = (len(x) - 2) // 4
     command, velocity, frequency, gain = _unpack(x)
     return np.concatenate([np.full(2 * count, max(abs(command[1]), 1e-9)),
@@ -272,15 +272,15 @@ def _jacobian(loop: Loop, x: Array, at: Array, sizes: Array) -> Array:
 
 def _newton(loop: Loop, x: Array, row: Array, target: Array, sizes: Array) -> Array | None:
     """
-    Return the balanced unknowns with row . (x - target) / sizes = 0; None if none is found.
+    Return the solution with row . (x - target) / sizes = 0; None without convergence.
 
-    row: fixes the gain, or the length of an arc. The step is halved until the residual falls.
+    row: fixes the gain, or the arc length. The step is halved until the residual decreases.
     """
-    def out_of_balance(point: Array) -> Array:
+    def extended_residual(point: Array) -> Array:
         return np.append(_evaluate(loop, point)[0] / sizes[0],
                          row @ ((point - target) / sizes))
 
-    at = out_of_balance(x)
+    at = extended_residual(x)
     for _ in range(MOST_STEPS):
         if np.linalg.norm(at) < TOLERANCE * math.sqrt(len(at)):
             return x
@@ -290,12 +290,12 @@ def _newton(loop: Loop, x: Array, row: Array, target: Array, sizes: Array) -> Ar
         while share > 1e-3:
             trial = x + share * step
             if trial[-2] > 0.0 and trial[-1] > 0.0:
-                after = out_of_balance(trial)
+                after = extended_residual(trial)
                 if np.linalg.norm(after) < (1.0 - 0.2 * share) * np.linalg.norm(at):
                     break
             share *= 0.5
         else:
-            # Corners of the nonlinearities leave a rest that no step lowers further.
+            # At corners of the nonlinearities no step lowers a small residual further.
             return x if np.linalg.norm(at) < 1e-4 * math.sqrt(len(at)) else None
         x, at = trial, after
     return x if np.linalg.norm(at) < 1e-4 * math.sqrt(len(at)) else None
@@ -309,7 +309,7 @@ def _balance(loop: Loop, x: Array) -> Balance:
 def balance(loop: Loop, guess: Balance) -> Balance | None:
     """Return the periodic motion near a guess, at the guess's gain; None if there is none."""
     if loop.plant['load_type'] == PRESCRIBED:
-        raise InputError('load.type = prescribed: a piston moved from outside has no cycle')
+        raise InputError('load.type = prescribed: a prescribed motion has no limit cycle')
     x = _pack(guess)
     sizes = _sizes(x)
     row = np.zeros(len(x))
@@ -322,11 +322,11 @@ def continue_in_gain(loop: Loop, start: Balance, least: float, most: float,
                      step: float = 0.04, rising: bool = False, points: int = 60
                      ) -> list[Balance]:
     """
-    Return the branch from `start` on: down in gain, round its fold, and up again; or `rising`.
+    Return the branch of cycles from `start`: decreasing gain to the fold and beyond; or `rising`.
 
-    Pseudo-arclength (Keller 1977): the branch is followed along its tangent, so that a fold, where
-    the cycle is born, is an ordinary point. step: of arc, in the scale of the unknowns. Ends
-    outside the gains from `least` to `most`, and past the fold once the gain has risen by a tenth.
+    Pseudo-arclength continuation (Keller 1977) along the tangent passes the fold, where the cycle
+    appears. step: of arc length, in the scale of the unknowns. Ends outside the gains from `least`
+    to `most`, and beyond the fold when the gain has increased by 10 %.
     """
     x = _pack(start)
     sizes = _sizes(x)
@@ -359,7 +359,7 @@ def fold(branch: list[Balance]) -> tuple[float, float, float]:
     """
     Return (gain, frequency Hz, amplitude N) where the branch has its least gain: the onset.
 
-    By the parabola through the three points about it; the last point if the branch ends there.
+    By the parabola through the three points about it; if the branch ends there, that point.
     """
     gains = np.array([point.gain for point in branch])
     k = int(np.argmin(gains))

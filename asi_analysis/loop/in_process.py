@@ -1,15 +1,12 @@
 """An experiment computed in one process, instead of over ROS."""
 
-from collections.abc import Mapping
-
 from asi_analysis.bags.run import Run
 from asi_analysis.experiments.experiment import information, planned
-from asi_analysis.loop.closed_loop import simulate_loop
-from asi_common.parameter import Value
+from asi_analysis.loop.closed_loop import Values, simulate_loop
 
 
-def simulate(actuator: Mapping[str, Value], controller: Mapping[str, Value],
-             duration_s: float = 1.0, rate_hz: float = 5000.0) -> Run:
+def simulate(actuator: Values, controller: Values, duration_s: float = 1.0,
+             rate_hz: float = 5000.0) -> Run:
     """
     Return the recording of an experiment, computed in this process.
 

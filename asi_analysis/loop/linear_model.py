@@ -1,9 +1,9 @@
 """
-The linear plant: blocks as transfer functions in s with exact delays, and what they make together.
+The linear plant: transfer functions in s of the blocks, with exact delays, and of the whole.
 
-Polynomials and delays are kept here instead of in python-control's TransferFunction: that knows no
-delays, loading it adds 0.3 s to every command, and a product of two takes 0.17 ms against 0.01 ms;
-harmonic balance asks for thousands. The tests compare with it.
+Not by python-control's TransferFunction, which has no delays, takes 0.3 s to import, and 0.17 ms
+for a product instead of 0.01 ms; harmonic balance needs thousands of them. The tests compare with
+it.
 """
 
 import math
@@ -19,7 +19,7 @@ from asi_actuator.model.load import load_spring
 from asi_actuator.model.valve_flexure import flexure_gain
 from asi_actuator.parameters import as_record
 from asi_analysis.experiments.step_tests import LOCKED
-from asi_analysis.loop.bench import Values
+from asi_analysis.loop.closed_loop import Values
 from asi_common.jit import FULL, LINEAR, jit
 
 Array = npt.NDArray[np.floating]
@@ -90,7 +90,7 @@ def fluid(p: np.void) -> Transfer:
 
 
 def sensor(p: np.void) -> Transfer:
-    """Return felt force (N) to what the sensor gives (N), with its gain and delay."""
+    """Return force on the sensor (N) to its output (N), with gain and delay."""
     if p['force_sensor_model'] != FULL:
         own = p['force_sensor_linear_gain'] if p['force_sensor_model'] == LINEAR else 1.0
         return _gain(own * p['force_sensor_gain'])
@@ -99,35 +99,35 @@ def sensor(p: np.void) -> Transfer:
 
 
 def card(p: np.void) -> Transfer:
-    """Return what the sensor gives (N) to the measured force (N)."""
+    """Return output of the sensor (N) to measured force (N)."""
     if p['force_sensor_model'] != FULL:
         return _gain(1.0)
     return _second_order(p['force_sensor_card_frequency'], CARD_DAMPING)
 
 
 def structure(p: np.void) -> Transfer:
-    """Return position (m) of the load to the force (N) that it takes."""
+    """Return position (m) of the load to the force on it (N)."""
     stiffness, damper = load_spring(p)
     return Transfer(np.array([p['load_mass'], damper, stiffness]), ONE)
 
 
 def impedance(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
-    """Return velocity (m/s) of the load to the force (N) that it takes; no frequency may be 0."""
+    """Return velocity (m/s) of the load to the force on it (N), at frequencies above 0."""
     return structure(p)(frequency_hz) / (2j * np.pi * np.asarray(frequency_hz, float))
 
 
 def inertia(frequency_hz: npt.ArrayLike, p: np.void) -> Complex:
-    """Return velocity (m/s) of the mass to the part of its inertia (N) that no sensor feels."""
+    """Return velocity (m/s) to the inertial force (N) of the mass between piston and sensor."""
     return (2j * np.pi * np.asarray(frequency_hz, float) * p['force_sensor_mass_share']
             * p['load_mass'])
 
 
 def piston(p: np.void, damping: float = 0.0, seals_stuck: bool = False) -> Transfer:
     """
-    Return static valve force (N) to felt force (N): fluid, piston, seals and structure.
+    Return static valve force (N) to force on the sensor (N): fluid, piston, seals, structure.
 
-    damping: slope of the hydraulic damping (N s/m); seals_stuck: the seals hold the piston with
-    their pre-sliding stiffness and damping, otherwise they slide and add nothing.
+    damping: slope of the hydraulic damping (N s/m); seals_stuck: the seals act with their
+    pre-sliding stiffness and damping, otherwise they slide without either.
     """
     load, oil = structure(p).numerator, fluid(p)
     held = load + seals_stuck * np.array(
@@ -144,7 +144,7 @@ def damping_slope(p: np.void, opening: float = 0.0) -> float:
 
 class Series(NamedTuple):
     """
-    Blocks in series, as compiled code takes them.
+    Blocks in series, as arrays for compiled code.
 
     numerators, denominators: m blocks x the coefficients of polynomials in s, highest power first
     after zeros; delay_s: of all blocks; hold_s: of a zero-order hold, 0 for none.
@@ -163,13 +163,13 @@ class Series(NamedTuple):
 
 
 @jit
-def _respond(frequencies, numerators, denominators, delay, held):
+def _respond(frequencies, numerators, denominators, delay, hold):
     out = np.empty(frequencies.size, np.complex128)
     for k in range(frequencies.size):
         s = 2j * math.pi * frequencies[k]
-        turn = math.pi * frequencies[k] * held
+        turn = math.pi * frequencies[k] * hold
         # Half the hold is a delay; the rest of its fundamental has no phase.
-        response = np.exp(-s * (delay + 0.5 * held)) * (math.sin(turn) / turn if turn else 1.0)
+        response = np.exp(-s * (delay + 0.5 * hold)) * (math.sin(turn) / turn if turn else 1.0)
         for block in range(len(numerators)):
             above = below = 0.0j
             for power in range(numerators.shape[1]):
@@ -183,11 +183,11 @@ def _respond(frequencies, numerators, denominators, delay, held):
 def plant(p: np.void, period_s: float = 0.0, damping: float = 0.0, seals_stuck: bool = False
           ) -> Series:
     """
-    Return valve command to measured force, hysteresis and limits left out.
+    Return valve command to measured force, without hysteresis and limits.
 
-    period_s: of a zero-order hold on the command, 0 for a loop in continuous time; damping and
-    seals_stuck: as for `piston`. Each block is evaluated by itself: the product of polynomials of
-    order 10 would lose digits.
+    period_s: of a zero-order hold on the command, 0 for continuous time; damping, seals_stuck: as
+    for `piston`. Blocks are evaluated separately, because their product, of order 10, would lose
+    digits.
     """
     blocks = (_gain(p['valve_characteristic_gain']), flexure(p), piston(p, damping, seals_stuck),
               sensor(p), card(p))

@@ -1,9 +1,9 @@
 """
-The paper's prediction: one harmonic, one nonlinearity, everything else linear (section 4.1).
+Describing-function prediction of the paper: one nonlinearity, all else linear (section 4.1).
 
-A cycle with a command of amplitude A at frequency f is predicted where K L(f) N(A, f) = -1: static
-characteristic a gain, damping and friction left out. It is stable by Loeb's criterion (Gelb and
-Vander Velde 1968, section 3.5).
+A cycle with a command of amplitude A at frequency f is predicted where K L(f) N(A, f) = -1, with
+the static characteristic as a gain and without damping and friction. Its stability follows from
+Loeb's criterion (Gelb and Vander Velde 1968, section 3.5).
 """
 
 import math
@@ -23,26 +23,26 @@ from asi_controller.compensator import frequency_response
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
-# Gain that a cycle at a frequency (Hz) needs; complex where no gain makes one.
+# Gain for a cycle as a function of frequency (Hz); it exists where this is real and positive.
 NeededGain = Callable[[float], complex]
 
 FREQUENCIES_HZ: Final = np.geomspace(5.0, 600.0, 60)
-# From a neighbour's frequency a crossing is bracketed by this factor, at most so many times.
+# Factor by which the bracket about a known frequency grows, and the number of attempts.
 BRACKET: Final = 1.02
 BRACKETS: Final = 20
 COMMANDS_N: Final = np.geomspace(60.0, 1.6e4, 36)
-# Amplitudes of the piston at which damping and friction are tried.
+# Velocity amplitudes of the piston for damping and friction.
 VELOCITIES_M_S: Final = np.geomspace(1e-4, 2.0, 12)
 
 
 @dataclass(frozen=True)
 class OneHarmonic:
     """
-    A loop as the one-harmonic prediction takes it.
+    A loop and the options of its one-harmonic prediction.
 
-    held: the command is held over the control period (a linear hold in series), as the simulated
-    loop does; False: continuous time, as the paper calculates. limited: the limit of the command
-    cuts the sine before the hysteresis. samples: a period, of the describing function.
+    held: with a zero-order hold in series, as in the simulation; False: continuous time, as in the
+    paper. limited: the command limit clips the sine before the hysteresis. samples: a period, of
+    the describing function.
     """
 
     loop: Loop
@@ -56,7 +56,7 @@ class OneHarmonic:
         return linear.plant(self.loop.plant, self.loop.period_s if self.held else 0.0)
 
     def per_gain(self, frequency_hz: npt.ArrayLike) -> Complex:
-        """Return L: the loop without its gain, its sign and its hysteresis."""
+        """Return L: the loop without gain, sign and hysteresis."""
         loop = self.loop
         return (self.plant(frequency_hz)
                 * frequency_response(loop.compensator, frequency_hz, 1.0 / loop.period_s)
@@ -64,7 +64,7 @@ class OneHarmonic:
 
     @property
     def limit_n(self) -> float:
-        """Limit of the command (N), infinite if it is left out."""
+        """Limit of the command (N), infinite without one."""
         return min(float(self.loop.plant['command_limit']),
                    float(self.loop.compensator['saturation'])) if self.limited else math.inf
 
@@ -84,7 +84,7 @@ class Intersection(NamedTuple):
 
 
 def _crossings(needed: NeededGain, near_hz: float | None) -> list[tuple[float, float]]:
-    """Return frequencies (Hz) between which the needed gain becomes real and positive."""
+    """Return brackets (Hz) of the frequencies at which the gain is real and positive."""
     tried: Iterable[Array] = [FREQUENCIES_HZ]
     if near_hz is not None:
         tried = [near_hz * np.array([BRACKET ** -k, BRACKET ** k]) for k in range(1, BRACKETS)]
@@ -101,9 +101,9 @@ def _crossings(needed: NeededGain, near_hz: float | None) -> list[tuple[float, f
 
 def least_gain(needed: NeededGain, near_hz: float | None = None) -> tuple[float, float] | None:
     """
-    Return (gain, frequency) of the least gain above 0 that is real where it is needed.
+    Return (gain, frequency) of the cycle with the least positive gain; None if there is none.
 
-    near_hz: look about this frequency only, which is faster.
+    near_hz: search only about this frequency, which is faster.
     """
     best = None
     for low, high in _crossings(needed, near_hz):
@@ -114,25 +114,25 @@ def least_gain(needed: NeededGain, near_hz: float | None = None) -> tuple[float,
     return best
 
 
-def in_series(of: OneHarmonic, passed: NeededGain) -> NeededGain:
-    """Return the gain that a cycle needs with a nonlinearity between command and force."""
-    return lambda f: complex(-1.0 / (of.per_gain([f])[0] * (passed(f) or 1e-12)))
+def in_series(of: OneHarmonic, describing_function: NeededGain) -> NeededGain:
+    """Return the gain for a cycle with a nonlinearity between command and force."""
+    return lambda f: complex(-1.0 / (of.per_gain([f])[0] * (describing_function(f) or 1e-12)))
 
 
-def _on_the_piston(of: OneHarmonic, opposed: NeededGain, friction: bool) -> NeededGain:
-    """Return the gain that a cycle needs with a nonlinear force (N s/m) against the velocity."""
+def _on_the_piston(of: OneHarmonic, resistance: NeededGain, friction: bool) -> NeededGain:
+    """Return the gain for a cycle with a nonlinear resistance (N s/m) to the velocity."""
     p = of.loop.plant
 
     def needed(f: float) -> complex:
         direct = 1.0 if friction else complex(linear.fluid(p)(f))
-        held = opposed(f) * direct / linear.impedance([f], p)[0]
-        return complex(-(1.0 + held) / of.per_gain([f])[0])
+        ratio = resistance(f) * direct / linear.impedance([f], p)[0]
+        return complex(-(1.0 + ratio) / of.per_gain([f])[0])
     return needed
 
 
 def intersection(of: OneHarmonic, amplitude_n: float, near_hz: float | None = None
                  ) -> Intersection | None:
-    """Return the cycle that the hysteresis alone makes with a command of an amplitude (N)."""
+    """Return the cycle by hysteresis alone with a command amplitude (N); None if none exists."""
     found = least_gain(in_series(of, partial(of.hysteresis, amplitude_n)), near_hz)
     if found is None:
         return None
@@ -145,7 +145,7 @@ def intersection(of: OneHarmonic, amplitude_n: float, near_hz: float | None = No
 
 
 def locus(of: OneHarmonic, amplitudes_n: Array = COMMANDS_N) -> list[Intersection]:
-    """Return the cycles that the hysteresis alone makes; amplitudes without any are left out."""
+    """Return the cycles by hysteresis alone at those command amplitudes (N) that have one."""
     rows: list[Intersection] = []
     for amplitude in amplitudes_n:
         found = (intersection(of, amplitude, rows[-1].frequency_hz) if rows else None
@@ -156,7 +156,7 @@ def locus(of: OneHarmonic, amplitudes_n: Array = COMMANDS_N) -> list[Intersectio
 
 
 def first_intersection(of: OneHarmonic, rows: list[Intersection]) -> Intersection:
-    """Return the cycle of the least gain, between the rows of a locus about it."""
+    """Return the cycle with the least gain, interpolated between the rows of a locus."""
     k = int(np.argmin([row.gain for row in rows]))
     if not 0 < k < len(rows) - 1:
         return rows[k]
@@ -185,7 +185,7 @@ def at_gain(of: OneHarmonic, rows: list[Intersection], gain: float) -> Intersect
 
 
 def stable(of: OneHarmonic, cycle: Intersection) -> bool:
-    """Return whether a cycle is stable: more amplitude moves the roots into the left half."""
+    """Return whether a cycle is stable by Loeb's criterion."""
     def response(amplitude: float, f: float) -> complex:
         return complex(cycle.gain * of.per_gain([f])[0] * of.hysteresis(amplitude, f))
 
@@ -196,7 +196,7 @@ def stable(of: OneHarmonic, cycle: Intersection) -> bool:
 
 
 def linear_limit(of: OneHarmonic) -> tuple[float, float] | None:
-    """Return (gain, frequency) at which the loop is unstable with no nonlinearity at all."""
+    """Return (gain, frequency) of the stability limit without any nonlinearity."""
     return least_gain(in_series(of, _always(1.0)))
 
 
@@ -206,11 +206,11 @@ def _always(value: complex) -> NeededGain:
 
 def each_alone(of: OneHarmonic) -> dict[str, tuple[float, float] | None]:
     """
-    Return (gain, frequency) of the first cycle that each nonlinearity makes alone.
+    Return (gain, frequency) of the first cycle by each nonlinearity alone; None if there is none.
 
-    Others linear, damping and friction left out. A saturation passes less the larger the sine,
-    so it makes none below the linear limit; damping and friction make one only if, at some
-    amplitude, they turn the force far enough.
+    The others are linear, damping and friction zero. A saturation, whose gain decreases with
+    amplitude, causes none below the linear stability limit; damping and friction cause one only if
+    their phase shift is large enough at some amplitude.
     """
     p = of.loop.plant
     slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p).real
@@ -238,9 +238,9 @@ def each_alone(of: OneHarmonic) -> dict[str, tuple[float, float] | None]:
 
 def piston_response(of: OneHarmonic, frequency_hz: npt.ArrayLike, friction: bool) -> Complex:
     """
-    Return W of Fig. 8: a cycle by damping (or friction) alone needs -1/D(A) = W.
+    Return W of Fig. 8: a cycle by damping (or friction) alone exists where -1/D(A) = W.
 
-    From the force against the piston to its velocity, the loop closed around, hysteresis a gain.
+    From force on the piston to its velocity, in the closed loop, with the hysteresis as a gain.
     """
     f = np.asarray(frequency_hz, float)
     direct = 1.0 if friction else linear.fluid(of.loop.plant)(f)

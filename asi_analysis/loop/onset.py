@@ -1,8 +1,8 @@
 """
-The onset of the limit cycle: the least gain at which a step leaves one, and the fold below it.
+Onset of the limit cycle: the least gain at which a step leads to one, and the fold below it.
 
-The fold of harmonic balance is where the cycle is born: below it none exists. A step starts the
-cycle at the fold or above it, where it is strong enough a kick to pass the smaller, unstable one.
+Below the fold of harmonic balance no cycle exists. Above it a step leads to the cycle if its
+transient exceeds the smaller, unstable cycle.
 """
 
 import math
@@ -14,37 +14,36 @@ from asi_analysis.loop.simulation import (
     Values,
     as_balance,
     loop_of,
-    remembering,
     step_run,
     step_runs,
     sustained,
+    with_mean_friction,
 )
 from asi_analysis.measures.oscillation import Oscillation
 
-# The gain is changed by this factor until the loop cycles, up to MOST times the first.
+# Factor between gains that are tried, up to MOST times the first.
 RAISE: Final = 1.06
 MOST: Final = 12.0
-# Gains that are tried at a time.
-SIDE_BY_SIDE: Final = 4
+# Gains that are simulated in parallel.
+IN_PARALLEL: Final = 4
 ACCURACY: Final = 0.0005
-# The branch is followed down from these multiples of the onset gain: corners of the friction may
-# stop Newton's rule on one of them.
+# The branch is continued from these multiples of the onset gain, in turn: at one of them Newton's
+# method may fail at a corner of the friction.
 START_ABOVE: Final = (1.02, 1.03, 1.045, 1.07)
-# Onset and fold that differ by less agree.
+# Largest relative difference of onset and fold without a note.
 AGREED: Final = 0.005
 
 
 class Onset(NamedTuple):
-    """The cycle at the least gain at which a step leaves one: Hz, N; the gain's bracket."""
+    """The least gain at which a step leads to a cycle: gain, frequency (Hz), amplitude (N)."""
 
     gain: float
     frequency_hz: float
     amplitude_n: float
-    gain_below: float       # a gain just below, at which the step leaves none
 
 
 class Fold(NamedTuple):
-    """Where the branch of cycles begins: gain, frequency (Hz), amplitude of the force (N)."""
+    """The least gain of the branch of cycles: gain, frequency (Hz), amplitude of the force (N)."""
 
     gain: float
     frequency_hz: float
@@ -60,11 +59,11 @@ def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: floa
           accuracy: float = ACCURACY, watched_s: float = WATCHED_S, most: float = MOST
           ) -> Onset | None:
     """
-    Return the least gain at which the step of the controller's reference leaves a cycle.
+    Return the least gain at which the step of the controller's reference leads to a cycle.
 
-    start_gain: where the search begins; gains are raised from there until the loop cycles, up to
-    `most` times it, or lowered first if it cycles there already. accuracy: of the gain, a share;
-    watched_s: how long (s) a doubtful loop is watched. None if no gain tried makes a cycle.
+    start_gain: of the search; the gain is raised until the loop cycles, up to `most` times it, or
+    lowered first if it cycles there already. accuracy: relative, of the gain; watched_s: longest
+    simulation (s) of a loop that has not settled. None if it cycles at no gain tried.
     """
     def cycles(gains: list[float]) -> list[Oscillation | None]:
         return [sustained(run) for run in step_runs(
@@ -80,12 +79,12 @@ def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: floa
             break
         found = lower
     while found is None:
-        tried = [below * RAISE ** k for k in range(1, SIDE_BY_SIDE + 1)]
+        tried = [below * RAISE ** k for k in range(1, IN_PARALLEL + 1)]
         if below > most * start_gain:
             return None
-        for gain, swing in zip(tried, cycles(tried), strict=True):
-            if swing is not None:
-                high, found = gain, swing
+        for gain, trial in zip(tried, cycles(tried), strict=True):
+            if trial is not None:
+                high, found = gain, trial
                 break
             below = gain
     while high > below * (1.0 + accuracy):
@@ -95,7 +94,7 @@ def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: floa
             below = middle
         else:
             high, found = middle, trial
-    return Onset(high, found.frequency_hz, found.amplitude_n, below)
+    return Onset(high, found.frequency_hz, found.amplitude_n)
 
 
 def user_gain(controller: Values, loop: hb.Loop) -> float:
@@ -106,13 +105,15 @@ def user_gain(controller: Values, loop: hb.Loop) -> float:
 
 def balanced_cycle(actuator: Values, controller: Values, rate_hz: float,
                    harmonics: int = hb.HARMONICS) -> tuple[hb.Loop, hb.Balance] | None:
-    """Return the cycle that a step leaves, by harmonic balance; None if there is none."""
+    """Return the cycle after a step, by harmonic balance; None if there is none."""
     run = step_run(actuator, controller, rate_hz)
-    swing = sustained(run)
-    if swing is None:
+    oscillation = sustained(run)
+    if oscillation is None:
         return None
-    loop = remembering(loop_of(actuator, controller, rate_hz), run, swing.frequency_hz)
-    found = hb.balance(loop, as_balance(run, swing, float(loop.compensator['gain']), harmonics))
+    loop = with_mean_friction(
+        loop_of(actuator, controller, rate_hz), run, oscillation.frequency_hz)
+    gain = float(loop.compensator['gain'])
+    found = hb.balance(loop, as_balance(run, oscillation, gain, harmonics))
     return None if found is None else (loop, found)
 
 
@@ -121,16 +122,16 @@ def branch(actuator: Values, controller: Values, rate_hz: float, first_gain: flo
     """
     Return the branch of cycles by full harmonic balance, gains as in the parameters.
 
-    From the highest gain down and round the fold; onset_only: without what lies above its begin.
-    first_gain: where a cycle is looked for; it is raised until there is one.
+    From the highest gain down to the fold and beyond; onset_only: only from the first cycle found
+    downwards. first_gain: raised until there is a cycle.
     """
-    gain, begin = first_gain, None
-    while begin is None and gain <= MOST * first_gain:
-        begin = balanced_cycle(actuator, with_gain(controller, gain), rate_hz, harmonics)
+    gain, first = first_gain, None
+    while first is None and gain <= MOST * first_gain:
+        first = balanced_cycle(actuator, with_gain(controller, gain), rate_hz, harmonics)
         gain *= RAISE
-    if begin is None:
+    if first is None:
         return []
-    loop, start = begin
+    loop, start = first
     unit = user_gain(controller, loop)
     found = hb.continue_in_gain(loop, start, 0.3 * start.gain, 1.35 * start.gain)
     upward = [] if onset_only else hb.continue_in_gain(
@@ -141,9 +142,9 @@ def branch(actuator: Values, controller: Values, rate_hz: float, first_gain: flo
 def fold(actuator: Values, controller: Values, rate_hz: float, onset_gain: float,
          harmonics: int = hb.HARMONICS) -> Fold | None:
     """
-    Return the fold of the cycle that a step leaves above its onset; None if none is found.
+    Return the fold of the branch of cycles above the onset; None if none is found.
 
-    The seals keep the friction of the cycle from which the branch is followed.
+    The mean friction of the seals is that of the cycle from which the branch is continued.
     """
     for above in START_ABOVE:
         points = branch(actuator, controller, rate_hz, above * onset_gain, True, harmonics)
@@ -152,13 +153,13 @@ def fold(actuator: Values, controller: Values, rate_hz: float, onset_gain: float
     return None
 
 
-def disagreement(found: Onset, at: Fold | None) -> str:
-    """Return a note on an onset whose gain is not the fold's within AGREED; empty if it is."""
+def disagreement(onset_gain: float, at: Fold | None) -> str:
+    """Return a note if the gains of onset and fold differ by more than AGREED; else empty."""
     if at is None:
         return 'harmonic balance finds no fold'
-    above = found.gain / at.gain - 1.0
+    above = onset_gain / at.gain - 1.0
     if abs(above) <= AGREED:
         return ''
     return (f'the fold of harmonic balance is at gain {at.gain:.4g}, {at.frequency_hz:.4g} Hz: '
-            + (f'the step starts the cycle only {100.0 * above:.2g} % above it' if above > 0.0
-               else f'the step leaves a cycle {-100.0 * above:.2g} % below it'))
+            + (f'the step leads to the cycle only {100.0 * above:.2g} % above it' if above > 0.0
+               else f'the step leads to a cycle {-100.0 * above:.2g} % below it'))

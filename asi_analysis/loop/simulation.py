@@ -1,19 +1,24 @@
-"""Simulated steps until what they leave has settled: the cycle, or rest."""
+"""Step responses of the simulated loop, until the motion has settled to a cycle or to rest."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.closed_loop import LoopRun, Loops, close_many, loops_of, records
+from asi_analysis.loop.closed_loop import (
+    LoopRun,
+    Loops,
+    Values,
+    close_many,
+    loops_of,
+    records,
+)
 from asi_analysis.loop.harmonic_balance import HARMONICS, Balance, Loop, valve_forces
 from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
-from asi_common.parameter import Value
 
-Values = Mapping[str, Value]
-# The loop is first watched for so long, then twice as long each time, until what the step left
-# has settled or died out; in all at most the second. Close to its fold a cycle settles slowly.
+# First duration of the simulation, which is doubled until the motion has settled, and the longest.
+# Close to its fold a cycle settles slowly.
 FIRST_WATCHED_S: Final = 1.0
 WATCHED_S: Final = 32.0
 MEASURED_S: Final = 0.35
@@ -30,14 +35,14 @@ def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
 
 def step_run(actuator: Values, controller: Values, rate_hz: float, watched_s: float = WATCHED_S
              ) -> LoopRun:
-    """Return the end of the loop's answer to a step, when what the step left has settled."""
+    """Return the last MEASURED_S of the settled step response of a loop."""
     return step_runs([actuator], [controller], rate_hz, watched_s)[0]
 
 
 def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float,
               watched_s: float = WATCHED_S) -> list[LoopRun]:
     """
-    Return the last MEASURED_S of the loops' answers to a step, on all cores.
+    Return the last MEASURED_S of the settled step responses of loops, on all cores.
 
     The step is that of the controllers' reference (from its offset, by its amplitude).
     """
@@ -48,10 +53,10 @@ def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_h
 
 def run_until_settled(loops: Loops, watched_s: float = WATCHED_S) -> list[LoopRun]:
     """
-    Return the last MEASURED_S of loops that run on until they have settled, on all cores.
+    Run loops until their oscillation has settled or decayed; return their last MEASURED_S.
 
-    Each runs until its oscillation has settled or died out, for `watched_s` s at most. A step of
-    the reference must have been made within the first FIRST_WATCHED_S.
+    On all cores, for `watched_s` s at most. The reference must be constant after the first
+    FIRST_WATCHED_S.
     """
     rate_hz = 1.0 / loops.period_s
     found: dict[int, LoopRun] = {}
@@ -60,7 +65,7 @@ def run_until_settled(loops: Loops, watched_s: float = WATCHED_S) -> list[LoopRu
     while len(moving):
         signals = close_many(loops, piece_s, MEASURED_S)
         elapsed_s += piece_s
-        # The next piece counts its time from 0: the step has been made by then.
+        # The time of the next piece starts at 0, after the step.
         loops.references['reference_start'] = 0.0
         time_s = elapsed_s + np.arange(-signals.shape[2], 0) / rate_hz
         found |= {int(k): LoopRun(time_s, *each) for k, each in zip(moving, signals, strict=True)}
@@ -68,7 +73,7 @@ def run_until_settled(loops: Loops, watched_s: float = WATCHED_S) -> list[LoopRu
         if piece_s < MEASURED_S:
             break
         unsettled = np.flatnonzero([not _settled(each[2], rate_hz) for each in signals])
-        moving, loops = moving[unsettled], loops.some(unsettled)
+        moving, loops = moving[unsettled], loops.subset(unsettled)
     return [found[k] for k in range(len(found))]
 
 
@@ -95,8 +100,8 @@ def _projected(run: LoopRun, values: np.ndarray, frequency_hz: float, harmonics:
     return np.concatenate([[found[0]], found[1:harmonics + 1] - 1j * found[harmonics + 1:]])
 
 
-def remembering(loop: Loop, run: LoopRun, frequency_hz: float) -> Loop:
-    """Return the loop with the mean friction of a simulated cycle: what its seals remember."""
+def with_mean_friction(loop: Loop, run: LoopRun, frequency_hz: float) -> Loop:
+    """Return the loop with the mean friction of a simulated cycle."""
     static, damping = valve_forces(run.valve_position_m, run.velocity_m_s, loop.plant)
     friction = static - damping - (run.force_n - loop.plant['force_sensor_offset'])
     return loop._replace(friction_n=float(
@@ -108,7 +113,7 @@ def as_balance(run: LoopRun, oscillation: Oscillation, gain: float, harmonics: i
     f = oscillation.frequency_hz
     command, velocity, force = (_projected(run, values, f, harmonics) for values in (
         run.command_n, run.velocity_m_s, run.force_n))
-    # Time counts from where the command's fundamental has its peak.
+    # Time 0 is at a peak of the command's fundamental.
     turn = np.exp(-1j * np.angle(command[1]) * np.arange(harmonics + 1))
     velocity[0] = 0.0
     return Balance(gain, f, command * turn, velocity * turn, force * turn)

@@ -1,1 +1,1 @@
-"""Measures of one recording: step, frequency response, oscillation."""
+"""Measures of one recording: step response, frequency response, oscillation, data quality."""

@@ -1,9 +1,8 @@
 """
-Noise with a spectrum of its own: autoregressive models, their description length, surrogates.
+Coloured noise: autoregressive models, their description length, surrogates.
 
-An oscillation is believed only if it shortens the description of the record beyond what coloured
-noise does (Schwarz, Annals of Statistics 6, 1978); a noise with a sharp resonance looks like an
-oscillation to the eye and to the periodogram, but not to this comparison.
+The description length (Schwarz, Annals of Statistics 6, 1978) distinguishes an oscillation from
+noise with a sharp resonance, which looks like one in time and in the periodogram.
 """
 
 from collections.abc import Iterator
@@ -17,23 +16,24 @@ Array = npt.NDArray[np.float64]
 
 # Rows that are factored at a time.
 BLOCK: Final = 8192
-FORETOLD: Final = 1e-4
+# Least ratio of pivots for which the products of lags are accurate enough.
+LEAST_PIVOT: Final = 1e-4
 ORDERS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
 
 
 class Autoregression(NamedTuple):
-    """values[k] = coefficients . values[k-1, k-2, ...] + innovation of deviation `deviation`."""
+    """values[k] = coefficients . values[k-1, k-2, ...] + innovation, of standard `deviation`."""
 
     coefficients: Array
     deviation: float
-    description: float   # n ln(variance) + ln(n) per parameter: less is better
+    description: float   # length: n ln(variance) + ln(n) per parameter; less is better
 
 
 def triangle(rows: Array) -> Array:
     """
-    Return the triangle R of the QR factors of a tall matrix: least squares on it are the same.
+    Return the factor R of the QR decomposition of a tall matrix.
 
-    Block by block, so that it takes no more memory than a block.
+    Block by block, to limit the memory.
     """
     blocks = np.array_split(rows, max(1, len(rows) // BLOCK))
     return np.asarray(np.linalg.qr(np.vstack([np.asarray(np.linalg.qr(block, mode='r'))
@@ -42,15 +42,15 @@ def triangle(rows: Array) -> Array:
 
 def autoregression(values: Array, parameters: int = 0) -> Autoregression:
     """
-    Return the autoregressive model of shortest description for evenly sampled `values`.
+    Return the autoregressive model of evenly sampled values with the least description length.
 
-    parameters: how many have been fitted already to what was taken off, for the description.
+    parameters: number of those already fitted to the record, which count for the description.
     """
     n = len(values)
     best: Autoregression | None = None
     most = max(order for order in ORDERS if order <= n // 5)
-    # Columns: the sample, then those before it. All orders share the triangle of the rows that
-    # all have; each has a few rows of its own.
+    # Columns: the sample, then those before it. All orders share the factor of their common rows;
+    # each has a few more rows.
     rows = np.lib.stride_tricks.sliding_window_view(
         np.concatenate([np.zeros(most), values]), most + 1)[:, ::-1]
     shared = _triangle_of_lags(values, most) if n > BLOCK else None
@@ -62,7 +62,7 @@ def autoregression(values: Array, parameters: int = 0) -> Autoregression:
                                        rcond=n * np.finfo(float).eps)[0]
         innovation = stacked[:, 0] - stacked[:, 1:] @ coefficients
         variance = float(innovation @ innovation) / max(n - 2 * order, 1)
-        # As if each of the n samples had been predicted, so that orders can be compared.
+        # For n samples in each order, so that orders are comparable.
         description = (n * np.log(max(variance, 1e-300))
                        + (order + 1 + parameters) * np.log(n))
         if best is None or description < best.description:
@@ -73,10 +73,10 @@ def autoregression(values: Array, parameters: int = 0) -> Autoregression:
 
 def _triangle_of_lags(values: Array, most: int) -> Array | None:
     """
-    Return the triangle of the samples and the `most` before each; None if it would be inexact.
+    Return the factor R of the samples and the `most` before each; None if it would be inaccurate.
 
-    From the products of lags, many times as fast as from the rows. They square the condition:
-    not for records of which neighbours foretell a sample better than to FORETOLD.
+    From products of lags, which is much faster than from the rows, but squares the condition
+    number.
     """
     n = len(values)
     gram = np.empty((most + 1, most + 1))
@@ -89,11 +89,11 @@ def _triangle_of_lags(values: Array, most: int) -> Array | None:
     except np.linalg.LinAlgError:
         return None
     pivots = np.diag(factor)
-    return np.asarray(factor) if pivots.min() > FORETOLD * pivots.max() else None
+    return np.asarray(factor) if pivots.min() > LEAST_PIVOT * pivots.max() else None
 
 
 def stable(model: Autoregression) -> Autoregression:
-    """Return the model with roots on or outside the unit circle moved inside, by reflection."""
+    """Return the model with its roots inside the unit circle, by reflection."""
     if not len(model.coefficients):
         return model
     roots = np.roots(np.concatenate([[1.0], -model.coefficients]))
@@ -105,7 +105,7 @@ def stable(model: Autoregression) -> Autoregression:
 
 def surrogates(model: Autoregression, shape: tuple[int, int], count: int, seed: int
                ) -> Iterator[Array]:
-    """Yield `count` times rows (windows, samples) of Gaussian noise with the model's spectrum."""
+    """Yield `count` arrays (windows x samples) of Gaussian noise with the model's spectrum."""
     model = stable(model)
     windows, samples = shape
     random = np.random.default_rng(seed)

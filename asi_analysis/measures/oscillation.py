@@ -2,10 +2,10 @@
 The definition of a sustained oscillation, and its measure.
 
 An oscillation is sustained if its amplitude is above the noise floor and does not decay: the 95 %
-interval of its growth rate, 1/s, is not wholly below -MOST_DECAY times its frequency. All of the
-software decides by `is_sustained`; the growth rate is estimated from noisy recordings by maximum
-likelihood (`sinusoid.fits`), and from simulated records, by the thousand, from the amplitudes of
-their periods (`of_samples`). A test compares the two.
+interval of its growth rate, 1/s, is not entirely below -MOST_DECAY times its frequency. The only
+criterion is `is_sustained`. The growth rate is estimated by maximum likelihood from recordings
+(`sinusoid.fits`), and faster, from the amplitude of each period, from simulations (`of_samples`).
+A test compares the two.
 """
 
 import math
@@ -20,15 +20,15 @@ from asi_analysis.measures.sinusoid import dominant_frequency, fits
 from asi_analysis.measures.step_response import hold_last
 from asi_common.jit import jit
 
-# An amplitude that falls by more than this share a period decays (damping ratio 3e-4).
+# Relative decrease of the amplitude in a period, above which it decays (damping ratio 3e-4).
 MOST_DECAY: Final = 0.002
-# Noise floor of simulated forces (N): smaller motions are creep and rounding.
+# Noise floor of simulated forces (N), above creep and rounding.
 FLOOR_N: Final = 0.5
-# Part of the run after the last change of the reference's course that counts as steady.
+# Share of the time after the last jump of the reference that counts as steady.
 STEADY_SHARE: Final = 0.5
 FEWEST_PERIODS: Final = 5
-# Least amplitude, as share of the whole movement of the force, and share of the movement in the
-# steady part that the sine must explain.
+# Noise floor, as a share of the range of the force, and least share of the variance in the steady
+# part that the sine must explain.
 LEAST_SHARE: Final = 1e-3
 LEAST_EXPLAINED: Final = 0.3
 HARMONICS: Final = 9
@@ -42,9 +42,9 @@ class Oscillation(NamedTuple):
     """
     An oscillation and whether it is sustained; figures are NaN where nothing oscillates.
 
-    sustained: None if that cannot be told; `reason` says why. amplitude_n: of the fundamental, in
-    the unit of the signal; thd: rms of the harmonics over that of the fundamental; growth_1_s:
-    rate of the amplitude's logarithm. The `_sd` are standard deviations.
+    sustained: None if undecidable, with the `reason`. amplitude_n: of the fundamental, in the unit
+    of the signal; thd: rms of the harmonics over that of the fundamental; growth_1_s: rate
+    of the amplitude's logarithm. The `_sd` are standard deviations.
     """
 
     sustained: bool | None = False
@@ -58,7 +58,7 @@ class Oscillation(NamedTuple):
     reason: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the keys of `asi analyze --json`; figures that are missing are None."""
+        """Return the keys of `asi analyze --json`, None for missing values."""
         return {'sustained': self.sustained,
                 **{name: value if math.isfinite(value) else None
                    for name, value in (('frequency_hz', self.frequency_hz),
@@ -81,7 +81,7 @@ def is_sustained(growth_1_s: float, growth_sd_1_s: float, freedom: float, freque
 
 @jit
 def _amplitude(values, mean, slope, begin, end, period):
-    """Return the complex amplitude at a period, from sample `begin` to `end`, parts included."""
+    """Return the complex amplitude at a period, between the fractional samples begin and end."""
     total, weights = 0.0 + 0.0j, 0.0
     for k in range(math.ceil(begin), math.floor(end) + 1):
         weight = min(1.0, k - begin + 0.5) * min(1.0, end - k + 0.5)
@@ -95,13 +95,13 @@ def _amplitude(values, mean, slope, begin, end, period):
 @jit
 def _periods(values, harmonics, sizes, middles):
     """
-    Measure the periods of a signal about its straight line, in samples.
+    Measure the periods of a signal, in samples, after linear detrending.
 
-    Fills the rms value of each period and its middle; returns their number, mean period, amplitude
-    of the fundamental and distortion.
+    Fills in the rms value and the middle of each period; returns their number, the mean period,
+    the amplitude of the fundamental and the THD.
     """
     n = values.size
-    # The straight line through the samples: a slow drift of the mean is no oscillation.
+    # Linear trend: a slow drift of the mean is no oscillation.
     slope = mean = 0.0
     for k in range(n):
         mean += values[k] / n
@@ -132,7 +132,7 @@ def _periods(values, harmonics, sizes, middles):
     if count < 3:
         return 0, 0.0, 0.0, 0.0
     period = (last - first) / (count - 1)
-    # What the phase of the fundamental turns from half to half corrects the period.
+    # Correction of the period by the phase difference between the two halves.
     half = (count - 1) // 2 * period
     turned = np.angle(_amplitude(values, mean, slope, first + half, first + 2.0 * half, period)
                       / _amplitude(values, mean, slope, first, first + half, period))
@@ -146,14 +146,14 @@ def _periods(values, harmonics, sizes, middles):
 
 def of_samples(values: Array, rate_hz: float, noise_floor: float = FLOOR_N) -> Oscillation:
     """
-    Return the oscillation of an even record without noise, such as a simulated force.
+    Return the oscillation of an evenly sampled signal without noise, such as a simulated force.
 
-    Periods are cut at the upward crossings of the record's straight line; the growth rate is the
-    slope of the logarithm of their rms values. Fewer than FEWEST_RATED periods are no oscillation;
-    a record that runs away (not finite) is sustained, without figures.
+    Periods begin at upward crossings of the linear trend; the growth rate is the slope of the
+    logarithm of their rms values. Fewer than FEWEST_RATED periods are no oscillation; a signal
+    that diverges (not finite) is sustained, without figures.
     """
     if not np.isfinite(values).all():
-        return Oscillation(True, reason='the signal runs away')
+        return Oscillation(True, reason='the signal diverges')
     if values.size < 4:
         return Oscillation()
     sizes, middles = np.empty(values.size // 2), np.empty(values.size // 2)
@@ -195,19 +195,19 @@ def _steady_part(run: Run) -> slice:
 
 def _without_reference(time: Array, force: Array, reference: Array) -> Array | None:
     """
-    Return the force less the answer to a periodic reference: its frequency and harmonics.
+    Return the force without the frequency of a periodic reference and its harmonics.
 
-    None if the reference holds more than one sine: then every frequency may be forced.
+    None if the reference has more than one frequency: any oscillation may be forced.
     """
     if np.ptp(reference) <= 1e-3 * max(np.ptp(force), 1e-12):
         return force
-    guess, line = dominant_frequency(time, reference, 0.5, 0), 1.0 / (time[-1] - time[0])
+    guess, resolution = dominant_frequency(time, reference, 0.5, 0), 1.0 / (time[-1] - time[0])
     frequency = float(optimize.minimize_scalar(
         lambda f: float(np.sum(fit_sine(time, reference, f)[1]**2)),
-        bounds=(max(guess - line, 0.1 * line), guess + line), method='bounded',
-        options={'xatol': 1e-4 * line}).x)
+        bounds=(max(guess - resolution, 0.1 * resolution), guess + resolution), method='bounded',
+        options={'xatol': 1e-4 * resolution}).x)
     _, residual = fit_sine(time, reference, frequency)
-    # A triangle leaves 1.4 % of its power; a chirp or a PRBS most of it.
+    # The residual of a triangle has 1.4 % of its power; of a chirp or a PRBS most of it.
     if np.var(residual) > 0.05 * np.var(reference):
         return None
     for k in range(1, HARMONICS + 1):
@@ -219,11 +219,11 @@ def oscillation(run: Run) -> Oscillation:
     """
     Return the self-sustained oscillation of the force in the steady part of a run.
 
-    The steady part is the second half of the time after the last jump of the reference. What a
-    periodic reference forces (its frequency and harmonics) is taken out before.
+    The steady part is the second half of the time after the last jump of the reference. The
+    response to a periodic reference (its frequency and harmonics) is removed first.
     """
     if run.force_n is None:
-        return Oscillation(None, reason='the run holds no force')
+        return Oscillation(None, reason='the run has no force')
     part = _steady_part(run)
     time, force = run.time_s[part], run.force_n[part]
     valid = np.isfinite(force)
@@ -239,7 +239,7 @@ def oscillation(run: Run) -> Oscillation:
         own = _without_reference(time, force, reference - reference.mean())
         if own is None:
             return Oscillation(
-                None, reason='the reference moves at many frequencies to the end of the run')
+                None, reason='the reference moves at many frequencies until the end of the run')
         force = own
     found = fits(time, force, dominant_frequency(time, force, FEWEST_PERIODS), (True,))
     if not found:

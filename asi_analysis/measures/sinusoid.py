@@ -1,12 +1,12 @@
 """
-Frequency, amplitude and harmonics of an oscillation: maximum likelihood, with its uncertainty.
+Frequency, amplitude and harmonics of an oscillation by maximum likelihood, with uncertainty.
 
-The model is a drifting mean, a fundamental and its harmonics, in noise; if asked for, growing or
-decaying at a common rate with a frequency that moves. Everything but frequency, rate and sweep is
-linear, so a Gauss-Newton search in those finds the least squares, which for white noise is the
-maximum of the likelihood and reaches the Cramér-Rao bound (Rife and Boorstyn, IEEE Trans.
+The model is a drifting mean, a fundamental and its harmonics, in noise; optionally with a common
+growth rate and a linear sweep of the frequency. All other parameters are linear, so least squares
+needs a Gauss-Newton search in frequency, rate and sweep only. For white noise it is the maximum of
+the likelihood and reaches the Cramér-Rao bound (Rife and Boorstyn, IEEE Trans.
 Information Theory 20, 1974; Stoica and Moses, Spectral Analysis of Signals, 2005, chapter 4).
-Sample times may have holes. Long records are condensed before (`record.py`).
+Samples may be missing. Long records are compressed first (`record.py`).
 """
 
 from typing import Final, NamedTuple
@@ -15,18 +15,18 @@ import numpy as np
 from scipy import fft, stats
 
 from asi_analysis.measures.noise import triangle
-from asi_analysis.measures.record import Array, ComplexArray, Record, condensed, legendre
+from asi_analysis.measures.record import Array, ComplexArray, Record, compressed, legendre
 
 MOST_HARMONICS: Final = 15
-# The highest that is looked for beyond half the sampling rate.
+# Highest harmonic that may be above half the sampling rate (aliased).
 MOST_FOLDED: Final = 3
-# Chance of taking one harmonic, or one term of the drift, that is not there.
+# Probability of a false harmonic, or of a false term of the drift.
 FALSE_TERM: Final = 1e-3
 STEPS: Final = 30
 LONG_SPECTRUM: Final = 2**18
-# A step that promises to lower the squares by less than this share of what noise has a degree of
-# freedom is not made: it would move frequency and rate by 1e-4 of their deviations.
-CLOSE: Final = 1e-8
+# Convergence: predicted decrease of the sum of squares, over the noise variance. The last step is
+# then below 1e-4 standard deviations of frequency and rate.
+TOLERANCE: Final = 1e-8
 
 
 class HarmonicFit(NamedTuple):
@@ -34,9 +34,9 @@ class HarmonicFit(NamedTuple):
     A sum of harmonics found in a signal; amplitudes have the unit of the signal.
 
     `harmonics` holds complex amplitudes: signal = Re(sum of harmonics[h-1] exp(2 pi i h f t)),
-    with t counted from `origin_s`. `rate` is that of the envelope, 1/s, 0 unless it was fitted;
-    so is `sweep`, that of the frequency, Hz/s.
-    `drift` holds the mean, Legendre polynomials over `span_s` about the origin.
+    with t counted from `origin_s`. `rate` (1/s) is the growth rate of the envelope and `sweep`
+    (Hz/s) that of the frequency, both 0 unless fitted. `drift` holds the coefficients of the mean,
+    Legendre polynomials over `span_s` about the origin.
     The `_sd` are standard deviations, `freedom` their degrees of freedom.
     """
 
@@ -79,10 +79,10 @@ class HarmonicFit(NamedTuple):
         return centre - half, centre + half
 
 
-def known(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return the samples that are there: time and value known, each later than all before."""
-    there = np.isfinite(time_s) & np.isfinite(values)
-    time_s, values = time_s[there], values[there]
+def valid_samples(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Return the samples with finite time and value, each later than all before."""
+    valid = np.isfinite(time_s) & np.isfinite(values)
+    time_s, values = time_s[valid], values[valid]
     later = np.diff(np.maximum.accumulate(time_s), prepend=-np.inf) > 0.0
     return time_s[later], values[later]
 
@@ -101,11 +101,11 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5,
     """
     Return the frequency (Hz) of the highest peak of the periodogram.
 
-    The drift of the mean, to an order, is taken off first; fewer than `lowest_cycles` in the
-    record do not count. NaN if there are too few samples. To an eighth of a line of the spectrum,
-    half a line in records so long that no peak can hide between lines.
+    A polynomial drift of an order is removed first; frequencies of fewer than `lowest_cycles` in
+    the record are ignored. NaN if there are too few samples. The resolution is an eighth of the
+    inverse duration, in long records half of it.
     """
-    time_s, values = known(time_s, values)
+    time_s, values = valid_samples(time_s, values)
     if len(values) < 8:
         return np.nan
     even, period = on_grid(time_s, values)
@@ -114,7 +114,7 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5,
     size = fft.next_fast_len(max(min(8 * len(even), LONG_SPECTRUM), 2 * len(even)), real=True)
     power = np.abs(fft.rfft(even, size)) ** 2
     first = int(np.ceil(lowest_cycles * size / len(even)))
-    # At half the sampling rate itself amplitude and phase cannot be told apart.
+    # At half the sampling rate amplitude and phase are not distinguishable.
     power = power[first:int(0.99 * len(power))]
     if not power.any():
         return np.nan
@@ -122,7 +122,7 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5,
 
 
 def _normal(gram: Array, right: Array) -> Array:
-    """Return the solution of normal equations: products of the columns, and with the values."""
+    """Return the solution of normal equations: Gram matrix and right-hand side."""
     sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram / np.outer(sizes, sizes)
     try:
@@ -132,7 +132,7 @@ def _normal(gram: Array, right: Array) -> Array:
 
 
 def least_squares(columns: Array, values: Array) -> Array:
-    """Return the coefficients of the columns; by the normal equations, which are fast."""
+    """Return the coefficients of the columns, by the normal equations."""
     return _normal(columns.T @ columns, columns.T @ values)
 
 
@@ -143,7 +143,7 @@ class _Solution(NamedTuple):
     columns: Array
     gram: Array        # products of the columns
     residual: Array
-    squares: float     # of all that is left of the samples
+    squares: float     # sum of squares of the residuals of the samples
 
 
 def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[ComplexArray]:
@@ -152,7 +152,7 @@ def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[ComplexArray]:
     angle = 2.0 * np.pi * (frequency * t + 0.5 * sweep * t * t)
     turn = np.empty(len(t), np.complex128)
     turn.real, turn.imag = np.cos(angle), np.sin(angle)
-    # Kept from overflowing: a fit that runs away there is refused by its residual.
+    # Clipped against overflow; a fit that diverges is rejected by its residual.
     waves = [np.exp(np.clip(rate * t, -30.0, 30.0)) * turn if rate else turn]
     for _ in range(harmonics - 1):
         waves.append(waves[-1] * turn)
@@ -160,9 +160,8 @@ def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[ComplexArray]:
 
 
 def _columns(record: Record, drift: Array, waves: list[ComplexArray]) -> Array:
-    """Return the columns of the linear part: the drift, the cosines, the sines."""
+    """Return the columns of the linear part: drift, cosines, sines."""
     harmonics = len(waves)
-    # Column by column in memory, as they are filled and used.
     columns = np.empty((len(record.values), drift.shape[1] + 2 * harmonics), order='F')
     columns[:, :drift.shape[1]] = drift
     for h, wave in enumerate(waves):
@@ -174,11 +173,11 @@ def _columns(record: Record, drift: Array, waves: list[ComplexArray]) -> Array:
 
 def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows: bool
            ) -> _Solution:
-    """Return the least squares over everything: Gauss-Newton in frequency, rate and sweep."""
+    """Return the least-squares solution, by Gauss-Newton in frequency, rate and sweep."""
     span = record.span_s
     most = np.array([0.2 / span, 2.0 / span, 1.0 / span**2])
     best: _Solution | None = None
-    trial, damping, step, expected_gain = nonlinear, 1.0, np.zeros(3), 0.0
+    trial, damping, step, decrease = nonlinear, 1.0, np.zeros(3), 0.0
     for _ in range(STEPS):
         waves = _waves(record.t, trial, harmonics)
         columns = _columns(record, drift, waves)
@@ -188,12 +187,12 @@ def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows
         squares = record.beyond + float(residual @ residual)
         if best is None or squares < best.squares:
             best = _Solution(trial, waves, coefficients, columns, gram, residual, squares)
-            step, expected_gain = _step(record, best, drift.shape[1], grows)
+            step, decrease = _step(record, best, drift.shape[1], grows)
             damping = min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))
         else:
             damping *= 0.3
         trial = best.nonlinear + damping * step
-        if (damping * (2.0 - damping) * expected_gain <= CLOSE / record.samples * best.squares
+        if (damping * (2.0 - damping) * decrease <= TOLERANCE / record.samples * best.squares
                 or trial[0] <= 0.0):
             break
     assert best is not None
@@ -221,7 +220,7 @@ def _slopes(record: Record, solution: _Solution, drift: int, grows: bool) -> Arr
 
 def _step(record: Record, solution: _Solution, drift: int, grows: bool
           ) -> tuple[Array, float]:
-    """Return the step in frequency, rate and sweep, and how much lower it promises the squares."""
+    """Return the step in frequency, rate and sweep, and the predicted decrease of the squares."""
     slopes = _slopes(record, solution, drift, grows)
     mixed = slopes.T @ solution.columns
     right = np.concatenate([slopes.T @ solution.residual, solution.columns.T @ solution.residual])
@@ -230,20 +229,20 @@ def _step(record: Record, solution: _Solution, drift: int, grows: bool
     return step, float(change @ right)
 
 
-def _better(less: float, more: float, terms: int, freedom: int, chance: float) -> bool:
+def _better(fewer: float, more: float, terms: int, freedom: int, chance: float) -> bool:
     """
-    Return whether `terms` more terms lower the squares that are left for good (F test).
+    Return whether `terms` more terms reduce the residual significantly (F test).
 
-    less, more: sums of squares with the fewer and the more terms; freedom: of the latter.
+    fewer, more: sums of squares with fewer and with more terms; freedom: of the latter.
     """
     if freedom < 2:
         return False
-    gain = (less - more) / terms / max(more / freedom, 1e-300)
+    gain = (fewer - more) / terms / max(more / freedom, 1e-300)
     return bool(stats.f.sf(gain, terms, freedom) < chance)
 
 
 def _choose_drift(record: Record, start: Array, grows: bool, most: int) -> int:
-    """Return the order of the drift: raised as long as one of the next two orders helps."""
+    """Return the order of the drift, raised while one of the next two orders is significant."""
     squares: dict[int, float] = {}
     order = 0
     while order < most:
@@ -261,46 +260,42 @@ def _choose_drift(record: Record, start: Array, grows: bool, most: int) -> int:
 
 
 def _distinguishable(t: Array, frequency: float) -> int:
-    """Return how many harmonics can be distinguished from each other and the mean, as sampled."""
+    """Return how many aliased harmonics can be distinguished from each other and the mean."""
     rate = 1.0 / float(np.median(np.diff(t)))
     apart = 3.0 / (t[-1] - t[0])
-    shown = [0.0]
+    aliases = [0.0]
     for harmonic in range(1, MOST_HARMONICS + 1):
         apparent = abs(harmonic * frequency - rate * round(harmonic * frequency / rate))
-        # At half the rate its own image, as far beyond, must not be too near either.
+        # Distance to its own image about half the sampling rate.
         image = 2.0 * abs(0.5 * rate - apparent)
-        if min(image, *(abs(apparent - other) for other in shown)) < apart:
+        if min(image, *(abs(apparent - other) for other in aliases)) < apart:
             return max(harmonic - 1, 1)
-        shown.append(apparent)
+        aliases.append(apparent)
     return MOST_HARMONICS
 
 
 def _most_harmonics(t: Array, frequency: float) -> int:
-    """
-    Return how many harmonics are looked for.
-
-    Above half the sampling rate a harmonic shows at another frequency, but it shows.
-    """
+    """Return the highest harmonic of the search; above half the sampling rate, aliased ones."""
     below_half = int(0.49 / (frequency * float(np.median(np.diff(t)))))
-    # Not so the many high ones: some of them would always fall near the first.
+    # Of many aliases some would coincide with the fundamental.
     folded = min(_distinguishable(t, frequency), MOST_FOLDED)
     return max(min(max(below_half, folded), MOST_HARMONICS, (len(t) - 5) // 6), 1)
 
 
 def _choose_harmonics(record: Record, drift: Array, start: Array, grows: bool, most: int) -> int:
-    """Return the highest harmonic that rises above the noise."""
+    """Return the highest significant harmonic."""
     most = min(most, (record.samples - drift.shape[1] - 4) // 6)
     highest = 1
     solution = _solve(record, drift, start, 1, grows)
     while highest < most:
-        # Each against what is left: those that count make the rest stand out, so look again.
+        # Repeated, because each harmonic found lowers the residual.
         waves = _columns(record, drift[:, :0],
                          _waves(record.t, solution.nonlinear, most))
         gram, right = waves.T @ waves, waves.T @ solution.residual
         for trial in range(most, highest, -1):
             pair = [trial - 1, most + trial - 1]
             gain = float(right[pair] @ _normal(gram[np.ix_(pair, pair)], right[pair]))
-            # The low ones are the likely ones; the chances of all add up to FALSE_TERM.
+            # Low harmonics are more probable; the probabilities add up to FALSE_TERM.
             chance = FALSE_TERM / (trial * (trial - 1))
             if _better(solution.squares, max(solution.squares - gain, 0.0), 2,
                        record.samples - solution.columns.shape[1] - 3, chance):
@@ -314,10 +309,10 @@ def _choose_harmonics(record: Record, drift: Array, start: Array, grows: bool, m
 
 def _local_noise(record: Record, solution: _Solution, freedom: int) -> tuple[float, int]:
     """
-    Return the variance of the noise that matters at the line, and its degrees of freedom.
+    Return the variance of the noise at the frequency of the oscillation, and its freedom.
 
-    White noise: that of the residual. Where the residual's spectrum stands above white on either
-    side of the line, that of the spectrum there.
+    That of the residual; but if the residual's spectrum beside the oscillation is significantly
+    above that of white noise, the variance from this spectrum.
     """
     white = solution.squares / freedom
     cycles = solution.nonlinear[0] * record.span_s
@@ -337,8 +332,8 @@ def fit(time_s: Array, values: Array, frequency_hz: float | None = None) -> Harm
     """
     Return the oscillation of constant amplitude in a signal, None if there are too few samples.
 
-    frequency_hz: where to look, the highest peak of the spectrum if not given. NaN samples are
-    left out.
+    frequency_hz: initial guess, by default the highest peak of the spectrum. NaN samples are
+    omitted.
     """
     found = fits(time_s, values, frequency_hz, (False,))
     return found[0] if found else None
@@ -347,11 +342,11 @@ def fit(time_s: Array, values: Array, frequency_hz: float | None = None) -> Harm
 def fits(time_s: Array, values: Array, frequency_hz: float | None = None,
          grows: tuple[bool, ...] = (False, True)) -> list[HarmonicFit]:
     """
-    Return the oscillation in a signal, once for each of `grows`; none if too few samples.
+    Return a fit of the oscillation for each of `grows`; none if there are too few samples.
 
-    grows: fit the rate of the envelope and the sweep of the frequency too.
+    grows: whether growth rate and sweep of the frequency are fitted too.
     """
-    time_s, values = known(np.asarray(time_s, float), np.asarray(values, float))
+    time_s, values = valid_samples(np.asarray(time_s, float), np.asarray(values, float))
     if len(values) < 9:
         return []
     if frequency_hz is None:
@@ -360,13 +355,13 @@ def fits(time_s: Array, values: Array, frequency_hz: float | None = None,
         return []
     origin = float(0.5 * (time_s[0] + time_s[-1]))
     harmonics = _most_harmonics(time_s, frequency_hz)
-    record = condensed(time_s - origin, values, frequency_hz, harmonics)
+    record = compressed(time_s - origin, values, frequency_hz, harmonics)
     return [fit_record(record, frequency_hz, harmonics, each)._replace(origin_s=origin)
             for each in grows]
 
 
 def fit_record(record: Record, frequency_hz: float, most: int, grows: bool) -> HarmonicFit:
-    """Return the oscillation in a record, of up to so many harmonics; times as in the record."""
+    """Return the oscillation in a record, with up to `most` harmonics; times as in the record."""
     most_drift = int(np.clip(frequency_hz * record.span_s, 0, min(10, record.samples // 5)))
     start = np.array([frequency_hz, 0.0, 0.0])
     drift = record.drift(_choose_drift(record.first(1), start, grows, most_drift))
@@ -382,7 +377,7 @@ def _result(record: Record, solution: _Solution, drift: int, harmonics: int, gro
     freedom = max(record.samples - solution.columns.shape[1] - nonlinear, 1)
     jacobian = np.hstack([_slopes(record, solution, drift, grows), solution.columns])
     variance, local_freedom = _local_noise(record, solution, freedom)
-    # Columns of very different size: scaled, so that the inverse is well conditioned.
+    # Scaled columns, for a well-conditioned inverse.
     sizes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     spread = np.linalg.pinv(triangle(jacobian / sizes)) / sizes[:, None]
     covariance = variance * spread @ spread.T
@@ -393,7 +388,7 @@ def _result(record: Record, solution: _Solution, drift: int, harmonics: int, gro
     pair = np.ix_([at_cosine, at_sine], [at_cosine, at_sine])
     direction = np.array([amplitudes[0].real, -amplitudes[0].imag]) / max(sizes[0], 1e-300)
     deviations = np.sqrt(np.diag(covariance))
-    # A harmonic that is only noise has its variance as mean power: taken off, lest THD be biased.
+    # Without the power expected from noise, which would bias the THD.
     power = np.array([max(sizes[h] ** 2 - covariance[at_cosine + h, at_cosine + h]
                           - covariance[at_sine + h, at_sine + h], 0.0)
                       for h in range(1, harmonics)])

@@ -17,7 +17,7 @@ from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.measures.noise import autoregression
 from asi_analysis.measures.record import reduce
-from asi_analysis.measures.sinusoid import known, on_grid
+from asi_analysis.measures.sinusoid import on_grid, valid_samples
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -105,7 +105,7 @@ def prominent_frequency(time_s: Array, values: Array) -> float:
     A plant's slow drift can have more power than its oscillation: half the slope of a straight
     line through the log-log spectrum is removed. NaN if the record is too short for FEWEST_CYCLES.
     """
-    even, period = on_grid(*known(time_s, values))
+    even, period = on_grid(*valid_samples(time_s, values))
     count = len(even)
     even = signal.detrend(even) * np.hanning(count)
     power = np.abs(np.fft.rfft(even, 4 * count)) ** 2

@@ -7,7 +7,7 @@ import numpy as np
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.measures.record import Array, reduce
-from asi_analysis.measures.sinusoid import HarmonicFit, fit, known, on_grid
+from asi_analysis.measures.sinusoid import HarmonicFit, fit, on_grid, valid_samples
 
 # Delays, in cycles, of the copies of the reference to which the motion is fitted.
 DELAYS: Final = np.arange(-1, 9) / 4.0
@@ -23,7 +23,7 @@ def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Arr
     if run.reference_n is None:
         return None
     part = (run.time_s >= start_s) & (run.time_s <= end_s)
-    t, r = known(run.time_s[part], run.reference_n[part])
+    t, r = valid_samples(run.time_s[part], run.reference_n[part])
     if len(r) < 9 or np.ptp(r) < 1e-9 * max(np.abs(r).max(), 1e-300):
         return None
     return t, r

@@ -25,8 +25,8 @@ from asi_analysis.measures.sinusoid import (
     dominant_frequency,
     fit,
     fits,
-    known,
     on_grid,
+    valid_samples,
 )
 
 RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
@@ -125,7 +125,7 @@ def judge_run(run: Run, name: str | None = None) -> list[Segment]:
     name: signal to analyse, by default the first of RESPONSES. Raises InputError if it is absent.
     """
     chosen, values = response_of(run, name)
-    time_s, values = known(run.time_s, values)
+    time_s, values = valid_samples(run.time_s, values)
     if len(values) < 9:
         raise InputError(f'{run.source or "the run"}: {chosen} has {len(values)} samples, '
                          'at least 9 are needed')
@@ -384,8 +384,8 @@ def _harmonics(run: Run, name: str, piece: _Piece) -> str:
         return f'harmonics of {100 * piece.steady.thd:.2g} %'
     if inside.command_n is None:
         return ''
-    command = fit(*reduce(*known(inside.time_s, inside.command_n), piece.steady.frequency_hz),
-                  piece.steady.frequency_hz)
+    frequency = piece.steady.frequency_hz
+    command = fit(*reduce(*valid_samples(inside.time_s, inside.command_n), frequency), frequency)
     if (command is None or len(command.harmonics) < 2
             or not _significant(command, inside.command_n)):
         return ''

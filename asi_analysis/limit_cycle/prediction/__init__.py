@@ -1,1 +1,1 @@
-"""Limit cycles predicted from the model: describing functions, harmonic balance, Floquet."""
+"""Prediction of limit cycles from the model: describing functions, harmonic balance, Floquet."""

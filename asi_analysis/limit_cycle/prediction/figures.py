@@ -1,4 +1,4 @@
-"""Nyquist pictures as the paper's Figs. 8 and 9, the branch of cycles, and Fig. 7."""
+"""Figures of `asi predict`: Nyquist plots (Figs. 8 and 9), branch of cycles, onset (Fig. 7)."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ MARKED_N = (100, 2000, 8000)
 def _mark(axes: Axes, points: np.ndarray, texts: list[str], colour: str, side: int) -> None:
     axes.plot(points.real, points.imag, '.', color=colour, markersize=5)
     for number, (point, text) in enumerate(zip(points, texts, strict=True)):
-        # Above and below in turn: neighbours may be close.
+        # Alternately above and below, as neighbours may be close.
         axes.annotate(text, (point.real, point.imag), xytext=(5 * side, (4, -9)[number % 2]),
                       textcoords='offset points', fontsize=7, color=colour,
                       ha='left' if side > 0 else 'right')
@@ -28,7 +28,7 @@ def nyquist(loop: Loop, frequency_hz: float) -> Figure:
     """
     Draw K L(jw) and -1/N(A) of the hysteresis (Fig. 9), W and -1/D of damping (Fig. 8).
 
-    frequency_hz: at which N is drawn, for it depends on the frequency too.
+    frequency_hz: at which N is evaluated, because N depends on amplitude and frequency.
     """
     with style():
         figure = Figure(figsize=(WIDTH_IN, 7.0), layout='constrained')

@@ -1,4 +1,4 @@
-"""`asi predict`: predicted limit cycles over a range of gains, beside the simulated ones."""
+"""`asi predict`: predicted and simulated limit cycles over a range of gains."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -23,9 +23,9 @@ from asi_analysis.loop.onset import branch, fold, onset, user_gain, with_gain
 from asi_analysis.loop.simulation import (
     Values,
     loop_of,
-    remembering,
     step_run,
     sustained,
+    with_mean_friction,
 )
 from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
@@ -86,19 +86,18 @@ def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0
     """
     Predict the limit cycles of a loop from its model, and simulate them for comparison.
 
-    actuator, controller: parameters by name, the rest at their defaults; the force that is held
-    is `reference.amplitude` (N). rate_hz: control rate, Hz. first_gain: where the search begins,
-    below the onset. steps_n: sizes of steps (N) for which the onset is wanted too. Raises
-    InputError for a gain from which no search can begin.
-
-    By the describing function of the hysteresis alone (Gelb and Vander Velde, Multiple-Input
-    Describing Functions, 1968), and by harmonic balance of all nonlinearities.
+    Methods: describing function of the hysteresis alone (Gelb and Vander Velde, Multiple-Input
+    Describing Functions, 1968), and harmonic balance of all nonlinearities. actuator, controller:
+    parameters by name, the rest at their defaults; the steady-state force is
+    `reference.amplitude` (N). rate_hz: control rate, Hz. first_gain: start of the search, below
+    the onset. steps_n: step sizes (N) for which the onset is computed as well. Raises InputError
+    unless first_gain is positive.
 
     >>> import asi_analysis as asi
     >>> found = asi.predict_cycles({}, {'reference.amplitude': 100.0})    # doctest: +SKIP
     """
     if not first_gain > 0.0:
-        raise InputError(f'gain = {first_gain:g} is not allowed: the search begins there, above 0')
+        raise InputError(f'gain = {first_gain:g} is not allowed: it must be above 0')
     controller = stepping(actuator, controller, rate_hz)
     progress('describing function of the hysteresis', 0.0)
     loop = loop_of(actuator, with_gain(controller, first_gain), rate_hz)
@@ -143,7 +142,7 @@ def _cycle(gain: float, frequency: float, amplitude: float, stable: bool, method
 
 def _from_locus(one: OneHarmonic, rows: list[Intersection], unit: float,
                 points: list[hb.Balance]) -> list[dict[str, Any]]:
-    """Return the paper's prediction, up to somewhat above the gains of the balanced cycles."""
+    """Return the paper's prediction, up to 1.2 times the largest gain of the balanced cycles."""
     gains = [row.gain / unit for row in rows]
     most = 1.2 * max([point.gain for point in points] or [2.0 * min(gains, default=np.inf)])
     return [_cycle(gain, row.frequency_hz, row.amplitude_n, stable(one, row),
@@ -158,7 +157,7 @@ def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_ga
     Return onset gain and frequency by the size of the step, predicted and simulated (Fig. 7).
 
     Predicted: the fold, below which no cycle exists. Simulated: the least gain at which the step
-    from rest is kick enough to reach it, so never lower.
+    from rest leads to the cycle, which cannot be lower.
     """
     rows: list[dict[str, float | None]] = []
     for k, step in enumerate(steps_n):
@@ -181,7 +180,7 @@ def onset_by_step(actuator: Values, controller: Values, rate_hz: float, first_ga
 
 def _compared(actuator: Values, controller: Values, rate_hz: float, points: list[hb.Balance],
               progress: Progress, document: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return balanced and simulated cycles; the largest errors go into the document."""
+    """Return balanced and simulated cycles; put the largest errors into the document."""
     lowest = int(np.argmin([point.gain for point in points]))
     cycles, errors = [], []
     for k, point in enumerate(points):
@@ -191,14 +190,14 @@ def _compared(actuator: Values, controller: Values, rate_hz: float, points: list
         if stable:
             settings = with_gain(controller, point.gain)
             run = step_run(actuator, settings, rate_hz)
-            swing = sustained(run)
-            if swing is not None:
-                point = _as_the_step_left_it(actuator, settings, rate_hz, point, run, swing)
-                second = float(multipliers(actuator, settings, rate_hz, swing.frequency_hz)[1])
-                errors.append((point.frequency_hz / swing.frequency_hz - 1.0,
-                               point.amplitude_n / swing.amplitude_n - 1.0))
-                cycles.append(_cycle(point.gain, swing.frequency_hz, swing.amplitude_n, True,
-                                     'simulation', thd=swing.thd, second_multiplier=second))
+            cycle = sustained(run)
+            if cycle is not None:
+                point = _with_friction_of(run, cycle, actuator, settings, rate_hz, point)
+                second = float(multipliers(actuator, settings, rate_hz, cycle.frequency_hz)[1])
+                errors.append((point.frequency_hz / cycle.frequency_hz - 1.0,
+                               point.amplitude_n / cycle.amplitude_n - 1.0))
+                cycles.append(_cycle(point.gain, cycle.frequency_hz, cycle.amplitude_n, True,
+                                     'simulation', thd=cycle.thd, second_multiplier=second))
         cycles.append(_cycle(point.gain, point.frequency_hz, point.amplitude_n, stable,
                              'harmonic_balance', thd=point.thd, second_multiplier=second))
     if errors:
@@ -207,10 +206,10 @@ def _compared(actuator: Values, controller: Values, rate_hz: float, points: list
     return cycles
 
 
-def _as_the_step_left_it(actuator: Values, controller: Values, rate_hz: float, point: hb.Balance,
-                         run: LoopRun, swing: Oscillation) -> hb.Balance:
-    """Return the balance near a point of the branch with what the seals of a run remember."""
-    loop = remembering(loop_of(actuator, controller, rate_hz), run, swing.frequency_hz)
-    own = float(loop.compensator['gain'])
-    found = hb.balance(loop, point._replace(gain=own))
+def _with_friction_of(run: LoopRun, oscillation: Oscillation, actuator: Values,
+                      controller: Values, rate_hz: float, point: hb.Balance) -> hb.Balance:
+    """Return the balance near a point of the branch, with the mean friction of a simulation."""
+    loop = with_mean_friction(
+        loop_of(actuator, controller, rate_hz), run, oscillation.frequency_hz)
+    found = hb.balance(loop, point._replace(gain=float(loop.compensator['gain'])))
     return point if found is None else found._replace(gain=point.gain)

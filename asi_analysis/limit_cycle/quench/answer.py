@@ -1,4 +1,4 @@
-"""`asi quench`: how far a compensator is from a limit cycle."""
+"""`asi quench`: limit-cycle margin of a compensator, and conditions under which it cycles."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ WORST: Final = 5
 
 class Quench(Result):
     """
-    How far a compensator is from a limit cycle: `quench_cycles`.
+    Limit-cycle margin, conditions found, dither and design: `quench_cycles`.
 
     The keys are those of `asi quench --json`; `actuator` and `controller` are the parameters.
     """
@@ -74,12 +74,12 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
                   count: int = 200, seed: int = 1, designs: int = 0,
                   replayed: tuple[int, Path] | None = None, progress: Progress = silent) -> Quench:
     """
-    Measure the margin of a compensator to a limit cycle, and search for conditions that cycle.
+    Compute the limit-cycle margin of a compensator, and search for conditions that make it cycle.
 
     actuator, controller: parameters by name, the rest at their defaults. rates_hz: control rates
-    of the search, Hz; the first is that of margin, dither and design. count: conditions tried;
-    seed: of the search and the design; designs: candidates of the design helper, 0 for none;
-    replayed: how many of the worst conditions to run over ROS, and the directory of their bags.
+    of the search, Hz; the first also for margin, dither and design. count: conditions tried; seed:
+    of the search and the design; designs: candidates of the design helper, 0 for none; replayed:
+    number of the worst conditions to run over ROS, and the directory of their bags.
 
     >>> import asi_analysis as asi
     >>> found = asi.quench_cycles({}, {'compensator': 'lead4'}, count=50)  # doctest: +SKIP
@@ -89,23 +89,21 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
     progress('margin', None)
     found = margin(actuator, controller, rate)
     trials = search(actuator, controller, tuple(rates_hz), count, seed, progress)
-    lasting = [trial for trial in trials if trial.sustained]
+    cycling = [trial for trial in trials if trial.sustained]
     document: dict[str, Any] = {
         'compensator': str(controller.get('compensator', 'proportional')),
         'rate_hz': rate, 'margin': found.distance,
         'margin_at': {'amplitude_n': found.amplitude_n, 'bias_n': found.bias_n,
                       'frequency_hz': found.frequency_hz, 'load': found.load},
-        'conditions_tried': count, 'sustained_found': len(lasting),
-        'worst_amplitude_n': _finite(lasting[0].amplitude_n) if lasting else 0.0,
+        'conditions_tried': count, 'sustained_found': len(cycling),
+        'worst_amplitude_n': _finite(cycling[0].amplitude_n) if cycling else 0.0,
         'worst': [_trial(trial, tuple(rates_hz)) for trial in trials[:WORST]],
         'replayed': [], 'dither': [], 'design': None}
     if replayed:
         from asi_analysis.limit_cycle.quench.replay import replay
         document['replayed'] = replay(trials[:replayed[0]], controller, actuator,
                                       tuple(rates_hz), replayed[1], progress)
-    swing = sustained(step_run(actuator, controller, rate))
-    if swing is not None:
-        # Only what cycles can be quenched by dither.
+    if sustained(step_run(actuator, controller, rate)) is not None:
         document['dither'] = dither(actuator, controller, rate, report=progress)
     if designs:
         document['design'] = design(actuator, controller, rate, designs, seed, progress)

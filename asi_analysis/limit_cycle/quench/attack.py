@@ -1,9 +1,10 @@
 """
-A search for conditions under which a compensator's loop cycles: random, then guided.
+Search for conditions under which a compensator's loop cycles: random, then by mutation.
 
-References, loads, pushes that let go (so that the motion begins off its rest), parameter errors
-of ±20 % and control rates. Every condition excites the loop and then leaves it alone; what swings
-on after that is sustained. A condition is nothing but parameters, so that it can be run over ROS.
+Varied are reference, load, an external force that ends (so that the motion starts away from rest),
+parameter errors of ±20 % and the control rate. Each condition excites the loop and then removes
+the excitation; an oscillation that persists is sustained. A condition consists of parameters only,
+so that it can be run over ROS.
 """
 
 import math
@@ -20,8 +21,9 @@ from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 
+# Duration of the excitation, of the simulation after it, and half of the part that is measured.
 EXCITED_S: Final = 0.25
-LEFT_ALONE_S: Final = 0.45
+FREE_S: Final = 0.45
 WATCHED_S: Final = 0.12
 VARIED: Final = (
     'valve_hysteresis.radius', 'valve_hysteresis.lag_time', 'valve_flexure.coil_frequency',
@@ -31,24 +33,20 @@ VARIED: Final = (
     'force_sensor.natural_frequency', 'force_sensor.delay')
 SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
 LOADS: Final = ('locked', 'spring', 'free')
-# Share of the trials that are random; the others vary the worst found so far.
+# Share of the trials that are random; the others are mutations of the worst found so far.
 RANDOM_SHARE: Final = 0.4
-# Conditions between which nothing is learnt, and how many of them are one piece of work.
+# Conditions in a generation, and in a piece of work of one process.
 GENERATION: Final = 32
 PIECE: Final = 8
 
 
 class Condition(NamedTuple):
-    """
-    One condition, as numbers from 0 to 1 by name: easy to vary.
-
-    `scales` of VARIED parameters, then what `settings` reads.
-    """
+    """A condition, as numbers from 0 to 1 by name (NAMES); `settings` maps them to parameters."""
 
     numbers: Mapping[str, float]
 
     def settings(self, rates_hz: tuple[float, ...]) -> dict[str, Any]:
-        """Return what the numbers mean: parameters of actuator and reference, control rate."""
+        """Return parameters of actuator and reference, and the control rate (Hz)."""
         n = self.numbers
         table = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
         actuator: dict[str, Value] = {}
@@ -79,9 +77,9 @@ NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitud
 
 class Trial(NamedTuple):
     """
-    What a condition did: the oscillation that is left at the end.
+    A condition and the oscillation at its end.
 
-    growth_1_s: growth rate of the amplitude as soon as the loop is left alone, -inf without swing.
+    growth_1_s: growth rate of the amplitude just after the excitation, -inf without oscillation.
     """
 
     condition: Condition
@@ -94,7 +92,7 @@ class Trial(NamedTuple):
 
     @property
     def amplitude_n(self) -> float:
-        """Amplitude of the oscillation (N); infinite if it runs away, 0 if there is none."""
+        """Amplitude of the oscillation (N); infinite if it diverges, 0 if there is none."""
         if self.sustained and not math.isfinite(self.found.amplitude_n):
             return math.inf
         return 0.0 if math.isnan(self.found.amplitude_n) else self.found.amplitude_n
@@ -104,34 +102,34 @@ def _choice(options: tuple, number: float) -> Any:
     return options[min(int(number * len(options)), len(options) - 1)]
 
 
-def attempts(conditions: Sequence[Condition], actuator: Values, controller: Values,
+def run_trials(conditions: Sequence[Condition], actuator: Values, controller: Values,
              rates_hz: tuple[float, ...]) -> list[Trial]:
-    """Return what the loop does under each condition; those of one rate run side by side."""
+    """Return a trial of each condition; those of one rate run in parallel."""
     settings = [condition.settings(rates_hz) for condition in conditions]
     found: dict[int, Trial] = {}
     for rate in {s['rate_hz'] for s in settings}:
         chosen = [k for k, s in enumerate(settings) if s['rate_hz'] == rate]
-        measured = _tried([settings[k] for k in chosen], actuator, controller, rate)
+        measured = _measured([settings[k] for k in chosen], actuator, controller, rate)
         found |= {k: Trial(conditions[k], *one) for k, one in zip(chosen, measured, strict=True)}
     return [found[k] for k in range(len(conditions))]
 
 
-def _tried(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values, rate: float
-           ) -> list[tuple[Oscillation, float]]:
-    """Return a trial of each setting: excited, left alone, and watched if it may last."""
+def _measured(settings: Sequence[dict[str, Any]], actuator: Values, controller: Values,
+              rate: float) -> list[tuple[Oscillation, float]]:
+    """Return the oscillation at the end of each setting, and the early growth rate, 1/s."""
     loops = loops_of(
         [{**actuator, **s['actuator']} for s in settings],
         [{**controller, **s['reference']} for s in settings], rate)
     watched = 2 * int(WATCHED_S * rate)
-    forces = close_many(loops, EXCITED_S + LEFT_ALONE_S, LEFT_ALONE_S)[:, 2]
+    forces = close_many(loops, EXCITED_S + FREE_S, FREE_S)[:, 2]
     found = [of_samples(force[-watched:], rate) for force in forces]
     growth = [_growth(of_samples(force[:watched], rate)) for force in forces]
-    # The next run counts its time from 0 again: the reference must not begin once more.
+    # The time of the next run starts at 0: without this the reference would be repeated.
     loops.references['reference_amplitude'] = 0.0
-    # A slow decay could look like it for so short a time: watched until it has settled.
-    doubtful = np.array([k for k, each in enumerate(found)
+    # In so short a time a slow decay can look sustained: simulated until it has settled.
+    candidates = np.array([k for k, each in enumerate(found)
                          if each.sustained and math.isfinite(each.amplitude_n)], np.intp)
-    for k, run in zip(doubtful, run_until_settled(loops.some(doubtful)), strict=True):
+    for k, run in zip(candidates, run_until_settled(loops.subset(candidates)), strict=True):
         found[k] = of_samples(run.force_n, rate)
     return list(zip(found, growth, strict=True))
 
@@ -142,26 +140,26 @@ def _growth(early: Oscillation) -> float:
     return early.growth_1_s if early.amplitude_n > FLOOR_N else -math.inf
 
 
-def _threat(trial: Trial) -> tuple[float, float]:
-    # What does not last is the worse the slower it decays, however small it is.
+def _severity(trial: Trial) -> tuple[float, float]:
+    # Oscillations that are not sustained are ranked by their growth rate.
     return (trial.amplitude_n if trial.sustained else 0.0, trial.growth_1_s)
 
 
 def search(actuator: Values, controller: Values, rates_hz: tuple[float, ...], count: int,
            seed: int, report: Progress = silent) -> list[Trial]:
-    """Return `count` trials, the most threatening first."""
+    """Return `count` trials, the most severe first."""
     random = np.random.default_rng(seed)
     trials: list[Trial] = []
     while len(trials) < count:
         report(f'{sum(t.sustained for t in trials)} sustained in {len(trials)} conditions',
                len(trials) / count)
-        worst = sorted(trials, key=_threat)[-8:]
+        worst = sorted(trials, key=_severity)[-8:]
         conditions = [_condition(random, worst if number >= RANDOM_SHARE * count else [])
                       for number in range(len(trials), min(len(trials) + GENERATION, count))]
-        for done in each(attempts, ((conditions[k:k + PIECE], actuator, controller, rates_hz)
+        for done in each(run_trials, ((conditions[k:k + PIECE], actuator, controller, rates_hz)
                                     for k in range(0, len(conditions), PIECE))):
             trials += done
-    return sorted(trials, key=_threat, reverse=True)
+    return sorted(trials, key=_severity, reverse=True)
 
 
 def _condition(random: np.random.Generator, parents: Sequence[Trial]) -> Condition:

@@ -1,11 +1,11 @@
 """
-Lead compensators designed for the fastest step within a margin, a saturation and a noise gain.
+Design of lead compensators: the fastest step within a margin, a command peak and a noise gain.
 
-The family: a lag, two leads of second order with a damping of their own, and a share of the
-reference that goes straight to the valve. Table 1's fourth-order lead is the member with equal
-leads and no ringing. Differential evolution (Storn and Price, J. Global Optimization 11, 1997)
-searches it from the rival on; every candidate is judged by the step of Table 1 in the simulator
-and by its limit-cycle margin.
+The family: a lag, two second-order leads with their own damping ratios, and feed-forward of the
+reference. Table 1's fourth-order lead is the member with equal, critically damped leads. The
+search is differential evolution (Storn and Price, J. Global Optimization 11, 1997) around the
+rival; the cost of a candidate is computed from the simulated step of Table 1 and its limit-cycle
+margin.
 """
 
 from typing import Any, Final, NamedTuple
@@ -33,15 +33,15 @@ from asi_controller.compensator import OWN_GAIN, frequency_response
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 DURATION_S: Final = 0.35
-# The noise gain may be so many times the rival's.
+# Largest noise gain, over the rival's.
 NOISE: Final = 1.5
-# Cost of what makes no step at all.
+# Cost of a candidate without a step response.
 NO_STEP: Final = 100.0
-# Differences of the measures below this are none: s, %, s, N.
+# Resolution of the measures: s, %, s, N.
 RESOLVED: Final = (1e-5, 0.1, 1e-5, 0.005)
-# The drive may be used so far by that step.
+# Largest peak of the command, over the saturation.
 HEADROOM: Final = 0.9
-# name: (least, most), searched evenly in the logarithm
+# name: (least, most), on a logarithmic scale
 RANGES: Final = {
     'gain': (0.2, 16.0), 'lag_ratio': (3.0, 2000.0), 'lag_time': (0.05, 3.0),
     'zero_1': (40.0, 1000.0), 'zero_2': (40.0, 1000.0), 'ratio_1': (1.1, 24.0),
@@ -66,13 +66,13 @@ class Candidate(NamedTuple):
 
     @property
     def measures(self) -> tuple[float, float, float, float]:
-        """Table 1's columns; less is better. Errors are compared by size."""
+        """Columns of Table 1, less is better; the error by its size."""
         return (self.rise_time_s, self.overshoot_percent, self.settling_time_2_s,
                 abs(self.steady_state_error_n))
 
 
-class Judge:
-    """Judges compensators for one actuator and rate; what all share is worked out once."""
+class Evaluation:
+    """Evaluates compensators for one actuator and rate, whose linear plants it holds."""
 
     def __init__(self, actuator: Values, rate_hz: float) -> None:
         self.actuator, self.rate_hz = actuator, rate_hz
@@ -80,7 +80,7 @@ class Judge:
         self.table = hysteresis_table(as_record(actuator))
 
     def candidate(self, controller: Values) -> Candidate | None:
-        """Return a compensator judged; None if its step is none (it oscillates, or never ends)."""
+        """Return an evaluated compensator; None if its step response does not settle."""
         settings = dict(controller)
         loop = loop_of(self.actuator, settings, self.rate_hz)
         response = frequency_response(loop.compensator, FREQUENCIES_HZ, self.rate_hz)
@@ -95,7 +95,7 @@ class Judge:
         if step is None or None in (step.rise_time_s, step.settling_time_2_s):
             return None
         closed = response / (1.0 + response * self.cases[0][2])
-        # Mean over the band, in frequency, not in its logarithm: white noise.
+        # Mean over frequency (not its logarithm), as for white noise.
         weight = np.gradient(FREQUENCIES_HZ)
         noise = float(np.sqrt((np.abs(closed) ** 2 * weight).sum() / weight.sum()))
         return Candidate(settings, float(step.rise_time_s or 0.0),
@@ -106,13 +106,13 @@ class Judge:
 
 
 def _pair(frequency_hz: float, damping: float) -> list[complex]:
-    """Return the two roots (rad/s) of a frequency and a damping ratio; real from 1 on."""
+    """Return the two roots (rad/s) of a frequency and a damping ratio; real for 1 and above."""
     return [complex(root) for root in 2.0 * np.pi * frequency_hz * np.roots(
         [1.0, 2.0 * damping, 1.0])]
 
 
 def _written(roots: list[complex]) -> str:
-    """Return roots as custom.zeros and custom.poles take them, conjugates exactly so."""
+    """Return roots in the format of custom.zeros and custom.poles, in exact conjugate pairs."""
     upper = [root for root in roots if root.imag > 1e-9 * abs(root)]
     real = [root for root in roots if abs(root.imag) <= 1e-9 * abs(root)]
     return ', '.join([f'{root.real:.9g}' for root in real]
@@ -148,22 +148,22 @@ def _point(controller: Values) -> np.ndarray:
 
 def worse_by(found: Candidate, rival: Candidate, noise_limit: float) -> float:
     """
-    Return how far a candidate is from beating its rival: 0 or less if it does, in all measures.
+    Return the cost of a candidate: negative if it is better than its rival in all measures.
 
-    At the rival's margin, within the saturation and the noise gain: the more negative, the more
-    the closest of the four measures is beaten by, in its logarithm.
+    Then it is the largest logarithm of the ratios of the measures; otherwise the sum of those
+    above 0 and of the violations of margin, noise gain and command peak.
     """
     ratios = np.log([max(a, least) / max(b, least)
                      for a, b, least in zip(found.measures, rival.measures, RESOLVED, strict=True)
-                     # Where both are as good as none there is nothing to beat.
+                     # Measures of both below the resolution are equal.
                      if max(a, b) > least])
-    broken = (max(0.0, np.log(max(rival.margin.distance, 1e-3)
+    violation = (max(0.0, np.log(max(rival.margin.distance, 1e-3)
                               / max(found.margin.distance, 1e-3)))
               + max(0.0, np.log(found.noise_gain / noise_limit))
               + max(0.0, np.log(found.peak_command_n / max(
                   HEADROOM * float(found.controller.get('saturation', 4000.0)),
                   rival.peak_command_n))))
-    excess = float(np.maximum(ratios, 0.0).sum()) + 3.0 * float(broken)
+    excess = float(np.maximum(ratios, 0.0).sum()) + 3.0 * float(violation)
     if excess > 0.0:
         return excess
     return float(ratios.max())
@@ -175,14 +175,14 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
     Return the best design found in about `count` candidates, its rival, and the trade-off curve.
 
     rival_controller: the compensator to beat, at the same margin; a lead4 has the settings of
-    Table 1 unless it says otherwise. Raises InputError if it does not answer a step.
+    Table 1 unless given otherwise. Raises InputError if its step response does not settle.
     """
     if rival_controller.get('compensator') == 'lead4':
         rival_controller = {**LEAD4.controller, **rival_controller}
-    judge = Judge(actuator, rate_hz)
-    rival = judge.candidate(rival_controller)
+    evaluation = Evaluation(actuator, rate_hz)
+    rival = evaluation.candidate(rival_controller)
     if rival is None:
-        raise InputError('--designs: the compensator to beat does not answer a step')
+        raise InputError('--designs: the step response of the compensator to beat does not settle')
     noise_limit = NOISE * rival.noise_gain
     found: list[tuple[float, Candidate]] = []
     tried = 0
@@ -192,7 +192,7 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
         if tried % 10 == 0:
             report('designs', tried / count)
         tried += 1
-        candidate = judge.candidate(_controller(point))
+        candidate = evaluation.candidate(_controller(point))
         if candidate is None:
             return NO_STEP
         found.append((worse_by(candidate, rival, noise_limit), candidate))
@@ -202,7 +202,6 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
     family = rival_controller.get('compensator')
     centre = _point(rival_controller if family in ('lead2', 'lead4') else LEAD4.controller)
     start = np.clip(centre + SPREAD * random.standard_normal((POPULATION, len(RANGES))), 0.0, 1.0)
-    # What is to be beaten is a place to look from.
     start[0] = centre
     optimize.differential_evolution(
         cost, [(0.0, 1.0)] * len(RANGES), init=start, maxiter=max(count // POPULATION - 1, 1),
@@ -215,7 +214,7 @@ def design(actuator: Values, rival_controller: Values, rate_hz: float, count: in
 
 
 def trade_off(candidates: list[Candidate], noise_limit: float) -> list[dict[str, float]]:
-    """Return the fastest rise for each margin: only what no other beats in both."""
+    """Return the Pareto front of margin and rise time."""
     allowed = sorted((c for c in candidates
                       if c.overshoot_percent < 10.0 and c.noise_gain < noise_limit
                       and c.margin.distance > 0.0),

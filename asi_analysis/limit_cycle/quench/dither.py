@@ -1,4 +1,4 @@
-"""Dither, the classic cure: how much of which frequency quenches the cycle, and what it costs."""
+"""Dither: the least amplitude at each frequency that quenches the cycle, and its side effects."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ FREQUENCIES_HZ: Final = (300.0, 500.0, 800.0, 1200.0, 1700.0)
 MOST_N: Final = 4000.0
 WATCHED_S: Final = 0.8
 MEASURED_S: Final = 0.35
-# The cycle is looked for below this, the dither is above.
+# The cycle is measured below this frequency; the dither is above it.
 CYCLES_BELOW_HZ: Final = 200.0
 # Share of the cycle's amplitude below which it counts as quenched.
 QUENCHED: Final = 0.03
@@ -60,9 +60,9 @@ def dither(actuator: Values, controller: Values, rate_hz: float,
     """
     Return for each frequency the least dither (N of command) that quenches the cycle.
 
-    With the valve's travel (m/s, mean of its speed) and the force ripple (N rms) that it costs;
-    amplitude None where none up to MOST_N does. Beside it the least share of the cycle that any
-    dither tried leaves, and that dither (N). The controller must cycle without dither.
+    Its amplitude (None if none up to MOST_N does), mean speed of the valve (m/s) and force ripple
+    (N rms); also the least remaining share of the cycle among all amplitudes tried, and that
+    amplitude (N). The loop must cycle without dither.
     """
     cycling = _cycle(_run(actuator, controller, rate_hz, 0.0, 0.0)[0], rate_hz).amplitude_n
     rows = []
@@ -77,24 +77,24 @@ def dither(actuator: Values, controller: Values, rate_hz: float,
 
         tried = np.geomspace(20.0, MOST_N, 14)
         remaining = [with_dither(float(amplitude)) for amplitude in tried]
-        works = next((float(a) for a, found in zip(tried, remaining, strict=True)
+        least_n = next((float(a) for a, found in zip(tried, remaining, strict=True)
                       if not found.sustained), None)
         shares = np.nan_to_num([found.amplitude_n / cycling for found in remaining])
-        least = int(np.argmin(shares))
+        weakest = int(np.argmin(shares))
         row: dict[str, Any] = {'frequency_hz': frequency, 'amplitude_n': None,
-                               'least_left': float(shares[least]),
-                               'least_left_at_n': float(tried[least]),
+                               'least_left': float(shares[weakest]),
+                               'least_left_at_n': float(tried[weakest]),
                                'valve_travel_m_s': None, 'force_ripple_n': None}
-        if works is not None:
-            low = works / (tried[1] / tried[0])
-            while works / low > 1.0 + ACCURACY:
-                middle = math.sqrt(works * low)
+        if least_n is not None:
+            low = least_n / (tried[1] / tried[0])
+            while least_n / low > 1.0 + ACCURACY:
+                middle = math.sqrt(least_n * low)
                 if with_dither(middle).sustained:
                     low = middle
                 else:
-                    works = middle
-            force, valve = _run(actuator, controller, rate_hz, works, frequency)
-            row |= {'amplitude_n': works, 'force_ripple_n': float(force.std()),
+                    least_n = middle
+            force, valve = _run(actuator, controller, rate_hz, least_n, frequency)
+            row |= {'amplitude_n': least_n, 'force_ripple_n': float(force.std()),
                     'valve_travel_m_s': float(np.abs(np.diff(valve)).mean() * rate_hz)}
         rows.append(row)
     return rows

@@ -1,4 +1,4 @@
-"""Pictures of `asi quench`: loop and -1/N where the margin is least, and the trade-off."""
+"""Figures of `asi quench`: Nyquist plot at the least margin, and the trade-off of designs."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from asi_controller.compensator import frequency_response
 
 
 def draw(actuator: Values, controller: Values, document: dict[str, Any]) -> Figure:
-    """Draw the loop in the Nyquist plane, and below the trade-off if there is a design."""
+    """Draw the loop in the Nyquist plane, and the trade-off if there is a design."""
     rate, at, curve = document['rate_hz'], document['margin_at'], document['design']
     loop = loop_of(actuator, controller, rate)
     compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate)
@@ -49,7 +49,7 @@ def draw(actuator: Values, controller: Values, document: dict[str, Any]) -> Figu
         if curve:
             axes[1].plot([row['margin'] for row in curve['trade_off']],
                          [1e3 * row['rise_time_s'] for row in curve['trade_off']], 'o-',
-                         color=BLUE, markersize=4, label='designs that none beats in both')
+                         color=BLUE, markersize=4, label='Pareto front')
             for name, colour in (('rival', GREY), ('best', ORANGE)):
                 axes[1].plot(curve[name]['margin'], 1e3 * curve[name]['rise_time_s'], 's',
                              color=colour, label=name)

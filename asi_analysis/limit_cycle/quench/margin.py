@@ -1,9 +1,9 @@
 """
 The limit-cycle margin of a compensator: least distance between its loop and -1/N.
 
-In the Nyquist plane, over the amplitudes of the hysteresis' input, the biases (forces held, which
-open the valve and so change the damping) and the loads. Where the loop encircles a point of -1/N
-the margin is 0: a cycle is predicted.
+In the Nyquist plane, over amplitudes at the input of the hysteresis, biases (steady-state forces,
+which open the valve and so change the damping) and loads. The margin is 0 if the loop encircles a
+point of -1/N: a cycle is predicted.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ Complex = npt.NDArray[np.complex128]
 Array = npt.NDArray[np.float64]
 
 FREQUENCIES_HZ: Final = np.geomspace(0.5, 2000.0, 700)
-# N is worked out on this coarser grid and interpolated: it varies slowly with the frequency.
+# N is computed on this coarser grid and interpolated, as it varies slowly with frequency.
 N_FREQUENCIES_HZ: Final = np.geomspace(0.5, 2000.0, 14)
 AMPLITUDES_N: Final = np.geomspace(20.0, 4000.0, 9)
 BIASES_N: Final = (0.0, 300.0, 600.0, 900.0)
@@ -35,7 +35,7 @@ LOADS: Final[dict[str, dict[str, Any]]] = {
 
 
 class Margin(NamedTuple):
-    """The least distance, and where it is: amplitude and bias (N), frequency (Hz), load."""
+    """The least distance, and its amplitude and bias (N), frequency (Hz) and load."""
 
     distance: float
     amplitude_n: float
@@ -48,13 +48,13 @@ def hysteresis_table(p: np.void, amplitudes_n: Array = AMPLITUDES_N) -> Complex:
     """Return N of the hysteresis: amplitudes x FREQUENCIES_HZ."""
     table = np.array([[describing.hysteresis(a, f, p) for f in N_FREQUENCIES_HZ]
                       for a in amplitudes_n])
-    at, from_ = np.log(FREQUENCIES_HZ), np.log(N_FREQUENCIES_HZ)
-    return np.array([np.interp(at, from_, row.real) + 1j * np.interp(at, from_, row.imag)
+    fine, coarse = np.log(FREQUENCIES_HZ), np.log(N_FREQUENCIES_HZ)
+    return np.array([np.interp(fine, coarse, row.real) + 1j * np.interp(fine, coarse, row.imag)
                      for row in table])
 
 
 def plant(p: np.void, bias_n: float, period_s: float) -> Complex:
-    """Return command to measured force at FREQUENCIES_HZ, without hysteresis, seals sliding."""
+    """Return command to measured force at FREQUENCIES_HZ: no hysteresis, sliding seals."""
     opening = float(np.clip(bias_n / p['valve_characteristic_maximum_force'], -1.0, 1.0))
     return linear.plant(p, period_s, linear.damping_slope(p, opening))(FREQUENCIES_HZ)
 
@@ -68,7 +68,7 @@ def plants(actuator: Values, rate_hz: float) -> Iterator[tuple[str, float, Compl
 
 
 def encircles(response: Complex) -> bool:
-    """Return whether a loop (without its sign) encircles -1: net turns of 1 + L about 0."""
+    """Return whether a loop L (negative feedback) encircles -1: winding of 1 + L about 0."""
     angle = np.unwrap(np.angle(1.0 + response))
     return bool(abs(angle[-1] - angle[0]) > np.pi)
 
@@ -79,13 +79,13 @@ def margin_of(compensated: Complex, cases: list[tuple[str, float, Complex]], tab
     worst = Margin(np.inf, 0.0, 0.0, 0.0, '')
     for name, bias, response in cases:
         loop = compensated * response
-        for amplitude, passed in zip(AMPLITUDES_N, table, strict=True):
-            # A play that is not taken up passes nothing: no loop at all.
-            whole = np.where(np.abs(passed) > 1e-6, np.abs(passed), np.inf)
-            distance = np.abs(1.0 + loop * passed) / whole
-            distance = np.where(np.isfinite(whole), distance, np.inf)
+        for amplitude, gain in zip(AMPLITUDES_N, table, strict=True):
+            # Below the width of the play N is 0: the loop is open.
+            size = np.where(np.abs(gain) > 1e-6, np.abs(gain), np.inf)
+            distance = np.abs(1.0 + loop * gain) / size
+            distance = np.where(np.isfinite(size), distance, np.inf)
             k = int(np.argmin(distance))
-            least = 0.0 if encircles(loop * passed) else float(distance[k])
+            least = 0.0 if encircles(loop * gain) else float(distance[k])
             if least < worst.distance:
                 worst = Margin(least, float(amplitude), bias, float(FREQUENCIES_HZ[k]), name)
     return worst

@@ -1,4 +1,4 @@
-"""The worst finds of the attack, run again over ROS: the nodes, a bag, a verdict on it."""
+"""The most severe trials of the attack, repeated over ROS with a bag and its verdict."""
 
 import math
 from collections.abc import Sequence
@@ -13,36 +13,35 @@ from asi_analysis.limit_cycle.quench.attack import EXCITED_S, Trial
 from asi_analysis.loop.simulation import Values
 from asi_analysis.terminal import Progress, silent
 
-# After the excitation the loop is left alone for so long.
-LEFT_ALONE_S = 0.75
+# Duration of the run after the excitation.
+FREE_S = 0.75
 
 
 def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
            rates_hz: tuple[float, ...], out: Path, report: Progress = silent
            ) -> list[dict[str, Any]]:
     """
-    Return bag and verdict of each trial, under the same condition: the same parameters.
+    Return bag and verdict of each trial, repeated with the same parameters.
 
-    The verdict is on what is left when reference and push have ended; `fault` where the nodes
-    ended the run for their safety.
+    The verdict is on the motion after the excitation; `fault` if a safety limit ended the run.
     """
     rows = []
     for number, trial in enumerate(trials):
         s = trial.condition.settings(rates_hz)
         experiment = checked(Experiment(
             {**actuator, **s['actuator']}, {**controller, **s['reference']},
-            EXCITED_S + LEFT_ALONE_S, 'lockstep', s['rate_hz']))
+            EXCITED_S + FREE_S, 'lockstep', s['rate_hz']))
         name = out / f'worst_{number + 1}'
         try:
             bag = run_experiment(experiment, name, report)
         except RunFailedError as error:
-            # A free piston that is pushed for long passes the nodes' limit of the velocity.
+            # Such as a free piston, pushed beyond the velocity limit of the nodes.
             rows.append({'bag': str(name / 'bag'), 'verdict': 'fault', 'confidence': 1.0,
                          'why': str(error), 'amplitude_n': None, 'frequency_hz': None})
             continue
         run = read_bag(bag)
         last = judge_run(run.between(EXCITED_S, run.time_s[-1] + run.period_s))[-1]
-        # Of what is unsteady for want of any swing there is no size.
+        # An unsteady segment without oscillation has no amplitude.
         found = (last.verdict in ('limit_cycle', 'saturating', 'growing', 'unsteady')
                  and math.isfinite(last.amplitude) and math.isfinite(last.frequency_hz))
         rows.append({'bag': str(bag), 'verdict': last.verdict, 'confidence': last.confidence,

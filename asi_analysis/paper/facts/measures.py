@@ -16,7 +16,7 @@ from asi_analysis.loop.one_harmonic import (
     first_intersection,
     locus,
 )
-from asi_analysis.loop.onset import Onset, disagreement, fold, onset
+from asi_analysis.loop.onset import disagreement, fold, onset
 from asi_analysis.loop.simulation import loop_of, step_run, sustained
 from asi_analysis.measures.oscillation import Oscillation, of_samples
 from asi_analysis.paper.facts.conditions import LOCKED, Conditions
@@ -102,7 +102,7 @@ def onset_notes(actuator: Values, conditions: Conditions, gains: Measured) -> di
         if math.isfinite(gain):
             balance = fold({**actuator, **LOCKED}, step_settings(conditions, gain, step), RATE_HZ,
                            gain)
-            if note := disagreement(Onset(gain, math.nan, math.nan, math.nan), balance):
+            if note := disagreement(gain, balance):
                 notes[onset_name(step, 'frequency_hz')] = note
     return notes
 

@@ -17,7 +17,7 @@ from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.limit_cycle.detection.verdict import judge_run
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.noise import BLOCK, _triangle_of_lags
-from asi_analysis.measures.record import condensed, plain
+from asi_analysis.measures.record import compressed, uncompressed
 from asi_analysis.measures.sinusoid import fit_record
 
 
@@ -32,25 +32,26 @@ def test_errors_reach_the_cramer_rao_bound(case):
 
 
 @pytest.mark.parametrize('missing', [0.0, 0.1])
-def test_condensed_record_gives_what_its_samples_give(missing):
+def test_compressed_record_has_the_same_fit_as_its_samples(missing):
     random = np.random.default_rng(4)
     t = np.arange(24000) / 12.0 - 1000.0
     t = t[random.random(t.size) >= missing]
     angle = 2.0 * np.pi * (1.01 * t + 3e-7 * t * t)
     y = (np.exp(-2e-4 * t) * (np.cos(angle) + 0.1 * np.sin(3.0 * angle)) + (t / 1000.0) ** 3
          + 0.01 * random.standard_normal(t.size))
-    short = condensed(t, y, 1.01, 5)
+    short = compressed(t, y, 1.01, 5)
     assert len(short.values) < 0.2 * t.size
-    few, all_samples = (fit_record(record, 1.01, 5, True) for record in (short, plain(t, y)))
-    assert len(few.harmonics) == len(all_samples.harmonics) == 3
+    found, expected = (fit_record(record, 1.01, 5, True)
+                       for record in (short, uncompressed(t, y)))
+    assert len(found.harmonics) == len(expected.harmonics) == 3
     for value in ('frequency_hz', 'amplitude', 'rate'):
-        deviation = getattr(all_samples, f'{value}_sd'.replace('hz_sd', 'sd_hz'))
-        assert getattr(few, value) == pytest.approx(getattr(all_samples, value),
+        deviation = getattr(expected, f'{value}_sd'.replace('hz_sd', 'sd_hz'))
+        assert getattr(found, value) == pytest.approx(getattr(expected, value),
                                                     abs=0.01 * deviation)
-        assert np.diff(few.interval(value)) == pytest.approx(
-            np.diff(all_samples.interval(value)), rel=1e-4)
-    assert few.noise == pytest.approx(all_samples.noise, rel=1e-6)
-    assert few.at(t) == pytest.approx(all_samples.at(t), abs=1e-3)
+        assert np.diff(found.interval(value)) == pytest.approx(
+            np.diff(expected.interval(value)), rel=1e-4)
+    assert found.noise == pytest.approx(expected.noise, rel=1e-6)
+    assert found.at(t) == pytest.approx(expected.at(t), abs=1e-3)
 
 
 def test_noise_model_of_a_long_record_is_that_of_its_rows():

@@ -11,7 +11,13 @@ from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.floquet import multipliers
 from asi_analysis.loop.one_harmonic import OneHarmonic, first_intersection, locus, stable
 from asi_analysis.loop.onset import branch, onset
-from asi_analysis.loop.simulation import as_balance, loop_of, remembering, step_run, sustained
+from asi_analysis.loop.simulation import (
+    as_balance,
+    loop_of,
+    step_run,
+    sustained,
+    with_mean_friction,
+)
 
 RATE_HZ = 5000.0
 
@@ -80,7 +86,7 @@ def test_balance_is_the_simulated_cycle(step, gain):
     settings = {'gain': gain, 'reference.amplitude': step}
     run = step_run({}, settings, RATE_HZ)
     swing = sustained(run)
-    loop = remembering(loop_of({}, settings, RATE_HZ), run, swing.frequency_hz)
+    loop = with_mean_friction(loop_of({}, settings, RATE_HZ), run, swing.frequency_hz)
     # A guess that is well off, so that the balance has to find the cycle by itself.
     guess = as_balance(run, swing, gain, 7)
     guess = guess._replace(frequency_hz=1.03 * guess.frequency_hz, command=0.93 * guess.command)

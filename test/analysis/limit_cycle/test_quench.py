@@ -11,11 +11,11 @@ from study import STUDY, STUDY_CONTROLLER
 
 from asi_analysis.limit_cycle.quench.attack import (
     EXCITED_S,
-    LEFT_ALONE_S,
+    FREE_S,
     NAMES,
     WATCHED_S,
     Condition,
-    attempts,
+    run_trials,
     search,
 )
 from asi_analysis.limit_cycle.quench.design import design
@@ -55,15 +55,15 @@ def test_attack_finds_the_cycle_of_a_high_gain_and_none_of_a_low_one():
 def test_condition_does_the_same_alone_and_beside_another():
     condition = Condition(dict.fromkeys(NAMES, 0.37))
     other = Condition(dict.fromkeys(NAMES, 0.6))
-    alone = attempts([condition], {}, {'gain': 9.0}, (RATE_HZ,))
-    assert attempts([other, condition], {}, {'gain': 9.0}, (RATE_HZ,))[1:] == alone
+    alone = run_trials([condition], {}, {'gain': 9.0}, (RATE_HZ,))
+    assert run_trials([other, condition], {}, {'gain': 9.0}, (RATE_HZ,))[1:] == alone
 
 
 def test_condition_is_nothing_but_parameters_so_that_it_can_be_replayed_over_ros():
     trial = search({}, {'gain': 10.0}, (RATE_HZ,), 4, seed=3)[0]
     settings = trial.condition.settings((RATE_HZ,))
     run = simulate_loop(settings['actuator'], {'gain': 10.0, **settings['reference']},
-                        EXCITED_S + LEFT_ALONE_S, RATE_HZ)
+                        EXCITED_S + FREE_S, RATE_HZ)
     # Until it ends something pushes and pulls, then nothing does.
     ended = run.time_s >= EXCITED_S
     assert np.ptp(run.reference_n[ended]) == 0.0 and np.ptp(run.reference_n[~ended]) > 0.0
