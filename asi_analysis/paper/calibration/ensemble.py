@@ -73,10 +73,6 @@ def _positions(measured: Measured) -> Array:
                      for row in FITTED_ROWS])
 
 
-def _measured(problem: Problem, point: Array) -> Measured:
-    return problem.measure(point)
-
-
 def _met(measured: Measured) -> int:
     return sum(row.met(measured[row.name]) for row in FITTED_ROWS)
 
@@ -87,7 +83,7 @@ def slopes(problem: Problem, report: Progress = silent) -> Array:
     moved = [np.clip(point + step * unit, 0.0, 1.0)
              for unit in np.eye(point.size) for step in (-SLOPE_STEP, SLOPE_STEP)]
     found: list[Array] = []
-    for measured in each(_measured, ((problem, one) for one in moved)):
+    for measured in each(Problem.measure, ((problem, one) for one in moved)):
         report('sensitivity', len(found) / len(moved))
         found.append(_positions(measured))
     return np.array([(found[2 * k + 1] - found[2 * k]) / (moved[2 * k + 1][k] - moved[2 * k][k])
@@ -137,7 +133,7 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
             spread *= 0.8
             continue
         tried += len(drawn)
-        for one, measured in zip(drawn, each(_measured, ((problem, one) for one in drawn)),
+        for one, measured in zip(drawn, each(Problem.measure, ((problem, one) for one in drawn)),
                                  strict=True):
             met = _met(measured)
             near = any(np.abs(one - other).max() < LEAST_DISTANCE for other, _ in accepted)
