@@ -132,7 +132,7 @@ def test_more_commands_than_one_controller_gives_are_a_fault_only_while_enabled(
     assert watched.safety.reason.startswith('2000 valve_commands in 1000 control periods: do two')
 
 
-LIMITS = [p for p in TABLE if p.name.startswith(('limit.', 'command_'))
+LIMITS = [p for p in TABLE if p.name.startswith(('limit.', 'command_limit', 'command_timeout'))
           or p.name.startswith('valve_characteristic.') and isinstance(p.default, float)]
 
 

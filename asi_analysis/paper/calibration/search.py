@@ -252,20 +252,26 @@ def load(path: Path) -> Search:
     return found
 
 
+def _in_block(name: str, block: str) -> bool:
+    """Return whether a quantity is `block` itself or belongs to it."""
+    return name == block or name.startswith(f'{block}.')
+
+
 def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
                only: Sequence[str] = ()) -> Search:
     """
     Return a search that starts from a candidate.
 
-    spread: of the first generation, as a share of each range; only: names, or beginnings of names,
-    of the quantities to vary (if empty, all that the structure leaves free). Raises InputError for
+    spread: of the first generation, as a share of each range; only: names of the quantities to
+    vary, or of their blocks (if empty, all that the structure leaves free). Raises InputError for
     an invalid spread, or a name that is not in FREE.
     """
     if not 0.0 < spread <= 1.0:
         raise InputError(f'spread = {spread:g} is not allowed: above 0, at most 1')
     names = [free.name for free in FREE]
     for name in (*only, *structure.fixed):
-        if not any(each.startswith(name) for each in names):
+        if name not in names and not (name in only and any(_in_block(each, name)
+                                                           for each in names)):
             raise InputError(f'{name} is not free; there are {", ".join(names)}')
     load = start.conditions.proportional.load
     if structure.load and structure.load['load.type'] != load['load.type']:
@@ -274,7 +280,8 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
             for name in TESTS}))
     locked = start.conditions.proportional.load['load.type'] == 'locked'
     free = tuple(k for k, name in enumerate(names)
-                 if name not in structure.fixed and (not only or name.startswith(tuple(only)))
+                 if name not in structure.fixed
+                 and (not only or any(_in_block(name, each) for each in only))
                  and not (locked and name.startswith('conditions.load.')))
     known = {**quantities(start), **structure.fixed}
     problem = Problem({**start.actuator, **SEARCH}, start.conditions, free,
