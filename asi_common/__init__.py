@@ -1,1 +1,1 @@
-"""What physics, nodes and analysis share; here numpy and numba only."""
+"""Shared by physics, nodes and analysis: parameters, parameter files, compilation, files."""

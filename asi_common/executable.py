@@ -1,4 +1,4 @@
-"""What every executable does first."""
+"""Signal handling of the executables while their modules are imported."""
 
 import os
 import signal
@@ -6,9 +6,9 @@ import signal
 
 def end_quietly_while_importing() -> None:
     """
-    Have SIGINT and SIGTERM end this process with status 0, not with a traceback.
+    Make SIGINT and SIGTERM end this process with status 0 and without a traceback.
 
-    What a node imports takes a second or more; once it runs it handles the signals itself.
+    The imports of a node take a second or more; after them it installs its own handlers.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))

@@ -1,4 +1,4 @@
-"""One way to write a file: whole, or not at all."""
+"""Atomic writing of files: complete, or not at all."""
 
 import os
 from collections.abc import Iterator
@@ -9,9 +9,10 @@ from pathlib import Path
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """
-    Give a temporary name beside `path` to write to, which becomes `path` when all is on the disk.
+    Yield a temporary path in the same directory, which replaces `path` when it is on the disk.
 
-    If writing fails, the temporary file goes and `path` stays as it was; an OSError names `path`.
+    If writing fails, the temporary file is removed and `path` is unchanged; an OSError names
+    `path`.
     """
     path = Path(path)
     temporary = path.with_name(f'.{path.name}.{os.getpid()}{path.suffix}')
@@ -29,6 +30,6 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text in UTF-8 to a file, whole or not at all. Raises OSError."""
+    """Write a text in UTF-8 to a file, completely or not at all. Raises OSError."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding='utf-8')

@@ -1,4 +1,4 @@
-"""Where compiled code is kept: a folder that belongs to exactly its source."""
+"""Cache of compiled code: one folder for each state of the source."""
 
 import fcntl
 import hashlib
@@ -13,9 +13,9 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parents[1]
 PACKAGES: Final = ('asi_common', 'asi_actuator', 'asi_controller', 'asi_analysis')
-# At the start of a line: what a function imports while it runs is no part of compiled code.
+# At the start of a line: compiled code does not depend on imports within functions.
 IMPORT: Final = re.compile(rb'\n(?:from|import) (asi_[\w.]+)(?: import (\([^)]*\)|.*))?')
-# Held by every process that uses a folder, until it ends.
+# Lock file that each process using a folder holds until it ends.
 LOCK: Final = 'in_use'
 # Another process can remove the folder between two steps of this one, once or twice at most.
 ATTEMPTS: Final = 10
@@ -37,11 +37,11 @@ def _sources() -> dict[str, bytes]:
 
 def key() -> str:
     """
-    Return a key of all that compiled code is made from.
+    Return a hash of the source of all compiled code.
 
-    That is each module that compiles, and the modules of the project that it imports, directly or
-    not: the value of a constant of theirs is part of the compiled code. Numba itself notices only
-    a change of the file that holds the function.
+    That is each module with compiled functions, and the modules of the project that it imports,
+    directly or not, because compiled code contains the values of their constants. Numba itself
+    only detects a change of the file of the function.
     """
     sources = _sources()
     needed: set[str] = set()
@@ -60,7 +60,7 @@ def key() -> str:
 
 
 def _places() -> Iterator[Path]:
-    """Give the folders in which caches may be, the preferred one first."""
+    """Yield the parent folders for caches, in order of preference."""
     if given := os.environ.get('NUMBA_CACHE_DIR'):
         yield Path(given)
     if given := os.environ.get('XDG_CACHE_HOME'):
@@ -72,9 +72,9 @@ def _places() -> Iterator[Path]:
 
 def _temporary() -> Path:
     """
-    Return a folder among the temporary files that only this user can write: code is run from it.
+    Return a temporary folder that only this user can write, as code is run from it.
 
-    It is the same one for each process of a user, unless another user has taken its name.
+    It is the same for all processes of a user, unless another user owns that name.
     """
     folder = Path(tempfile.gettempdir()) / f'asi_actuator-{os.getuid()}'
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -84,15 +84,15 @@ def _temporary() -> Path:
     return Path(tempfile.mkdtemp(prefix='asi_actuator-'))
 
 
-def _taken(folder: Path) -> bool:
-    """Make a folder if there is none, and lock it for this process; False if that cannot be."""
+def _locked(folder: Path) -> bool:
+    """Create a folder if it does not exist and lock it for this process; False if impossible."""
     for _ in range(ATTEMPTS):
         try:
             folder.mkdir(parents=True, exist_ok=True)
             lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
             fcntl.flock(lock, fcntl.LOCK_SH)
         except FileNotFoundError:
-            continue   # removed by another process since it was made
+            continue   # removed by another process in the meantime
         except OSError:
             return False
         if os.fstat(lock).st_nlink:
@@ -101,10 +101,10 @@ def _taken(folder: Path) -> bool:
     return False
 
 
-def _remove_unused(folders: Path, but: Path) -> None:
-    """Remove the caches of other sources that no process uses."""
+def _remove_unused(folders: Path, current: Path) -> None:
+    """Remove the caches of other states of the source that no process uses."""
     for folder in folders.iterdir():
-        if folder == but:
+        if folder == current:
             continue
         try:
             lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
@@ -121,26 +121,26 @@ def _remove_unused(folders: Path, but: Path) -> None:
 
 def cache_folder() -> Path | None:
     """
-    Return the folder for the compiled code of this source, made and locked for this process.
+    Return the folder for compiled code of this source, created and locked for this process.
 
-    It is in NUMBA_CACHE_DIR, XDG_CACHE_HOME, ~/.cache or, with a warning, among the temporary
-    files: the first that can be written. None, with a warning, if there is none. Folders of other
-    sources of this installation are removed, unless a process uses them.
+    It is in the first writable of NUMBA_CACHE_DIR, XDG_CACHE_HOME, ~/.cache and, with a warning,
+    the temporary directory. None, with a warning, if none is writable. Unused folders of other
+    states of the source of this installation are removed.
     """
     name = f'asi_actuator-{hashlib.sha256(bytes(ROOT)).hexdigest()[:12]}'
     this = key()
     for place in _places():
-        if _taken(place / name / this):
+        if _locked(place / name / this):
             _remove_unused(place / name, place / name / this)
             return place / name / this
-    wanted = 'set NUMBA_CACHE_DIR to a folder that can be written'
+    advice = 'set NUMBA_CACHE_DIR to a folder that can be written'
     try:
         folder = _temporary() / name / this
-        if _taken(folder):
-            warnings.warn(f'compiled code is kept in {folder}: {wanted}', stacklevel=2)
+        if _locked(folder):
+            warnings.warn(f'compiled code is kept in {folder}: {advice}', stacklevel=2)
             return folder
     except OSError:
         pass
-    warnings.warn(f'compiled code cannot be kept, so every start compiles anew: {wanted}',
+    warnings.warn(f'compiled code cannot be kept, so every start compiles anew: {advice}',
                   stacklevel=2)
     return None

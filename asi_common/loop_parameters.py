@@ -1,4 +1,4 @@
-"""The parameters on which the actuator and the controller must agree."""
+"""Parameters that actuator and controller share and must set to the same values."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -22,5 +22,5 @@ LOOP_PARAMETERS: tuple[Parameter, ...] = (
 
 
 def control_rate(values: Mapping[str, Value]) -> float:
-    """Return the control rate (Hz) that a node's parameters ask for."""
+    """Return the control rate (Hz) of a node's parameters."""
     return float(values['rate_hz']) or DEFAULT_RATE_HZ[str(values['mode'])]

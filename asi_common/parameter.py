@@ -1,8 +1,8 @@
 """
 The parameter type and tables of parameters.
 
-The YAML file, the ROS descriptors, the documentation and the record that compiled code reads are
-all made from the table.
+YAML files, ROS descriptors, documentation and the records for compiled code are generated from
+these tables.
 """
 
 import math
@@ -17,7 +17,7 @@ class Parameter(NamedTuple):
     """
     One parameter.
 
-    Its name is that of the ROS parameter: dotted, the part before the first dot names the block.
+    Its name is that of the ROS parameter, with dots; the part before the first dot is the block.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Parameter(NamedTuple):
 
     @property
     def allowed(self) -> str:
-        """Say in words which values are allowed."""
+        """Description of the allowed values."""
         if self.choices:
             return 'one of ' + ', '.join(self.choices)
         if isinstance(self.default, bool):
@@ -64,14 +64,14 @@ class Parameter(NamedTuple):
 
 
 class ParameterError(ValueError):
-    """A parameter has a value, type or name that is not allowed; the text says which and why."""
+    """The value, type or name of a parameter is not allowed; the text says which and why."""
 
 
 class Table(tuple[Parameter, ...]):
-    """Parameters that belong together."""
+    """Parameters with constraints on their combination."""
 
     def check(self, values: Mapping[str, Value]) -> None:
-        """Raise ParameterError for values that are allowed one by one, but not together."""
+        """Raise ParameterError for a combination of values that is not allowed."""
 
 
 def with_its_type(parameter: Parameter, value: Value) -> Value:

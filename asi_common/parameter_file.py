@@ -1,9 +1,8 @@
 """
-ROS parameter files: how they are read and how they are written.
+Reading and writing of ROS parameter files.
 
-Scalars are read as a node reads them, by the rules of rcl (rcl_yaml_param_parser, parse.c): `5e-1`
-is a number and `0x10` is 16, which YAML 1.1 takes for a text and PyYAML reads so. Floats are
-written such that both readers find the same float.
+Scalars follow the rules of rcl (rcl_yaml_param_parser, parse.c), not those of YAML 1.1 in PyYAML:
+`5e-1` is a number and `0x10` is 16. Floats are written so that both parsers read the same value.
 """
 
 import math
@@ -26,7 +25,7 @@ NOT_FINITE: Final = re.compile(r'[+-]?\.?(nan|inf|infinity)', re.IGNORECASE)
 
 
 def read_scalar(text: str) -> Value:
-    """Return what rcl makes of an unquoted scalar: a truth value, a number or the text itself."""
+    """Return an unquoted scalar as rcl parses it: a truth value, a number or a text."""
     if text in TRUE or text in FALSE:
         return text in TRUE
     if match := INTEGER.fullmatch(text):
@@ -42,7 +41,7 @@ def read_scalar(text: str) -> Value:
 
 def read_parameters(path: Path, node: str) -> dict[str, Value]:
     """
-    Return the parameters that a file has for a node, by dotted name.
+    Return the parameters of a node in a file, by dotted name.
 
     node: its name, without a namespace; the file may call it `node`, `/node`, `/**/node` or `/**`.
     Raises ParameterError if the file cannot be read or has nothing for the node.
@@ -71,7 +70,7 @@ def read_parameters(path: Path, node: str) -> dict[str, Value]:
 
 
 def _entries(node: yaml.Node | None) -> list[tuple[str, yaml.Node]]:
-    """Return the keys and values of a mapping; none if the node is something else."""
+    """Return the keys and values of a mapping; none for another kind of node."""
     return [(str(key.value), value) for key, value in node.value] if isinstance(
         node, yaml.MappingNode) else []
 
@@ -87,9 +86,9 @@ def _parameters(path: Path, tree: yaml.Node, prefix: str = '') -> Iterator[tuple
 
 
 def scalar(value: Value) -> str:
-    """Return a value as rcl and YAML 1.1 read it back with the same type."""
+    """Return the text of a value that rcl and YAML 1.1 parse to the same value and type."""
     if isinstance(value, float) and math.isfinite(value):
-        # YAML 1.1 takes 1e-05 for a text: it wants a point.
+        # In YAML 1.1 a float needs a point: 1e-05 is a text.
         text = float.__repr__(value)
         return text if '.' in text else text.replace('e', '.0e')
     return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None,
@@ -101,13 +100,13 @@ def parameter_lines(values: Mapping[str, Value],
     """
     Return parameters by dotted name as the lines below `ros__parameters:`.
 
-    Parameters whose names begin with the same block stand together under it. comments: the lines
-    that are to stand above a parameter, by its name.
+    Parameters of a block are grouped under its name. comments: lines above a parameter, by its
+    name.
     """
     blocks: dict[str, list[str]] = {}
     for name, value in values.items():
         block, _, rest = name.partition('.')
-        # A parameter without a block is a block of its own, that no other can join.
+        # A parameter without a block has its own group.
         lines = blocks.setdefault(f'{block}:' if rest else name, [])
         indent = '      ' if rest else '    '
         if rest and not lines:
@@ -118,12 +117,12 @@ def parameter_lines(values: Mapping[str, Value],
 
 
 def parameter_file(node: str, lines: Sequence[str], header: Sequence[str] = ()) -> str:
-    """Return the text of a parameter file for a node (its name as in the file)."""
+    """Return the text of a parameter file; node: its name in the file."""
     return '\n'.join([*(f'# {line}' for line in header), f'{node}:', '  ros__parameters:',
                       *lines]) + '\n'
 
 
 def write_parameters(path: Path, node: str, values: Mapping[str, Value],
                      header: Sequence[str] = ()) -> None:
-    """Write parameters by dotted name as the file of a node; OSError if that is not possible."""
+    """Write the parameter file of a node, parameters by dotted name. Raises OSError."""
     write_text(path, parameter_file(node, parameter_lines(values), header))

@@ -1,4 +1,4 @@
-"""A table of parameters as the record that compiled code reads."""
+"""Conversion of a table of parameters to a NumPy record for compiled code."""
 
 from collections.abc import Mapping
 
@@ -8,12 +8,12 @@ from asi_common.parameter import Parameter, Value, completed
 
 
 def field_name(name: str) -> str:
-    """Return the field of the record that holds the parameter `name`."""
+    """Return the name of the field of a parameter."""
     return name.replace('.', '_')
 
 
 def record_dtype(table: tuple[Parameter, ...]) -> np.dtype:
-    """Return the record type of a table: one float64 field a parameter, texts left out."""
+    """Return the dtype of a table: a float64 field for each parameter but texts."""
     return np.dtype([(field_name(p.name), np.float64) for p in table if _is_number(p)])
 
 
@@ -22,13 +22,13 @@ def _is_number(parameter: Parameter) -> bool:
 
 
 def as_number(parameter: Parameter, value: Value) -> float:
-    """Return the number that stands for `value` in the record: a choice becomes its index."""
+    """Return the number for a value in the record; a choice is its index."""
     return float(parameter.choices.index(str(value)) if parameter.choices else value)
 
 
 def record_of(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> np.void:
     """
-    Return the record that compiled code reads: a table's defaults, changed by `values`.
+    Return the record for compiled code: a table's defaults, changed by `values`.
 
     Raises ParameterError for an unknown name, or a value or combination that is not allowed.
     """

@@ -1,9 +1,10 @@
 """
-How a compensator is made discrete and run; `compensators/` says which there are.
+Discretisation and execution of the compensators in `compensators/`.
 
-One is designed in continuous time as a product of (s/z + 1)/(s/p + 1), so that the gain is that at
-zero frequency, as in the paper; made discrete for the control rate by Tustin's rule, prewarped at
-the frequency of the limit cycle; run as a cascade of second-order sections, the slowest pole last.
+A compensator is designed in continuous time as a product of (s/z + 1)/(s/p + 1), so that the gain
+is that at zero frequency, as in the paper; discretised for the control rate by Tustin's rule,
+prewarped at the frequency of the limit cycle; and run as a cascade of second-order sections, the
+slowest pole last.
 """
 
 import math
@@ -20,14 +21,14 @@ from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
-# Phase counts most where the limit cycle is.
+# The phase is most important at the frequency of the limit cycle.
 PREWARP_HZ: Final = 90.0
 MOST_SECTIONS: Final = MOST_POLES // 2
 # The gain in use while the parameter `gain` is 0, by compensator.
 OWN_GAIN: Final = {name: each.gain for name, each in COMPENSATORS.items()}
 
-# What `fresh` says about the memory: it begins at the next error, with the lag at rest, or as if
-# the lag had been giving the running command.
+# Values of `fresh`: at the next sample the memory is initialised to the steady state at its error,
+# with the lag at rest, or with the lag at the running command.
 REST: Final = 1
 TAKE_OVER: Final = 2
 
@@ -42,16 +43,16 @@ COMPENSATOR_DTYPE = np.dtype([
     ('memory', np.float64, (MOST_SECTIONS, 2)),
     ('lag_memory', np.float64),
     ('fresh', np.int64),                             # REST, TAKE_OVER or neither
-    ('changed', np.int64),                           # 1: the next command shall not jump
-    ('bias', np.float64),                            # N, what keeps it from jumping
-    ('bias_decay', np.float64),                      # its share that is left after a tick
+    ('changed', np.int64),                           # 1: bumpless transfer at the next tick
+    ('bias', np.float64),                            # N, of the bumpless transfer
+    ('bias_decay', np.float64),                      # factor of the bias in each tick
     ('command', np.float64),                         # N, the last one
 ])
 
 
 def design(values: Mapping[str, Value]) -> Design:
     """
-    Return the compensator that the parameters ask for, in continuous time.
+    Return the compensator of the parameters, in continuous time.
 
     Raises ParameterError if a parameter or the combination is not allowed.
     """
@@ -63,10 +64,10 @@ def design(values: Mapping[str, Value]) -> Design:
 
 
 def _discrete(root: complex, rate_hz: float) -> complex:
-    """Return where Tustin's rule, prewarped at PREWARP_HZ, puts a root (rad/s)."""
+    """Return the discrete root of a root (rad/s), by Tustin's rule prewarped at PREWARP_HZ."""
     w = 2.0 * math.pi * PREWARP_HZ
     relative = root * math.tan(0.5 * w / rate_hz) / w
-    # A zero at exactly 1 would go to infinity.
+    # Otherwise a division by zero is possible.
     return (1.0 + relative) / (1.0 - relative or 1e-12)
 
 
@@ -78,10 +79,10 @@ def _first_order(zero: float, pole: float) -> npt.NDArray[np.float64]:
 
 def _take_lag(poles: list[complex], zeros: list[complex]) -> tuple[complex, complex | None] | None:
     """
-    Remove and return the slowest real pole, and the real zero nearest to it if it needs one.
+    Remove and return the slowest real pole, with the nearest real zero if one is necessary.
 
-    It needs one only where the rest would have more zeros than poles: a lag alone passes nothing
-    on at once. None is returned, and nothing removed, if there is no such pole or zero.
+    It is necessary if the rest would otherwise have more zeros than poles. None, and nothing is
+    removed, if there is no such pole or zero.
     """
     real_poles = [pole for pole in poles if pole.imag == 0.0]
     real_zeros = [zero for zero in zeros if zero.imag == 0.0]
@@ -104,7 +105,7 @@ def discretise(design_: Design, rate_hz: float) -> tuple[
 
     Each has gain 1 at zero frequency. The slowest real pole comes last, alone or with a real zero,
     because that is where anti-windup must act.
-    Raises ParameterError if the control rate is too low or a root is out of its reach.
+    Raises ParameterError if the control rate is too low, or a root too slow or too fast for it.
     """
     if rate_hz <= 2.0 * PREWARP_HZ:
         raise ParameterError(f'a control rate of {rate_hz:g} Hz is not allowed: the compensators '
@@ -131,10 +132,10 @@ def discretise(design_: Design, rate_hz: float) -> tuple[
 def compensator(values: Mapping[str, Value], rate_hz: float,
                 running: np.void | None = None) -> np.void:
     """
-    Return the compensator that the parameters ask for, ready for `compensate`.
+    Return the record of a compensator for `compensate`.
 
     values: parameters by name, the rest at their defaults; rate_hz: control rate; running: the
-    compensator that it replaces, from whose command it goes on without a step.
+    compensator that it replaces, with bumpless transfer of the command.
     Raises ParameterError if a parameter or the combination is not allowed.
     """
     v = completed(values, COMPENSATOR_PARAMETERS)
@@ -154,7 +155,7 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
         if (np.array_equal(running['sections'], c['sections'])
                 and np.array_equal(running['lag'], c['lag'])):
             c['fresh'], c['memory'] = running['fresh'], running['memory']
-            # The slow part of the command goes on where it is, whatever the gain.
+            # The slow part of the command is independent of the gain.
             c['lag_memory'] = running['lag_memory'] * running['gain'] / c['gain']
         else:
             c['fresh'] = TAKE_OVER
@@ -162,8 +163,8 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
 
 
 @jit
-def _begin(c, error, slow):
-    """Remember an `error` (N) that has stood for long, answered by the lag with `slow` (N)."""
+def _initialise(c, error, slow):
+    """Set the memory to the steady state at an error (N), with `slow` (N) as output of the lag."""
     for i in range(c.count):
         b0, _, b2, _, a2 = c.sections[i]
         c.memory[i, 0] = error - b0 * error
@@ -177,14 +178,14 @@ def compensate(c, reference, measured):
     """
     Return the valve command (N) for a desired and a measured force (N); updates `c` in place.
 
-    While the command is saturated the lag does not move further that way, so it does not wind up.
-    (To set it to what the valve was given instead would let the short kick of a lead after a step
-    shift it for seconds.)
+    Anti-windup by conditional integration: while the command is saturated the lag does not move
+    further in that direction. (With back-calculation the short peak of a lead after a step would
+    shift the lag for seconds.)
     """
     error = reference - measured
     direct = c.feedforward * reference
     if c.fresh != 0:
-        _begin(c, error, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
+        _initialise(c, error, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
     value = error
     for i in range(c.count):
         out = c.sections[i, 0] * value + c.memory[i, 0]
@@ -195,11 +196,11 @@ def compensate(c, reference, measured):
     if c.changed == 1:
         c.bias = c.command - (c.gain * out + direct)
         c.changed = 0
-    free = c.gain * out + direct + c.bias
+    unlimited = c.gain * out + direct + c.bias
     c.bias *= c.bias_decay
-    c.command = min(max(free, -c.saturation), c.saturation)
+    c.command = min(max(unlimited, -c.saturation), c.saturation)
     memory = c.lag[1] * value - c.lag[2] * out
-    if (free - c.command) * (memory - c.lag_memory) <= 0.0:
+    if (unlimited - c.command) * (memory - c.lag_memory) <= 0.0:
         c.lag_memory = memory
     return c.command
 

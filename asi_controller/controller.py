@@ -1,4 +1,4 @@
-"""The controller without ROS: reference, compensator, and when they begin."""
+"""The controller without ROS: reference generator and compensator."""
 
 from collections.abc import Mapping
 
@@ -17,7 +17,7 @@ from asi_controller.reference import TOPIC, reference_force
 @jit
 def _answer(references, compensators, enabled, time, topic, measured):
     """
-    Return desired force, valve command, and whether that is at its limit.
+    Return desired force, valve command, and whether the command is saturated.
 
     references, compensators: arrays of one record.
     """
@@ -32,14 +32,14 @@ def _of(table: tuple[Parameter, ...], values: Mapping[str, Value]) -> dict[str, 
 
 
 class Controller:
-    """Answers measured forces with valve commands, one a control period."""
+    """Computes a valve command from the measured force in each control period."""
 
     def __init__(self, values: Mapping[str, Value], rate_hz: float, lockstep: bool):
         """
-        Begin with parameters by name: those of compensator and reference.
+        Start with parameters by name: those of compensator and reference.
 
-        lockstep: stamps are whole control periods, and time is counted in them, so that it has
-        the same bits as in `asi_analysis.loop.closed_loop`. Raises ParameterError for
+        lockstep: stamps are whole control periods, and time is computed from their number, for the
+        same bits as in `asi_analysis.loop.closed_loop`. Raises ParameterError for
         parameters that are not allowed.
         """
         self.rate_hz = rate_hz
@@ -53,21 +53,21 @@ class Controller:
 
     @staticmethod
     def check(values: Mapping[str, Value], rate_hz: float) -> None:
-        """Raise ParameterError if the parameters do not go together."""
+        """Raise ParameterError if a combination of parameters is not allowed."""
         chosen = _of(COMPENSATOR_PARAMETERS, values)
         compensator(chosen, rate_hz)
         for each in COMPENSATORS.values():
-            # A text is refused when it is given, not when its compensator is chosen.
+            # A wrong text is refused when it is set, not when its compensator is selected.
             if any(isinstance(parameter.default, str) for parameter in each.parameters):
                 compensator(chosen | {'compensator': each.name}, rate_hz)
 
     def begin(self, values: Mapping[str, Value]) -> None:
-        """Begin anew: nothing remembered, and the reference starts at the next answer."""
+        """Restart: memory cleared, and the reference starts with the next answer."""
         self._start_compensator(values)
         self._start_reference(values)
 
     def change(self, values: Mapping[str, Value], changed: set[str]) -> None:
-        """Take new parameters, of which `changed` are new, without a step of the command."""
+        """Apply parameters, of which `changed` are new, with bumpless transfer."""
         if changed & {parameter.name for parameter in COMPENSATOR_PARAMETERS}:
             self._start_compensator(values, self._compensators[0])
         if changed & {parameter.name for parameter in REFERENCE_PARAMETERS}:
@@ -85,7 +85,7 @@ class Controller:
         self._start_ns: int | None = None
 
     def enable(self, enabled: bool, values: Mapping[str, Value]) -> None:
-        """Close the loop, from a command of 0 and without a step, or open it: command 0."""
+        """Close the loop, with bumpless transfer from a command of 0, or open it: command 0."""
         if enabled and not self.enabled:
             self._compensators['command'] = 0.0
             self._start_compensator(values, self._compensators[0])
@@ -94,9 +94,9 @@ class Controller:
 
     def answer(self, stamp_ns: int, force_n: float) -> tuple[float, float, bool]:
         """
-        Return the answer to the force (N) that was measured at a stamp.
+        Return desired force (N), command (N) and whether it is saturated.
 
-        That is the desired force and the command (N), and whether the command is at its limit.
+        force_n: measured force (N) at the stamp (ns).
         """
         if self._start_ns is None:
             self._start_ns = stamp_ns

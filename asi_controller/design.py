@@ -1,11 +1,11 @@
-"""What a file in `compensators/` declares: the type of a compensator, and of what it designs."""
+"""Types of a compensator, as declared by the files in `compensators/`, and of its design."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from asi_common.parameter import Parameter
 
-# As many as the record that compiled code reads has room for.
+# Capacity of the record for compiled code.
 MOST_POLES: Final = 16
 
 
@@ -23,11 +23,11 @@ class Compensator(NamedTuple):
 
     name: its value of the parameter `compensator`, and the block of its own parameters.
     gain: the gain in use while the parameter `gain` is 0.
-    order: its place in lists, the smallest first.
+    order: position in lists, the smallest first.
     design: called with the gain, and its own parameters by keyword, as `ratio` for
-    `lead_lag.ratio`; raises ParameterError if they do not go together.
+    `lead_lag.ratio`; raises ParameterError for a combination that is not allowed.
     parameters: their names without the block.
-    gain_at: where the gain is that of the compensator, if not at zero frequency.
+    gain_at: frequencies at which the gain applies, if not at zero frequency.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The executable of the controller that `ros2 run asi_actuator` starts."""
+"""Executable of the controller for `ros2 run asi_actuator`."""
 
 from asi_common.executable import end_quietly_while_importing
 

@@ -1,4 +1,4 @@
-"""Every parameter of the controller; the one place, as `asi_actuator/parameters.py` is."""
+"""Parameters of the controller: compensators, reference, node."""
 
 from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.parameter import Parameter

@@ -1,4 +1,4 @@
-"""The signals that the controller can play as desired force: functions of time, compiled."""
+"""Reference signals of the controller's generator: compiled functions of time."""
 
 import math
 
@@ -12,30 +12,30 @@ TOPIC, STEP, RAMP, SINE, TRIANGLE, CHIRP, MULTISINE, PRBS = range(len(SHAPES))
 
 @jit
 def _triangle(phase):
-    """Return a triangle wave, -1 to 1, that begins at 0 and rises; phase in cycles."""
+    """Return a triangle wave from -1 to 1 that starts at 0 and rises; phase in cycles."""
     return 1.0 - 4.0 * abs((phase + 0.25) % 1.0 - 0.5)
 
 
 @jit
 def _chirp(time, start_hz, end_hz, duration):
-    """Return a sine whose frequency moves geometrically, and ends at its next zero."""
+    """Return a logarithmic chirp, which continues to the next zero crossing after `duration`."""
     swept = min(time, duration)
     if start_hz == end_hz:
-        cycles, in_all = start_hz * swept, start_hz * duration
+        cycles, total = start_hz * swept, start_hz * duration
     else:
         rate = math.log(end_hz / start_hz) / duration
         cycles = start_hz * math.expm1(rate * swept) / rate
-        in_all = (end_hz - start_hz) / rate
+        total = (end_hz - start_hz) / rate
     cycles += end_hz * (time - swept)
-    return math.sin(2.0 * math.pi * cycles) if 2.0 * cycles < math.ceil(2.0 * in_all) else 0.0
+    return math.sin(2.0 * math.pi * cycles) if 2.0 * cycles < math.ceil(2.0 * total) else 0.0
 
 
 @jit
 def _multisine(time, start_hz, end_hz, tones):
     """
-    Return `tones` sines, as far apart, with Schroeder's phases (1970), which keep the peak low.
+    Return `tones` equally spaced sines with Schroeder's phases (1970), for a low crest factor.
 
-    With those the sum stays below 1.53 times the root of their number, whatever their frequencies
+    With these the sum stays below 1.53 times the root of their number, whatever their frequencies
     (the worst are three; test/controller/test_reference.py tries each number).
     """
     total = 0.0
@@ -48,7 +48,7 @@ def _multisine(time, start_hz, end_hz, tones):
 
 @jit
 def _prbs(cell, seed):
-    """Return +1 or -1, at random but the same for the same cell and seed (SplitMix64)."""
+    """Return a pseudo-random +1 or -1 for a cell and a seed (SplitMix64)."""
     x = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(cell)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -60,10 +60,10 @@ def reference_force(time, r):
     """
     Return the desired force (N) at `time` s after the signal was chosen.
 
-    r: record of REFERENCE_PARAMETERS. It never differs from the offset by more than the amplitude.
+    r: record of REFERENCE_PARAMETERS. The difference from the offset is at most the amplitude.
     """
     t = time - r.reference_start
-    # A whole tick that rounding puts just before the start belongs to the signal.
+    # The tolerance includes a tick that rounding puts just before the start.
     if t < -1e-9:
         return r.reference_offset
     t = max(t, 0.0)

@@ -1,9 +1,9 @@
 """
-The actuator and its controller; if wanted, a recorder, and the actuator in motion in RViz.
+Launch the actuator and its controller; optionally a recorder, and RViz.
 
 ros2 launch asi_actuator asi_actuator.launch.py mode:=realtime reference:=sine record:=run1
 
-A parameter is set only if its argument is given: otherwise the parameter files decide.
+An argument that is given sets its parameter; otherwise the parameter files apply.
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchDescription
 
 NODES = ('actuator', 'controller', 'recorder')
-# Launch argument: the parameter that it sets, its type, of which nodes, what it is.
+# Launch argument: (parameter, type, nodes, description).
 PARAMETERS = {
     'mode': ('mode', str, NODES[:2], 'lockstep or realtime'),
     'rate_hz': ('rate_hz', float, NODES[:2],
@@ -39,12 +39,12 @@ OTHERS = (
     ('params_file', '', 'parameter files for all nodes, separated by commas; the last one wins'),
     ('rviz', 'false', 'true: show the actuator in RViz'),
 )
-# How long the recorder may take to finish its bag after Ctrl-C, s, before SIGTERM, then SIGKILL.
+# Time for the recorder to finish its bag after Ctrl-C, s, before SIGTERM, and then SIGKILL.
 FINISH_S = '30'
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what to start."""
+    """Return the launch description."""
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value='', description=text)
           for name, (*_, text) in PARAMETERS.items()),
@@ -54,7 +54,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _started(context: Any) -> list[Any]:
-    """Return what the arguments ask for."""
+    """Return the nodes for the arguments."""
     given = context.launch_configurations
 
     def node(executable: str, **options: Any) -> Node:
@@ -70,7 +70,7 @@ def _started(context: Any) -> list[Any]:
 
 
 def _parameters(given: dict[str, str], node: str) -> list[Any]:
-    """Return the parameter files of a node, and after them what the arguments set."""
+    """Return the parameter files of a node, followed by the parameters of the arguments."""
     values: dict[str, Any] = {
         parameter: ParameterValue(LaunchConfiguration(name), value_type=kind)
         for name, (parameter, kind, nodes, _) in PARAMETERS.items()
@@ -82,12 +82,12 @@ def _parameters(given: dict[str, str], node: str) -> list[Any]:
 
 
 def _recorder_ended(event: Any, context: Any) -> list[Any]:
-    """End all if the recorder could not start: the nodes would wait for it."""
+    """Shut down if the recorder could not start, because the nodes would wait for it."""
     return [Shutdown(reason='the recorder could not start')] if event.returncode == 2 else []
 
 
 def _scene(given: dict[str, str]) -> list[Any]:
-    """Return what shows the frames of the actuator in RViz, where it is installed."""
+    """Return RViz and the publisher of the actuator's frames, where they are installed."""
     if given['rviz'] != 'true':
         return []
     config = Path(get_package_share_directory('asi_actuator')) / 'config'
