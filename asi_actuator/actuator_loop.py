@@ -1,4 +1,4 @@
-"""What runs the actuator's node: lock-step or real time."""
+"""Time base of the actuator node: lock-step or real time."""
 
 import time
 from typing import TYPE_CHECKING, Final, Protocol
@@ -22,7 +22,7 @@ MOST_CATCH_UP: Final = 10
 
 
 class Loop(Protocol):
-    """What runs the actuator: lock-step or real time."""
+    """Time base of the actuator: lock-step or real time."""
 
     def __init__(self, node: 'ActuatorNode'): ...
 

@@ -1,4 +1,4 @@
-"""Offset and scale of the force sensor: taken at rest, kept in a file."""
+"""Calibration of the force sensor: offset measured at rest, offset and scale stored in a file."""
 
 import math
 from collections import deque

@@ -1,5 +1,5 @@
 """
-The other end of the bridge: the simulated actuator on a CAN bus, as a firmware would be.
+Simulated firmware: the actuator on a CAN bus, at the other end of the bridge.
 
 Needs no ROS. `--pty` makes two linked pseudo-terminals and speaks slcan over them, so that
 neither hardware nor SocketCAN is needed.

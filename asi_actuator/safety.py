@@ -1,8 +1,8 @@
 """
-What keeps the valve safe: the states of the node, the watchdogs, the limiter of the command.
+Safety of the valve: states of the node, watchdogs, and limits of the command.
 
-Pure logic without ROS. Whatever the controller asks for, a command goes to the actuator only
-through `command`, which is 0 unless the state is enabled.
+Independent of ROS. A command of the controller reaches the actuator only through `command`, which
+returns 0 unless the state is enabled.
 """
 
 import math

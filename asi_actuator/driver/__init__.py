@@ -1,5 +1,5 @@
 """
-What stands behind the actuator node: the model, hardware on a CAN bus, or a recording.
+Drivers of the actuator node: the model, hardware on a CAN bus, or a recording.
 
 A driver is a class that is a `Driver`, and a Python entry point of the group
 `asi_actuator.drivers`. Any package can add one: in its pyproject.toml

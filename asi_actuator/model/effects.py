@@ -1,8 +1,8 @@
 """
-Effects: what the simulator can be made to do that the nominal actuator does not, by name.
+Effects: deviations that the simulator can have from the nominal actuator, by name.
 
 The words are those of the diagnosis. Each effect is a set of parameters of its block; `example` is
-a size that shows. Null: the nominal parameters.
+a clearly visible size. Null: the nominal parameters.
 """
 
 from collections.abc import Mapping
