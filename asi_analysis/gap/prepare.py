@@ -458,11 +458,11 @@ def _with_repeats(recordings: list[Recording]) -> list[Recording]:
         for second in recordings[:i]:
             if not _same_command(first, second):
                 continue
-            kept = first.valid & second.valid
+            valid = first.valid & second.valid
             for name in ('force', 'valve_position', 'velocity'):
                 one, other = getattr(first, name), getattr(second, name)
                 if one is not None and other is not None:
-                    level = float(np.std((one - other)[kept])) / math.sqrt(2.0)
+                    level = float(np.std((one - other)[valid])) / math.sqrt(2.0)
                     noisier = [replace(r, noise=r.noise | {name: max(r.noise[name], level)})
                                if name in r.noise else r for r in noisier]
     return noisier

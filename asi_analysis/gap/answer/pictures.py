@@ -69,9 +69,9 @@ def plane(x: Array, before: Array, after: Array, x_label: str, unit: str) -> Fig
     with style():
         figure = _new(2.6)
         axes = figure.subplots()
-        kept = np.linspace(0, x.size - 1, min(x.size, 4000)).astype(int)
-        axes.plot(x[kept], before[kept], '.', color=ORANGE, markersize=1.5, label='before')
-        axes.plot(x[kept], after[kept], '.', color=BLUE, markersize=1.5, label='after')
+        drawn = np.linspace(0, x.size - 1, min(x.size, 4000)).astype(int)
+        axes.plot(x[drawn], before[drawn], '.', color=ORANGE, markersize=1.5, label='before')
+        axes.plot(x[drawn], after[drawn], '.', color=BLUE, markersize=1.5, label='after')
         axes.set_xlabel(x_label)
         axes.set_ylabel(f'real - model ({unit})')
         _legend(figure, axes, markerscale=6)

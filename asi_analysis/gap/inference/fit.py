@@ -145,15 +145,15 @@ def independent_samples(group: Group, p: np.void) -> Values:
     for channel in group.channels:
         counts[channel] = 0.0
         for recording in group.recordings:
-            kept = recording.held_out.astype(float)
-            residual = (measured(recording, channel) - predict(recording, channel, p)) * kept
+            used = recording.held_out.astype(float)
+            residual = (measured(recording, channel) - predict(recording, channel, p)) * used
             size = 2 * residual.size
             products = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:residual.size]
-            pairs = np.fft.irfft(np.abs(np.fft.rfft(kept, size)) ** 2)[:residual.size]
+            pairs = np.fft.irfft(np.abs(np.fft.rfft(used, size)) ** 2)[:residual.size]
             correlation = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
             pairs_sum = correlation[1:residual.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
             ends = int(np.argmax(np.append(pairs_sum, -1.0) <= 0.0))
-            counts[channel] += kept.sum() / (1.0 + 2.0 * float(pairs_sum[:ends].sum()))
+            counts[channel] += used.sum() / (1.0 + 2.0 * float(pairs_sum[:ends].sum()))
     return counts
 
 

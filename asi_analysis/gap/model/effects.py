@@ -122,8 +122,8 @@ EFFECTS: tuple[Effect, ...] = (
                 needs=('valve_flexure_model', 'valve_flexure_delay')),
     )),
     Effect('command_quantisation', COMMAND_PATH, 'the command comes in steps', (
-        *(Variant((Free('command_quantum', 0.999, 1.001, (1.0,), seen, 'N'),), VALVE_SIDE, fixed)
-          for seen, fixed in (('residual_step', (('command_phase', 0.0),)),
+        *(Variant((Free('command_quantum', 0.999, 1.001, (1.0,), guess, 'N'),), VALVE_SIDE, fixed)
+          for guess, fixed in (('residual_step', (('command_phase', 0.0),)),
                               ('residual_step_edge', (('command_phase', 0.5),)),
                               ('residual_step_zero', (('command_truncated', 1.0),)))),
     )),

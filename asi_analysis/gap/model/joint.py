@@ -34,7 +34,7 @@ SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a 
 # General model error, share of a signal: a rigid model of gears, belts and cables,
 RIGID_ERROR = 0.02
 SERVO_ERROR = 0.03   # and a drive without dynamics
-BIASED = 0.5        # of a force's swing (rms): a mean beyond this is no part of the dynamics
+BIASED = 0.5        # of the standard deviation of a force: a larger mean is removed
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
@@ -221,10 +221,10 @@ def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[st
     each recording has its own mean.
     """
     means = [float(r.force[r.valid].mean()) for r in recordings if r.force is not None]
-    swing = min(float(r.force.std()) for r in recordings if r.force is not None)
-    if max(map(abs, means), default=0.0) < BIASED * swing:
+    deviation = min(float(r.force.std()) for r in recordings if r.force is not None)
+    if max(map(abs, means), default=0.0) < BIASED * deviation:
         return recordings, []
-    similar = max(means) - min(means) < 2.0 * swing
+    similar = max(means) - min(means) < 2.0 * deviation
     taken = [float(np.mean(means))] * len(means) if similar else means
     shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean)
                if r.force is not None and r.force_judged is not None else r

@@ -75,23 +75,23 @@ def test_errors_within_the_tolerance_are_no_gap():
     assert problems(answer, 'asi gap') == []
 
 
-@pytest.mark.parametrize('hidden', [
+@pytest.mark.parametrize('absent', [
     ('position_m',), ('valve_position_m', 'position_m', 'velocity_m_s')])
-def test_no_gap_where_signals_are_absent(hidden):
-    run = dataclasses.replace(recorded(), **dict.fromkeys(hidden))
+def test_no_gap_where_signals_are_absent(absent):
+    run = dataclasses.replace(recorded(), **dict.fromkeys(absent))
     assert diagnose([run], TEXTBOOK).verdict == ()
 
 
-def test_nominal_parameter_far_off_is_seen_and_fitted():
+def test_nominal_parameter_beyond_its_tolerance_is_fitted():
     full = {'load.type': 'spring', 'load.stiffness': 2e5, 'load.damping': 20.0, 'load.mass': 0.5}
     groups, _ = actuator_groups([recorded(real={**full, 'friction.coulomb': 40.0})],
                                 full, 0.2, [False])
     group = groups[-1]
     null = fit_null(group)
     variant = BY_NAME['coulomb_friction'].variants[-1]
-    promise = LinearScreen(null)
-    assert promise.cost(group, [variant]) < 0.5 * null.cost
-    fitted = fit_variants(group, promise, [variant])
+    screen = LinearScreen(null)
+    assert screen.cost(group, [variant]) < 0.5 * null.cost
+    fitted = fit_variants(group, screen, [variant])
     assert fitted.cost < 0.5 * null.cost
     assert fitted.values['friction_coulomb'] == pytest.approx(40.0, rel=0.1)
 
@@ -114,7 +114,7 @@ def test_static_gain_keeps_its_tolerance_where_the_valve_opens_fully():
         assert free.min() > 0.8 - 1e-9 and free.max() < 1.2 + 1e-9
 
 
-def test_hysteresis_remembers_that_the_machine_was_at_rest():
+def test_hysteresis_starts_from_rest():
     values = {**TEXTBOOK, 'valve_hysteresis.model': 'full', 'valve_hysteresis.radius': 60.0}
     command = np.repeat([500.0, 700.0], 1000)   # never turns, so it never reaches the other side
     valve = simulate(as_record(values), command, 1e-3).valve_position_m
@@ -123,7 +123,7 @@ def test_hysteresis_remembers_that_the_machine_was_at_rest():
     assert predicted[[900, 1900]] == pytest.approx(valve[[900, 1900]], rel=1e-3)
 
 
-def test_hysteresis_that_first_goes_back_as_it_turns_is_fitted():
+def test_bouc_wen_hysteresis_is_fitted():
     command = np.repeat(np.random.default_rng(4).uniform(-600.0, 600.0, 30), 200)
     bent, looped = 0.0, np.empty(command.size)   # Bouc and Wen's, explicitly
     for i, moved in enumerate(np.diff(command, prepend=0.0)):
@@ -145,7 +145,7 @@ def test_hysteresis_that_first_goes_back_as_it_turns_is_fitted():
 @pytest.mark.parametrize(('deadband', 'command'), [
     (0.0, np.repeat(np.random.default_rng(11).uniform(-750.0, 750.0, 24), 250)),
     (150.0, 900.0 * np.sin(np.arange(6000) * 4e-3))])
-def test_steps_of_a_command_are_seen(deadband, command):
+def test_initial_guess_of_a_command_quantum(deadband, command):
     noise = np.random.default_rng(2).normal(0.0, 2e-8, command.size)
     run = Run(1e-3 * np.arange(command.size), command_n=command, valve_position_m=noise,
               source='real')
@@ -160,7 +160,7 @@ def test_steps_of_a_command_are_seen(deadband, command):
     assert initial_guesses(fitted)['residual_step_edge'] == pytest.approx(67.5, rel=5e-3)
 
 
-def test_force_that_is_limited_before_it_is_lost_is_fitted():
+def test_limited_force_with_supply_drop_is_fitted():
     run, model = recorded(), {**TEXTBOOK, 'load.type': 'prescribed'}
     run = dataclasses.replace(run, position_m=None, velocity_m_s=0.1 * run.velocity_m_s)
     p = plant_record(REAL)
@@ -175,7 +175,7 @@ def test_force_that_is_limited_before_it_is_lost_is_fitted():
     assert both.held_out['force'] < 1.2 * group.noise['force'] ** 2
 
 
-def test_push_that_ends_where_nothing_is_fitted_is_timed():
+def test_pulse_that_ends_in_a_held_out_part_is_located():
     run = recorded()
     pushed = run.force_n + 40.0 * ((run.time_s > 1.3) & (run.time_s < 2.8))  # held out there
     run = dataclasses.replace(run, command_n=None, valve_position_m=None, force_n=pushed)
@@ -186,18 +186,18 @@ def test_push_that_ends_where_nothing_is_fitted_is_timed():
     assert pulse.values['disturbance_end'] == pytest.approx(2.8, abs=0.003)
 
 
-def test_effect_behind_a_lag_passes_less_noise_on():
+def test_propagated_noise_of_a_lag_is_smaller():
     groups, _ = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])
     recording, nominal = groups[-1].recordings[0], groups[-1].nominal
 
-    def passed(**changed: float) -> float:
+    def propagated(**changed: float) -> float:
         p = nominal.copy()
         for name, value in changed.items():
             p[name] = value
         return propagated_noise(recording, 'force', p)
 
-    assert passed(air_time=5e-3) < 0.5 * passed()
-    assert passed(viscous=1000.0, friction_inside=1.0) > 1.2 * passed()
+    assert propagated(air_time=5e-3) < 0.5 * propagated()
+    assert propagated(viscous=1000.0, friction_inside=1.0) > 1.2 * propagated()
 
 
 @pytest.mark.parametrize(('changed', 'effect', 'field', 'value'), [
@@ -220,7 +220,7 @@ def test_effect_is_named(changed, effect, field, value):
     assert answer['gap']['shrink_low'] <= answer['gap']['shrink'] <= answer['gap']['shrink_high']
 
 
-def test_sensor_that_warms_up_has_no_offset_besides():
+def test_warming_sensor_is_drift_without_offset():
     run = recorded()
     warm = 80.0 * (1.0 - np.exp(-run.time_s))
     diagnosis = diagnose([dataclasses.replace(run, force_n=run.force_n + warm)], TEXTBOOK)
@@ -229,7 +229,7 @@ def test_sensor_that_warms_up_has_no_offset_besides():
 
 @pytest.mark.parametrize(('first', 'second'), [
     ('valve_saturation', 'internal_leakage'), ('coulomb_friction', 'entrained_air')])
-def test_second_effect_is_seen_beyond_what_the_law_of_the_first_may_leave(first, second):
+def test_second_effect_must_exceed_the_formulation_error_of_the_first(first, second):
     # The first explains all but a twentieth, the second that: friction has laws that differ more.
     left = {(): 60.0, (first,): 3.0, (second,): 55.0, (first, second): 1.4}
     pair = tuple(sorted((first, second)))
@@ -256,7 +256,7 @@ def test_truth_is_in_the_set(seed):
     assert '+'.join(sorted(case.effects)) in answer['ambiguity_set']
 
 
-def test_fit_may_start_from_one_that_is_beyond_its_bounds():
+def test_fit_starts_from_parameters_outside_its_bounds():
     group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][-1]
     null = fit_null(group)   # without compliance, which what touches has
     floating = BY_NAME['backlash'].variants[-1]
@@ -297,13 +297,13 @@ def test_recording_that_would_mislead_is_refused(spoil, words):
         diagnose([spoil(recorded())], TEXTBOOK)
 
 
-def test_force_a_little_before_its_cause_is_said():
+def test_force_slightly_before_its_input_is_a_warning():
     groups, _ = actuator_groups([_late(recorded(), -10)], TEXTBOOK, 0.2, [False])
     notes = [note for group in groups for note in plausibility.check_against_model(group)]
     assert notes and all('early by' in note and 'clocks of force' in note for note in notes)
 
 
-def test_what_is_no_parameter_of_the_model_is_said(tmp_path):
+def test_unknown_parameter_of_the_model_is_a_warning(tmp_path):
     (tmp_path / 'model.yaml').write_text(
         'asi_actuator: {ros__parameters: {load: {typ: free, mass: 2.0}, mode: realtime}}')
     with pytest.warns(UserWarning, match='load.typ is no parameter.*did you mean load.type'):
@@ -324,7 +324,7 @@ def test_inertia_of_a_joint_may_be_small(tmp_path):
             nominal_model(model, 'joint')
 
 
-def test_velocity_in_another_unit_is_said():
+def test_velocity_with_the_wrong_sign_is_a_warning():
     run = recorded()
     with pytest.warns(UserWarning, match='velocity is not the derivative of position'):
         diagnosis = diagnose([dataclasses.replace(run, velocity_m_s=-run.velocity_m_s)], TEXTBOOK)
@@ -369,7 +369,7 @@ def test_repeated_runs_show_the_noise():
     assert prepare([repeats[0], other])[0].noise['force'] == alone
 
 
-def test_clipped_and_constant_signals_are_said_and_left_out():
+def test_clipped_and_constant_signals_are_left_out_with_a_warning():
     run = recorded()
     limit = 0.6 * np.abs(run.force_n).max()
     spoilt = dataclasses.replace(run, force_n=np.clip(run.force_n, -limit, limit),
@@ -380,7 +380,7 @@ def test_clipped_and_constant_signals_are_said_and_left_out():
     assert set(diagnosis.verdict) <= {'unknown'}   # no effect is made up
 
 
-def test_interval_of_what_is_known_sharply_and_not_at_all():
+def test_interval_of_a_determined_and_an_undetermined_parameter():
     sure, unsure = 1e16, 1e-6
     found = Likelihood(np.diag([sure, unsure]), np.zeros(2))
     theta = np.array([0.3, 0.5])
@@ -389,17 +389,17 @@ def test_interval_of_what_is_known_sharply_and_not_at_all():
             0.3 + sign * 1.96 / np.sqrt(sure), abs=2e-7)
         assert end(found, theta, 1, bound) == bound
     # Two that do the same: each is known no better than the bounds of the other leave it.
-    alike = Likelihood(np.full((2, 2), 1e8), np.zeros(2))
-    assert end(alike, theta, 0, 0.0) == 0.0
-    assert end(alike, theta, 0, 1.0) == pytest.approx(0.8, abs=1e-3)
+    similar = Likelihood(np.full((2, 2), 1e8), np.zeros(2))
+    assert end(similar, theta, 0, 0.0) == 0.0
+    assert end(similar, theta, 0, 1.0) == pytest.approx(0.8, abs=1e-3)
 
 
-def test_diagnosis_does_not_know_the_examiner():
+def test_diagnosis_does_not_import_the_examiner():
     for path in Path(asi_analysis.gap.__file__).parent.glob('*.py'):
         assert 'asi_examiner' not in path.read_text(), path
 
 
-def test_ranking_marks_the_verdict_not_what_leaves_least():
+def test_ranking_marks_the_verdict_not_the_smallest_residual():
     drawn = pictures.ranking(['first', 'second'], [0.1, 0.2], 'second', 1.0, 0.01)
     colours = [bar.get_facecolor() for bar in drawn.axes[0].patches]
     assert colours[0] != colours[1]
@@ -415,7 +415,7 @@ def _said(verdict: str, probability: float, effect: str, block: str) -> dict[str
             'gap': {'shrink': 0.9, 'shrink_low': 0.8, 'shrink_high': 0.95}, 'fresh_shrink': 0.7}
 
 
-def test_score_counts_what_was_said_against_the_truth():
+def test_score_compares_verdicts_with_the_truth():
     lag = {'kind': 'effect', 'effects': ['valve_lag'], 'blocks': ['valve'], 'excitation': 'loop',
            'sizes': {'size': 1.2}}
     none = {'kind': 'none', 'effects': [], 'blocks': [], 'excitation': 'loop'}
@@ -433,10 +433,10 @@ def test_score_counts_what_was_said_against_the_truth():
     assert figures['unknown_rate'] is None
 
 
-def test_check_that_was_stopped_goes_on(tmp_path, monkeypatch):
+def test_interrupted_check_continues(tmp_path, monkeypatch):
     (tmp_path / 'cases.json').write_text(json.dumps([{'bag': bag} for bag in 'abc']))
-    kept = tmp_path / 'rows.jsonl'
-    kept.write_text('{"bag": "a", "verdict": "no_gap"}\n{"bag": "b", "verd')
+    rows_file = tmp_path / 'rows.jsonl'
+    rows_file.write_text('{"bag": "a", "verdict": "no_gap"}\n{"bag": "b", "verd')
     examined = []
     monkeypatch.setattr(check, 'examine', lambda folder, entry: examined.append(entry['bag']) or {
         **entry, 'verdict': 'unknown'})
@@ -444,10 +444,11 @@ def test_check_that_was_stopped_goes_on(tmp_path, monkeypatch):
     assert examined == ['b', 'c']
     assert [(row['bag'], row['verdict']) for row in rows] == [
         ('a', 'no_gap'), ('b', 'unknown'), ('c', 'unknown')]
-    assert [json.loads(line)['bag'] for line in kept.read_text().splitlines()] == ['a', 'b', 'c']
+    lines = rows_file.read_text().splitlines()
+    assert [json.loads(line)['bag'] for line in lines] == ['a', 'b', 'c']
 
 
-def test_cases_that_were_left_undone_are_gone_on_with(tmp_path, monkeypatch):
+def test_interrupted_writing_of_cases_continues(tmp_path, monkeypatch):
     written = []
     case = bags.Answer('none', [], [], 'loop', 'textbook', 'spring', 'all', 0.0, {})
     monkeypatch.setattr(bags, '_write', lambda out, number, *more: written.append(number) or case)

@@ -82,9 +82,9 @@ def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, 
 
 
 def test_model_is_what_the_bag_tells_unless_another_is_given():
-    told = {**TEXTBOOK, 'load.stiffness': 2.2e5}
-    run = dataclasses.replace(recorded(), information={'actuator': told})
-    assert recorded_model([run]) == told
+    recorded_values = {**TEXTBOOK, 'load.stiffness': 2.2e5}
+    run = dataclasses.replace(recorded(), information={'actuator': recorded_values})
+    assert recorded_model([run]) == recorded_values
     with pytest.warns(InputWarning, match='recorded with the load spring, .* has the load locked'):
         with pytest.raises(InputError, match='check the unit|nothing in common'):
             asi_diagnose([run], {**TEXTBOOK, 'load.type': 'locked'})

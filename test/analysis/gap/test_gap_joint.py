@@ -39,8 +39,8 @@ def _joint(reference, friction, breakaway, uneven, late, gravity, offset, out):
                 level *= 1.0 + uneven * np.sign(speed)
                 slope = speed - friction / 1e-3 * abs(speed) / level * bristle
                 bristle += step * slope
-            rub = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
-            speed += step / INERTIA * (torque - DAMPING * speed - rub
+            friction_torque = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
+            speed += step / INERTIA * (torque - DAMPING * speed - friction_torque
                                        - gravity * np.sin(angle) - offset)
             angle += step * speed
 
@@ -131,7 +131,7 @@ def test_joint_with_a_reversed_sign_is_refused():
         diagnose([dataclasses.replace(run, command_n=-run.command_n)], {}, 'joint')
 
 
-def test_push_is_seen_beside_a_worse_start():
+def test_pulse_is_found_beside_a_worse_start():
     run = joint()
     time, size = run.time_s, float(np.std(run.command_n))
     command = run.command_n + 0.5 * size * ((time >= 5.0) & (time < 6.5))
@@ -160,9 +160,9 @@ def test_slow_position_loop():
 def test_lag_of_a_slowly_sampled_drive():
     """Its command is held for half a time constant, and its gain is not known without the lag."""
     run = joint(course=TWO_WAVES)
-    kept = run.command_n[::4]
-    force = lfilter([0.0, 1.0 - math.exp(-0.8)], [1.0, -math.exp(-0.8)], kept)
-    slow = Run(TIME_S[::4], command_n=kept, force_n=force, source='drive')
+    held = run.command_n[::4]
+    force = lfilter([0.0, 1.0 - math.exp(-0.8)], [1.0, -math.exp(-0.8)], held)
+    slow = Run(TIME_S[::4], command_n=held, force_n=force, source='drive')
     answer = document(diagnose([slow], {}, 'joint', drive='drive'))
     assert answer['verdict'] == 'valve_lag'
     assert answer['which'][0]['parameters']['valve_lag'] == pytest.approx(0.01, rel=0.02)
@@ -173,7 +173,7 @@ def test_model_that_is_far_too_heavy_is_refused():
         diagnose([joint()], {'load.mass': 100.0 * INERTIA, 'load.damping': 0.0}, 'joint')
 
 
-def test_push_that_stays_is_seen_from_where_it_begins():
+def test_step_of_a_disturbance_is_found_from_its_start():
     push = np.where(np.arange(4000) < 1000, 0.0, 30.0)
     constant = np.full((push.size, 1), push.size ** -0.5)   # as if it were free
     left = push - constant @ (constant.T @ push)
