@@ -1,8 +1,9 @@
 """
 The sim-to-real gap: where it lies, which effect causes it, how far it shrinks, what is next.
 
-`prepare` (a recording on one clean time base) -> `blocks` (each driven by its measured input, with
-every effect of `effects` in it, null by default) -> `predict` -> `group` (channels that are fitted
-together) -> `fit` -> `verdict` -> `shrink`, `where`, `uncertainty`, `next_experiment`,
-`next_motion` -> `report`. How it works and where it fails: doc/explanation/gap.md.
+`prepare` (uniform sampling, noise, parts of the data) -> `model`: `blocks`, each driven by its
+measured input and with all `effects`, null by default; `predict`; `group` (channels fitted
+together) -> `inference`: `fit`, `initial_guesses`, `hypotheses`, `probability`, `shrink`,
+`localisation`, `uncertainty` -> `experiment` (what to record next) -> `answer` (document, report).
+How it works and where it fails: doc/explanation/gap.md.
 """

@@ -1,1 +1,1 @@
-"""The answer for people and scripts: document, report, pictures, model file."""
+"""The result of a diagnosis: document, tables, report, pictures and improved model file."""

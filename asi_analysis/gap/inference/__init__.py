@@ -1,1 +1,1 @@
-"""From recordings to probabilities: fits, hypotheses, where the gap lies."""
+"""Fits of hypotheses to recordings, their probabilities, and the location of the gap."""
