@@ -9,7 +9,7 @@ Loeb's criterion (Gelb and Vander Velde 1968, section 3.5).
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -106,9 +106,10 @@ def least_gain(needed: NeededGain, near_hz: float | None = None) -> tuple[float,
     near_hz: search only about this frequency, which is faster.
     """
     best = None
-    for low, high in _crossings(needed, near_hz):
-        f = float(brentq(lambda f: needed(f).imag, low, high, xtol=1e-4))
-        gain = needed(f).real
+    needed_once = cache(needed)   # brentq begins with the ends of the bracket again
+    for low, high in _crossings(needed_once, near_hz):
+        f = float(brentq(lambda f: needed_once(f).imag, low, high, xtol=1e-4))
+        gain = needed_once(f).real
         if gain > 0.0 and (best is None or gain < best[0]):
             best = (gain, f)
     return best

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.simulation import (
+    FIRST_WATCHED_S,
     WATCHED_S,
     Values,
     as_balance,
@@ -25,7 +26,7 @@ from asi_analysis.measures.oscillation import Oscillation
 RAISE: Final = 1.06
 MOST: Final = 12.0
 # Gains that are simulated in parallel.
-IN_PARALLEL: Final = 4
+IN_PARALLEL: Final = 2
 ACCURACY: Final = 0.0005
 # The branch is continued from these multiples of the onset gain, in turn: at one of them Newton's
 # method may fail at a corner of the friction.
@@ -56,19 +57,20 @@ def with_gain(controller: Values, gain: float) -> dict[str, Any]:
 
 
 def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: float,
-          accuracy: float = ACCURACY, watched_s: float = WATCHED_S, most: float = MOST
-          ) -> Onset | None:
+          accuracy: float = ACCURACY, watched_s: float = WATCHED_S, most: float = MOST,
+          first_s: float = FIRST_WATCHED_S) -> Onset | None:
     """
     Return the least gain at which the step of the controller's reference leads to a cycle.
 
     start_gain: of the search; the gain is raised until the loop cycles, up to `most` times it, or
     lowered first if it cycles there already. accuracy: relative, of the gain; watched_s: longest
-    simulation (s) of a loop that has not settled. None if it cycles at no gain tried.
+    simulation (s) of a loop that has not settled; first_s: shortest of any. None if it cycles at
+    no gain tried.
     """
     def cycles(gains: list[float]) -> list[Oscillation | None]:
         return [sustained(run) for run in step_runs(
             [actuator] * len(gains), [with_gain(controller, gain) for gain in gains], rate_hz,
-            watched_s)]
+            watched_s, first_s)]
 
     below, found = start_gain, cycles([start_gain])[0]
     high = start_gain

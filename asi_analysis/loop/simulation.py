@@ -33,14 +33,14 @@ def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
     return Loop(plant, compensator, 1.0 / rate_hz, held_n)
 
 
-def step_run(actuator: Values, controller: Values, rate_hz: float, watched_s: float = WATCHED_S
-             ) -> LoopRun:
+def step_run(actuator: Values, controller: Values, rate_hz: float, watched_s: float = WATCHED_S,
+             first_s: float = FIRST_WATCHED_S) -> LoopRun:
     """Return the last MEASURED_S of the settled step response of a loop."""
-    return step_runs([actuator], [controller], rate_hz, watched_s)[0]
+    return step_runs([actuator], [controller], rate_hz, watched_s, first_s)[0]
 
 
 def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float,
-              watched_s: float = WATCHED_S) -> list[LoopRun]:
+              watched_s: float = WATCHED_S, first_s: float = FIRST_WATCHED_S) -> list[LoopRun]:
     """
     Return the last MEASURED_S of the settled step responses of loops, on all cores.
 
@@ -48,20 +48,21 @@ def step_runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_h
     """
     stepped = [{'reference.start': 0.01, **each, 'reference.shape': 'step'}
                for each in controllers]
-    return run_until_settled(loops_of(actuators, stepped, rate_hz), watched_s)
+    return run_until_settled(loops_of(actuators, stepped, rate_hz), watched_s, first_s)
 
 
-def run_until_settled(loops: Loops, watched_s: float = WATCHED_S) -> list[LoopRun]:
+def run_until_settled(loops: Loops, watched_s: float = WATCHED_S,
+                      first_s: float = FIRST_WATCHED_S) -> list[LoopRun]:
     """
     Run loops until their oscillation has settled or decayed; return their last MEASURED_S.
 
     On all cores, for `watched_s` s at most. The reference must be constant after the first
-    FIRST_WATCHED_S.
+    `first_s`, the shortest simulation.
     """
     rate_hz = 1.0 / loops.period_s
     found: dict[int, LoopRun] = {}
     moving = np.arange(len(loops.states))
-    piece_s, elapsed_s = min(FIRST_WATCHED_S, watched_s), 0.0
+    piece_s, elapsed_s = min(first_s, watched_s), 0.0
     while len(moving):
         signals = close_many(loops, piece_s, MEASURED_S)
         elapsed_s += piece_s

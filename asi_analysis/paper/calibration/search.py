@@ -39,12 +39,15 @@ from asi_common.files import replacing
 
 Array = npt.NDArray[np.float64]
 
-# For the search only: coarser, but every row changes by less than a tenth of its limits.
+# For the search only: coarser, but near the aims every row changes by less than a tenth of its
+# limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.0015
 SEARCH_RATIO_ACCURACY: Final = 0.004
 SEARCH_WATCHED_S: Final = 16.0
+SEARCH_FIRST_WATCHED_S: Final = 0.6
+SEARCH_SAMPLES: Final = 360
 # Number of points of a generation that are measured in each stage: the best of the stage before.
 RACE: Final = (64, 16, 8, 6, 4)
 # Ranks a point that was dropped in a stage behind all points that were measured further.
@@ -61,7 +64,8 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
     """Return `measured` with the values of the fitted rows of a stage added."""
     setup = Setup(one.actuator, one.conditions._replace(
         onset_steps_n=SEARCH_STEPS_N, onset_accuracy=SEARCH_ACCURACY,
-        onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY),
+        onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY,
+        first_watched_s=SEARCH_FIRST_WATCHED_S, describing_samples=SEARCH_SAMPLES),
         dict(measured), fitted_only=True)
     for fact in FACTS:
         if fact.stage is stage:

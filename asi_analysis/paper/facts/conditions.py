@@ -7,6 +7,8 @@ The paper gives them only in part. The others are chosen here and stated with ea
 from typing import Final, NamedTuple
 
 from asi_analysis.experiments.step_tests import LEAD4, LOCKED, SPRING, StepTest
+from asi_analysis.loop.describing_functions import SAMPLES
+from asi_analysis.loop.simulation import FIRST_WATCHED_S
 from asi_common.parameter import defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -38,6 +40,10 @@ class Conditions(NamedTuple):
     ratio_accuracy: float = 0.01
     # Longest simulation to decide whether an oscillation is sustained.
     onset_watched_s: float = 32.0
+    # After which it is looked at first.
+    first_watched_s: float = FIRST_WATCHED_S
+    # Samples a period, of the describing function of the hysteresis.
+    describing_samples: int = SAMPLES
     # Fig. 6: a step of this size, at this multiple of the onset gain.
     cycle_step_n: float = 100.0
     cycle_gain: float = 1.1

@@ -75,7 +75,8 @@ class Setup(NamedTuple):
             conditions=conditions._replace(
                 onset_accuracy=conditions.onset_accuracy / refinement,
                 ratio_accuracy=conditions.ratio_accuracy / refinement,
-                onset_watched_s=conditions.onset_watched_s * refinement),
+                onset_watched_s=conditions.onset_watched_s * refinement,
+                describing_samples=conditions.describing_samples * refinement),
             measured={}, refinement=refinement)
 
 

@@ -71,7 +71,7 @@ def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] 
             start = 0.95 * last if last else FIRST_GAIN
             found = onset(locked, step_settings(conditions, start, step), RATE_HZ, start,
                           conditions.onset_accuracy, conditions.onset_watched_s,
-                          HIGHEST_GAIN / start)
+                          HIGHEST_GAIN / start, conditions.first_watched_s)
             measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
             last = measured[name]
@@ -156,7 +156,8 @@ def onset_ratio(actuator: Values, conditions: Conditions, changes: Mapping[str, 
         return 0.0
     found = onset({**actuator, **LOCKED, **changes},
                   step_settings(conditions, onset_gain, conditions.cycle_step_n),
-                  RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, highest)
+                  RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, highest,
+                  conditions.first_watched_s)
     return min(found.gain / onset_gain, highest) if found else highest
 
 
@@ -172,15 +173,14 @@ def paper_prediction(actuator: Values, samples: int = SAMPLES) -> tuple[
     return of, locus(of, PREDICTED_N)
 
 
-def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float,
-                     samples: int = SAMPLES) -> Measured:
+def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float) -> Measured:
     """
     Return ratios of the one-harmonic prediction to the simulated cycle, from the onset to Kp = 15.
 
     Frequency: the worst ratio, as a number above 1. Amplitude, at Kp = 15: predicted over
     simulated, and simulated without damping and friction over simulated with them.
     """
-    of, rows = paper_prediction(actuator, samples)
+    of, rows = paper_prediction(actuator, conditions.describing_samples)
     first = first_intersection(of, rows)
 
     def predicted(gain: float) -> Intersection:
@@ -190,7 +190,7 @@ def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float
         return sustained(step_run(
             {**actuator, **LOCKED, **changes},
             step_settings(conditions, gain, conditions.cycle_step_n), RATE_HZ,
-            conditions.onset_watched_s))
+            conditions.onset_watched_s, conditions.first_watched_s))
 
     low = max(conditions.cycle_gain * min(onset_gain, PAPER_GAIN), first.gain)
     ratios = []

@@ -1,13 +1,12 @@
 """F9: the describing function of the hysteresis alone meets the plant at Kp = 8, 130 Hz."""
 
-from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.paper.facts.fact import Fact, Measured, Setup, Stage, around
 from asi_analysis.paper.facts.measures import predict_cycle
 from asi_analysis.paper.facts.words import PREDICTION
 
 
 def measure(setup: Setup) -> Measured:
-    return predict_cycle(setup.actuator, SAMPLES * setup.refinement)
+    return predict_cycle(setup.actuator, setup.conditions.describing_samples)
 
 
 FACT = Fact(

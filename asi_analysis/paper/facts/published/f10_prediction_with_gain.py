@@ -1,6 +1,5 @@
 """F10: with the gain, the predicted frequency falls and the amplitude rises."""
 
-from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Row, Setup, Stage
 from asi_analysis.paper.facts.measures import predict_cycle
 from asi_analysis.paper.facts.words import PREDICTION
@@ -9,7 +8,7 @@ from asi_analysis.paper.facts.words import PREDICTION
 def measure(setup: Setup) -> Measured:
     # F9 has measured the same.
     known = setup.measured if 'predicted_monotone' in setup.measured else predict_cycle(
-        setup.actuator, SAMPLES * setup.refinement)
+        setup.actuator, setup.conditions.describing_samples)
     return {row.name: known[row.name] for row in FACT.rows}
 
 

@@ -1,14 +1,12 @@
 """F11: the prediction is within a factor of two in frequency and too large in amplitude."""
 
-from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Row, Setup, Stage
 from asi_analysis.paper.facts.measures import onset_gain, prediction_error
 from asi_analysis.paper.facts.words import locked_loop
 
 
 def measure(setup: Setup) -> Measured:
-    return prediction_error(setup.actuator, setup.conditions, onset_gain(setup),
-                            SAMPLES * setup.refinement)
+    return prediction_error(setup.actuator, setup.conditions, onset_gain(setup))
 
 
 FACT = Fact(
