@@ -176,7 +176,9 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
 
 def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:
     """Return the fit of the best hypothesis that holds an effect, and the effect's fields."""
-    for weighed in diagnosis.groups:
+    # An effect of several groups of channels is told by the one that is surest of it.
+    for weighed in sorted(diagnosis.groups, reverse=True,
+                          key=lambda w: marginals(w.probability).get(name, 0.0)):
         holding = [candidate for names, candidate in weighed.candidates.items() if name in names]
         if holding:
             own = diagnosis.best(weighed)

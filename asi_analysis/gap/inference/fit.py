@@ -377,6 +377,8 @@ class LinearScreen:
                    for start in starts)
 
     def _linear(self, change: Array, low: Array, high: Array, per_recording: bool) -> float:
+        if not np.isfinite(change).all():   # no such plant, as a load without any mass
+            return np.inf
         group = self.base.problem.group
         changes, least = change[:, None], 0.0
         if per_recording and group.nominal.dtype != PLANT_DTYPE:   # one size for each recording

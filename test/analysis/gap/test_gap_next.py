@@ -119,3 +119,13 @@ def simulated_overshoot(model: dict[str, Any]) -> float:
     overshoot = loop_figures(model, PLAIN, 1000.0, 1.0, [])['overshoot_percent']
     assert overshoot is not None
     return overshoot
+
+
+def test_experiment_in_which_nothing_moves_is_no_traceback() -> None:
+    from dataclasses import replace
+    group = next(g for g in actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0]
+                 if 'load' in g.channels)
+    still = replace(group.recordings[0], motion=None)
+    late = group.nominal.copy()
+    late['sensor_lag'] = 0.003
+    assert next_experiment.separation(group, still, group.nominal, late) >= 0.0
