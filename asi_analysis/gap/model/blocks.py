@@ -1,5 +1,5 @@
 """
-The blocks, each driven by its measured input, with every effect of the vocabulary built in.
+The blocks driven by measured inputs, with every effect; long, as the simulator will replace it.
 
 valve:   command -> valve position          (command path and valve)
 force:   valve position, velocity -> force  (hydraulics and seals, then the sensor)
