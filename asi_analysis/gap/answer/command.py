@@ -15,6 +15,7 @@ from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.diagnose import document, plain
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
+from asi_analysis.gap.model.model_file import DIRECT
 from asi_analysis.measures.quality import quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import ParameterError, Value, completed
@@ -23,6 +24,10 @@ PLANTS = ('actuator', 'joint')
 LEAST_TOLERANCE = 1e-3
 DRIVES = (None, 'force', 'position')
 LOAD = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type')
+# Effects of the simulator that the diagnosis computes by equations of its own, 0 if off.
+EFFECT_SIZES = (set(DIRECT.values()) - {'valve_characteristic.supply_time'}) | {
+    'fluid_dynamics.leakage_growth', 'friction.coulomb_asymmetry', 'coupling.stiffness',
+    'backlash.gap', 'load.external_force', 'force_sensor.drop_rate'}
 
 
 Model = str | Path | Mapping[str, Value]
@@ -81,6 +86,9 @@ def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool)
     origin = ('as given' if given else f'from the metadata of {runs[0].source}' if values else
               'the defaults, since the bag tells none')
     notes = [f'nominal model: {origin}; load {load}, {1.0 / runs[0].period_s:.4g} Hz']
+    if on := sorted(name for name in EFFECT_SIZES if values.get(name, 0.0) != 0.0):
+        notes.append(f'the nominal model has {", ".join(on)}, which the diagnosis does not '
+                     'compute as the simulator does: the difference may be reported as a gap')
     for run in runs:
         other = run.information.get('actuator', {}).get('load.type', load)
         if other != load:

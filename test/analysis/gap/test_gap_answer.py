@@ -102,3 +102,10 @@ def test_setting_overrides_what_the_bag_tells():
     assert answer.model == {**TEXTBOOK, 'load.stiffness': 2.2e5}
     assert answer['notes'][0] == (
         'nominal model: from the metadata of real; load spring, 1000 Hz')
+
+
+def test_effects_of_the_nominal_model_are_said_to_be_approximate():
+    run = dataclasses.replace(recorded(), information={'actuator': TEXTBOOK})
+    notes = asi_diagnose([run], settings=['load.external_force=1.0'])['notes']
+    assert sum('load.external_force, which the diagnosis does not' in note for note in notes) == 1
+    assert not any('which the diagnosis does not' in note for note in asi_diagnose([run])['notes'])
