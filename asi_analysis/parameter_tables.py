@@ -13,6 +13,7 @@ from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_common.parameter import Parameter, defaults
 from asi_common.parameter_file import parameter_file, parameter_lines, scalar
+from asi_controller import additions
 from asi_controller.compensators import COMPENSATORS, DOCUMENTATION
 from asi_controller.parameters import (
     CHOICE_PARAMETERS,
@@ -38,8 +39,10 @@ NODES: Final = (
     NodeTables('asi_controller', 'config/controller.yaml',
                {'Node': CONTROLLER_NODE_PARAMETERS, 'Compensator': CHOICE_PARAMETERS,
                 **{f'Compensator {name}': each.table for name, each in COMPENSATORS.items()},
+                **{f'Addition {name}': table for name, table in additions.ADDITIONS.items()},
                 'Reference': REFERENCE_PARAMETERS},
-               {f'Compensator {name}': text for name, text in DOCUMENTATION.items()}),
+               {f'Compensator {name}': text for name, text in DOCUMENTATION.items()}
+               | {f'Addition {name}': text for name, text in additions.DOCUMENTATION.items()}),
 )
 
 

@@ -4,7 +4,7 @@ Discretisation and execution of the compensators in `compensators/`.
 A compensator is designed in continuous time as a product of (s/z + 1)/(s/p + 1), so that the gain
 is that at zero frequency, as in the paper; discretised for the control rate by Tustin's rule,
 prewarped at the frequency of the limit cycle; and run as a cascade of second-order sections, the
-slowest pole last.
+slowest pole last. The additions in `additions/` act before it, beside it and after it.
 """
 
 import math
@@ -17,9 +17,14 @@ from scipy import signal
 
 from asi_common.jit import jit
 from asi_common.parameter import ParameterError, Value, completed, with_its_type
+from asi_common.record import as_number, field_name, record_dtype
+from asi_controller.additions.hysteresis_inverse import follow
+from asi_controller.additions.integrator import integrate
+from asi_controller.additions.reference_model import approach, model_drive
+from asi_controller.additions.velocity_feedforward import compensation
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
-from asi_controller.parameters import COMPENSATOR_PARAMETERS
+from asi_controller.parameters import ADDITION_PARAMETERS, COMPENSATOR_PARAMETERS
 
 # The phase is most important at the frequency of the limit cycle.
 PREWARP_HZ: Final = 90.0
@@ -47,6 +52,12 @@ COMPENSATOR_DTYPE = np.dtype([
     ('bias', np.float64),                            # N, of the bumpless transfer
     ('bias_decay', np.float64),                      # factor of the bias in each tick
     ('command', np.float64),                         # N, the last one
+    ('period', np.float64),                          # s
+    *record_dtype(ADDITION_PARAMETERS).descr,
+    ('integral', np.float64),                        # N, of the integrator
+    ('model_force', np.float64),                     # N, of the reference model
+    ('model_delayed', np.float64),                   # N
+    ('centre', np.float64),                          # N, of the hysteresis inverse
 ])
 
 
@@ -150,7 +161,12 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     c['fresh'] = REST
     transfer = float(v['transfer_time'])
     c['bias_decay'] = math.exp(-1.0 / (rate_hz * transfer)) if transfer else 0.0
+    c['period'] = 1.0 / rate_hz
+    for parameter in ADDITION_PARAMETERS:
+        c[field_name(parameter.name)] = as_number(parameter, v[parameter.name])
     if running is not None:
+        for name in ('integral', 'model_force', 'model_delayed', 'centre'):
+            c[name] = running[name]
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
         if (np.array_equal(running['sections'], c['sections'])
                 and np.array_equal(running['lag'], c['lag'])):
@@ -174,16 +190,64 @@ def _initialise(c, error, slow):
 
 
 @jit
-def compensate(c, reference, measured):
+def _beside(c, reference, measured, velocity):
+    """Return the force (N) to compare with the measured, and the command (N) of the additions."""
+    goal, drive = reference, reference
+    if c.reference_model_bandwidth > 0.0:
+        if c.fresh == REST:
+            c.model_force = c.model_delayed = measured
+        drive = model_drive(c.model_force, reference, c.reference_model_bandwidth,
+                            c.reference_model_lag_frequency, c.reference_model_drive)
+        goal = c.model_delayed
+        c.model_force = approach(c.model_force, drive, 2.0 * math.pi
+                                 * c.reference_model_lag_frequency, c.period)
+        c.model_delayed = (approach(c.model_delayed, c.model_force,
+                                    1.0 / c.reference_model_delay, c.period)
+                           if c.reference_model_delay > 0.0 else c.model_force)
+    else:
+        c.model_force = c.model_delayed = reference
+    command = c.feedforward * drive
+    if c.velocity_feedforward_share > 0.0:
+        command += compensation(velocity, c.velocity_feedforward_share,
+                                c.velocity_feedforward_damping)
+    if c.integrator_rate > 0.0:
+        command += c.integral
+    else:
+        c.integral = 0.0
+    return goal, command
+
+
+@jit
+def _limited(c, command):
+    return min(max(command, -c.saturation), c.saturation)
+
+
+@jit
+def _inverted(c, command):
+    """Return the command (N) with the inverse of the valve's play; moves its centre."""
+    moved = _limited(c, command)
+    dead_zone = c.hysteresis_inverse_dead_zone
+    c.centre = follow(c.centre, moved, dead_zone)
+    if c.hysteresis_inverse_size == 0.0:
+        return command
+    return command + c.hysteresis_inverse_size * (moved - c.centre) / dead_zone
+
+
+@jit
+def compensate(c, reference, measured, velocity):
     """
-    Return the valve command (N) for a desired and a measured force (N); updates `c` in place.
+    Return the valve command (N); updates `c` in place.
+
+    reference, measured: desired and measured force, N; velocity: of the piston, m/s.
 
     Anti-windup by conditional integration: while the command is saturated the lag does not move
     further in that direction. (With back-calculation the short peak of a lead after a step would
     shift the lag for seconds.)
     """
-    error = reference - measured
-    direct = c.feedforward * reference
+    if c.fresh == REST:
+        c.integral = 0.0
+    goal, direct = _beside(c, reference, measured, velocity)
+    error = goal - measured
     if c.fresh != 0:
         _initialise(c, error, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
     value = error
@@ -194,22 +258,28 @@ def compensate(c, reference, measured):
         value = out
     out = c.lag[0] * value + c.lag_memory
     if c.changed == 1:
-        c.bias = c.command - (c.gain * out + direct)
+        c.bias = c.command - _inverted(c, c.gain * out + direct)
         c.changed = 0
-    unlimited = c.gain * out + direct + c.bias
+    unlimited = _inverted(c, c.gain * out + direct) + c.bias
     c.bias *= c.bias_decay
-    c.command = min(max(unlimited, -c.saturation), c.saturation)
+    c.command = _limited(c, unlimited)
+    excess = unlimited - c.command
+    c.integral = integrate(c.integral, error, excess, c.integrator_rate, c.period)
     memory = c.lag[1] * value - c.lag[2] * out
-    if (unlimited - c.command) * (memory - c.lag_memory) <= 0.0:
+    if excess * (memory - c.lag_memory) <= 0.0:
         c.lag_memory = memory
     return c.command
 
 
 def frequency_response(c: np.void, frequencies_hz: npt.ArrayLike, rate_hz: float
                        ) -> npt.NDArray[np.complex128]:
-    """Return the discrete compensator's response, without feed-forward, at frequencies (Hz)."""
+    """
+    Return the response of the discrete compensator at frequencies (Hz).
+
+    With the integrator; without feed-forward and the inverse of the hysteresis.
+    """
     z = np.exp(2j * np.pi * np.asarray(frequencies_hz, float) / rate_hz)
     response = c['gain'] * (c['lag'][0] + c['lag'][1] / z) / (1.0 + c['lag'][2] / z)
     for b0, b1, b2, a1, a2 in c['sections'][:c['count']]:
         response = response * (b0 + b1 / z + b2 / z**2) / (1.0 + a1 / z + a2 / z**2)
-    return response
+    return response + c['integrator_rate'] / rate_hz / (z - 1.0)

@@ -15,7 +15,7 @@ from asi_controller.reference import TOPIC, reference_force
 
 
 @jit
-def _answer(references, compensators, enabled, time, topic, measured):
+def _answer(references, compensators, enabled, time, topic, measured, velocity):
     """
     Return desired force, valve command, and whether the command is saturated.
 
@@ -23,7 +23,7 @@ def _answer(references, compensators, enabled, time, topic, measured):
     """
     signal, c = references[0], compensators[0]
     reference = topic if signal.reference_shape == TOPIC else reference_force(time, signal)
-    command = compensate(c, reference, measured) if enabled else 0.0
+    command = compensate(c, reference, measured, velocity) if enabled else 0.0
     return reference, command, abs(command) >= c.saturation
 
 
@@ -49,7 +49,7 @@ class Controller:
         self.topic_n = 0.0
         self.begin(values)
         self._answer = compiled_for(
-            _answer, self._references, self._compensators, True, 0.0, 0.0, 0.0)
+            _answer, self._references, self._compensators, True, 0.0, 0.0, 0.0, 0.0)
 
     @staticmethod
     def check(values: Mapping[str, Value], rate_hz: float) -> None:
@@ -92,11 +92,13 @@ class Controller:
             self._compensators['fresh'] = REST
         self.enabled = enabled
 
-    def answer(self, stamp_ns: int, force_n: float) -> tuple[float, float, bool]:
+    def answer(self, stamp_ns: int, force_n: float, velocity_m_s: float
+               ) -> tuple[float, float, bool]:
         """
         Return desired force (N), command (N) and whether it is saturated.
 
-        force_n: measured force (N) at the stamp (ns).
+        force_n, velocity_m_s: measured force (N) and velocity of the piston (m/s) at the stamp
+        (ns).
         """
         if self._start_ns is None:
             self._start_ns = stamp_ns
@@ -104,5 +106,6 @@ class Controller:
         if self.lockstep:
             time_s = round(time_s * self.rate_hz) * self._period_s
         answer: tuple[float, float, bool] = self._answer(
-            self._references, self._compensators, self.enabled, time_s, self.topic_n, force_n)
+            self._references, self._compensators, self.enabled, time_s, self.topic_n, force_n,
+            velocity_m_s)
         return answer

@@ -82,9 +82,10 @@ class ControllerNode(Node):
         self.get_logger().info(
             f'{values["compensator"]}, {values["mode"]} at {self.rate_hz:g} Hz')
 
-    def answer(self, stamp_ns: int, force_n: float) -> None:
+    def answer(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
         """Publish the answer to the state of a stamp."""
-        reference_n, command_n, saturated = self.controller.answer(stamp_ns, force_n)
+        reference_n, command_n, saturated = self.controller.answer(
+            stamp_ns, force_n, velocity_m_s)
         self.answered_ns = stamp_ns
         self.statistics.tick(time.monotonic_ns(), saturated)
         self.command, reference = wire.answer(stamp_ns, command_n, reference_n)
@@ -100,13 +101,15 @@ class ControllerNode(Node):
         return self.recorded
 
     def _on_state(self, message: bytes) -> None:
-        stamp_ns, force_n = wire.piston_effort(message)
-        if math.isfinite(force_n):
-            self.loop.on_state(stamp_ns, force_n)
+        stamp_ns, force_n, velocity_m_s = wire.piston(message)
+        compensated = self.parameters.values['velocity_feedforward.share'] != 0.0
+        if math.isfinite(force_n) and (math.isfinite(velocity_m_s) or not compensated):
+            self.loop.on_state(stamp_ns, force_n, velocity_m_s)
         else:
             self.ignored += 1
             self.get_logger().error(
-                f'joint_states without a finite effort of the joint {PISTON}: ignored',
+                f'joint_states without a finite effort of the joint {PISTON}, or velocity if '
+                'velocity_feedforward.share asks for it: ignored',
                 throttle_duration_sec=1.0)
 
     def _on_reference(self, message: bytes) -> None:
@@ -174,7 +177,7 @@ class Loop(Protocol):
 
     def __init__(self, node: ControllerNode): ...
 
-    def on_state(self, stamp_ns: int, force_n: float) -> None:
+    def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
         """Take a state."""
 
     def health(self) -> tuple[bytes, str]:
@@ -194,7 +197,7 @@ class LockStep:
 
     def __init__(self, node: ControllerNode):
         self.node = node
-        self.pending: tuple[int, float] | None = None
+        self.pending: tuple[int, float, float] | None = None
         self.last_ns: int | None = None
         self.answered_ns: int | None = None
         self.straggler_ns: int | None = None
@@ -215,7 +218,7 @@ class LockStep:
             node.create_timer(WATCH_PERIOD_S, self._answer_if_due,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def on_state(self, stamp_ns: int, force_n: float) -> None:
+    def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
         if stamp_ns == self.answered_ns:
             # Asked again: the answer was lost. Nothing is computed twice.
             self.resent += 1
@@ -232,7 +235,7 @@ class LockStep:
                 return
         self.last_ns = stamp_ns
         self.straggler_ns = self.wrong_since = None
-        self.pending = stamp_ns, force_n
+        self.pending = stamp_ns, force_n, velocity_m_s
         if stamp_ns <= self.clock_ns:
             self._answer_if_due()
 
@@ -282,11 +285,11 @@ class LockStep:
     def _answer_if_due(self) -> None:
         if self.pending is None:
             return
-        stamp_ns, force_n = self.pending
+        stamp_ns, force_n, velocity_m_s = self.pending
         if stamp_ns <= self.clock_ns and self.node.ready():
             self.pending = None
             self.answered_ns = stamp_ns
-            self.node.answer(stamp_ns, force_n)
+            self.node.answer(stamp_ns, force_n, velocity_m_s)
 
 
 class RealTime:
@@ -300,13 +303,13 @@ class RealTime:
     def __init__(self, node: ControllerNode):
         self.node = node
         self.clock = SteadyClock()
-        self.latest: tuple[int, float] | None = None
+        self.latest: tuple[int, float, float] | None = None
         self.received_at = 0.0
         self.period_s = 1.0 / node.rate_hz
         self.timer = node.create_timer(self.period_s, self._tick,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def on_state(self, stamp_ns: int, force_n: float) -> None:
+    def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
         latency_ns = self.clock.now_ns() - stamp_ns
         if abs(latency_ns) > OTHER_CLOCK_NS and not self._goes_on(stamp_ns):
             self.node.ignored += 1
@@ -314,7 +317,7 @@ class RealTime:
         if self.latest is not None and not self._stale():
             periods = (stamp_ns - self.latest[0]) * 1e-9 * self.node.rate_hz
             self.node.statistics.lose(round(periods) - 1)
-        self.latest = stamp_ns, force_n
+        self.latest = stamp_ns, force_n, velocity_m_s
         self.received_at = time.monotonic()
         self.node.statistics.latency(latency_ns)
 

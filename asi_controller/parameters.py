@@ -2,6 +2,7 @@
 
 from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.parameter import Parameter
+from asi_controller.additions import ADDITIONS
 from asi_controller.compensators import COMPENSATORS
 
 SHAPES = ('topic', 'step', 'ramp', 'sine', 'triangle', 'chirp', 'multisine', 'prbs')
@@ -23,8 +24,11 @@ CHOICE_PARAMETERS: tuple[Parameter, ...] = (
               'Time constant with which the step of the command that a change of gain or '
               'compensator would make is let in', 0.0, 10.0),
 )
+ADDITION_PARAMETERS: tuple[Parameter, ...] = tuple(
+    parameter for each in ADDITIONS.values() for parameter in each)
 COMPENSATOR_PARAMETERS = CHOICE_PARAMETERS + tuple(
-    parameter for each in COMPENSATORS.values() for parameter in each.table)
+    parameter for each in COMPENSATORS.values() for parameter in each.table
+) + ADDITION_PARAMETERS
 
 REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('reference.shape', 'topic', '',

@@ -264,7 +264,7 @@ def conversions(rounds: int) -> list[Result]:
 
     def ours_of_actuator() -> None:
         wire.state(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        wire.piston_effort(state[0])
+        wire.piston(state[0])
         wire.time(state[1])
 
     def ours_of_controller() -> None:

@@ -36,7 +36,7 @@ CALLBACKS, SENDING, WAITING, EXECUTOR = 'callbacks', 'sending', 'waiting', 'exec
 # Of the callbacks; what is left of them is wiring.
 PARTS: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
     'packing': tuple((wire, name) for name in (
-        'state', 'answer', 'time', 'force', 'piston_effort')),
+        'state', 'answer', 'time', 'force', 'piston')),
     'model': ((SimulatedActuator, 'exchange'),),
     'compensator': ((Controller, 'answer'),),
     'safety': ((safety.Safety, 'command'), (safety.Safety, 'watch_state')),

@@ -64,7 +64,7 @@ def _close_last(state, p, c, r, period, ticks, out):
     for tick in range(ticks):
         force, valve, position, velocity = measure(state, p)
         reference = reference_force(tick * period, r)
-        command = compensate(c, reference, force)
+        command = compensate(c, reference, force, velocity)
         k = tick - skipped
         if k >= 0:
             out[0, k] = reference

@@ -44,7 +44,7 @@ _FLOAT: Final = Struct('<4sd')
 _WRENCH: Final = Struct('<12s11s5xd40x')
 _STATE: Final = Struct(f'<12s{_NAMED.size}s2d4s4x2d4s4x2d')
 _WRENCH_READ: Final = Struct('<4siI11s5xd40x')
-_STATE_READ: Final = Struct(f'<4siI{_NAMED.format[1:]}16x4s20x4s4xd8x')
+_STATE_READ: Final = Struct(f'<4siI{_NAMED.format[1:]}16x4s4xd8x4s4xd8x')
 _AROUND_NUMBERS: Final = [*_NAMES, _TWO, _TWO]
 
 
@@ -117,16 +117,23 @@ def force(data: bytes) -> tuple[int, float]:
     return (nanoseconds(message.header.stamp), message.wrench.force.x) if message else (0, nan)
 
 
-def piston_effort(data: bytes) -> tuple[int, float]:
-    """Return stamp (ns) and effort of the piston in a sensor_msgs/JointState; 0, nan if none."""
+def piston(data: bytes) -> tuple[int, float, float]:
+    """
+    Return stamp (ns), effort (N) and velocity (m/s) of the piston in a sensor_msgs/JointState.
+
+    0, nan, nan if there is no effort; a velocity that is missing is nan.
+    """
     if len(data) == _STATE.size:
-        header, seconds, nanoseconds_, *around, force_n = _STATE_READ.unpack(data)
-        if header == _HEADER and around == _AROUND_NUMBERS:
-            return seconds * _SECOND_NS + nanoseconds_, force_n
+        header, seconds, nanoseconds_, *around, two, velocity, last, force_n = (
+            _STATE_READ.unpack(data))
+        if header == _HEADER and [*around, two, last] == _AROUND_NUMBERS:
+            return seconds * _SECOND_NS + nanoseconds_, force_n, velocity
     message = _unpacked(data, JointState)
     if message is None or PISTON not in message.name[:len(message.effort)]:
-        return 0, nan
-    return nanoseconds(message.header.stamp), message.effort[message.name.index(PISTON)]
+        return 0, nan, nan
+    k = message.name.index(PISTON)
+    velocity = message.velocity[k] if k < len(message.velocity) else nan
+    return nanoseconds(message.header.stamp), message.effort[k], velocity
 
 
 def _unpacked(data: bytes, kind: Any) -> Any:

@@ -414,13 +414,14 @@ def test_step_by_step_and_simulate_agree_to_the_bit() -> None:
 
 def test_loop_in_one_process_is_measure_compensate_and_step() -> None:
     actuator: dict[str, Value] = STUDY | {'load.type': 'spring', 'force_sensor.noise': 0.5}
-    gains: dict[str, Value] = {'compensator': 'lead_lag', 'gain': 18.0}
+    gains: dict[str, Value] = {'compensator': 'lead_lag', 'gain': 18.0, 'integrator.rate': 5.0,
+                               'velocity_feedforward.share': 0.3}
     whole = simulate_loop(
         actuator, gains | {'reference.shape': 'sine', 'reference.frequency': 15.0}, 0.2)
     p, state, c = as_record(actuator), rest(), compensator(gains, 5000.0)
     for k, reference in enumerate(whole.reference_n):
-        force_n, *_ = measure(state, p)
-        command = compensate(c, reference, force_n)
+        force_n, _, _, velocity = measure(state, p)
+        command = compensate(c, reference, force_n, velocity)
         assert (force_n, command) == (whole.force_n[k], whole.command_n[k])
         step(state, command, p, 1.0 / 5000.0)
 

@@ -64,17 +64,19 @@ def test_what_rclpy_packs_is_unpacked_whatever_its_layout(frame: str) -> None:
     assert wire.force(serialize_message(wrench)) == (STAMP_NS, -7.5)
     for effort in ({'piston': 5.0, 'valve': 6.0}, {'valves': 6.0, 'pisto': 1.0, 'piston': 5.0},
                    {'valve': 6.0, 'piston': 5.0}):
-        assert wire.piston_effort(serialize_message(a_state(frame, effort))) == (STAMP_NS, 5.0)
+        velocity = dict(zip(effort, (3.0, 4.0), strict=False)).get('piston', math.nan)
+        assert wire.piston(serialize_message(a_state(frame, effort))) == pytest.approx(
+            (STAMP_NS, 5.0, velocity), rel=0.0, nan_ok=True)
     assert wire.time(serialize_message(Clock(clock=STAMP))) == STAMP_NS
 
 
 def test_what_has_no_such_number_is_nan() -> None:
     for names in (['piston'], ['valve', 'piston'], ['valve', 'p']):
         state = JointState(name=names, effort=[1.0] * (len(names) - 1))
-        assert math.isnan(wire.piston_effort(serialize_message(state))[1])
+        assert math.isnan(wire.piston(serialize_message(state))[1])
     packed = STATE[0]
     for broken in (b'', packed[:50], b'\0\1\0\0' + b'\xff' * (len(packed) - 4)):
-        assert math.isnan(wire.piston_effort(broken)[1])
+        assert math.isnan(wire.piston(broken)[1])
         assert math.isnan(wire.force(broken[:76])[1])
     assert wire.time(b'\0\1') == 0
 
@@ -87,6 +89,6 @@ def test_bytes_that_are_ours_are_not_left_to_rclpy(monkeypatch: pytest.MonkeyPat
         state[place] = 0xA5
     wrench[23:28] = b'\xa5' * 5
     monkeypatch.setattr(wire, 'deserialize_message', None)
-    assert wire.piston_effort(bytes(state)) == (STAMP_NS, 5.0)
+    assert wire.piston(bytes(state)) == (STAMP_NS, 5.0, 3.0)
     assert wire.force(bytes(wrench)) == (STAMP_NS, -7.5)
     assert wire.time(wire.clock(STAMP_NS)) == STAMP_NS

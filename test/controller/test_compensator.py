@@ -30,6 +30,8 @@ COMPLEX_POLES: dict[str, Value] = {'compensator': 'custom', 'custom.zeros': '-30
                                    'custom.poles': '-50+300j, -50-300j'}
 UNSTABLE_ZERO: dict[str, Value] = {'compensator': 'custom', 'custom.zeros': '200',
                                    'custom.poles': '-2, -900'}
+ADDED: dict[str, Value] = {
+    'integrator.rate': 20.0, 'hysteresis_inverse.size': 20.0, 'reference_model.bandwidth': 100.0}
 ALL: list[dict[str, Value]] = [*({'compensator': name} for name in OWN_GAIN), NOTCH,
                                COMPLEX_POLES, UNSTABLE_ZERO]
 
@@ -64,8 +66,8 @@ def test_filter_does_what_its_response_says(values: dict[str, Value], rate: floa
     c = compensator(values | {'feedforward': 0.0, 'saturation': 1e5}, rate)
     n, cycle = 40 * 64, 64
     tone = np.sin(2 * np.pi * np.arange(n) / cycle)
-    compensate(c, 0.0, 0.0)  # begins at rest
-    out = np.array([compensate(c, error, 0.0) for error in tone])
+    compensate(c, 0.0, 0.0, 0.0)  # begins at rest
+    out = np.array([compensate(c, error, 0.0, 0.0) for error in tone])
     late, wave = slice(-4 * cycle, None), np.exp(-2j * np.pi * np.arange(n) / cycle)
     gain = 2j * np.mean(out[late] * wave[late])
     theirs = frequency_response(c, [rate / cycle], rate)[0]
@@ -107,7 +109,7 @@ def naive(values: dict[str, Value]) -> Callable[[float, float], float]:
 def ours(values: dict[str, Value]) -> Callable[[float, float], float]:
     """Return the compensator as a function."""
     c = compensator(values, RATE)
-    return lambda reference, force: compensate(c, reference, force)
+    return lambda reference, force: compensate(c, reference, force, 0.0)
 
 
 RATE = 5000.0
@@ -151,6 +153,9 @@ CHANGES: list[tuple[dict[str, Value], dict[str, Value]]] = [
     ({'compensator': 'lead2'}, {}),
     ({}, {'feedforward': 0.0}),
     (NOTCH, COMPLEX_POLES),
+    ({}, ADDED),
+    (ADDED, {}),
+    (ADDED, ADDED | {'integrator.rate': 60.0, 'hysteresis_inverse.size': 10.0}),
 ]
 
 
@@ -165,7 +170,7 @@ def changed(before: dict[str, Value], after: dict[str, Value], desired: float
         ticks += 1
         if ticks == 2501:
             running = compensator(after, RATE, running)
-        return compensate(running, reference, force)
+        return compensate(running, reference, force, 0.0)
     return closed(command, np.repeat([0.0, desired], [50, 4950]))
 
 
@@ -190,14 +195,14 @@ def test_change_between_compensators_with_a_lag_leaves_the_force() -> None:
 def test_command_stays_exactly_within_the_saturation() -> None:
     c = compensator({'compensator': 'lead4', 'saturation': 123.0}, 5000.0)
     rng = np.random.default_rng(1)
-    commands = np.array([compensate(c, *rng.normal(0, 500, 2)) for _ in range(2000)])
+    commands = np.array([compensate(c, *rng.normal(0, 500, 2), 0.0) for _ in range(2000)])
     assert commands.max() == 123.0 and commands.min() == -123.0
 
 
 def test_clipped_kick_of_a_lead_leaves_nothing_behind() -> None:
     c = compensator({'compensator': 'lead4', 'feedforward': 0.0}, RATE)
-    compensate(c, 0.0, 0.0)
-    kick = [compensate(c, reference, 0.0) for reference in (500.0, *[0.0] * 50)]
+    compensate(c, 0.0, 0.0, 0.0)
+    kick = [compensate(c, reference, 0.0, 0.0) for reference in (500.0, *[0.0] * 50)]
     assert max(kick) == 4000.0 and min(kick) == -4000.0
     assert abs(kick[-1]) < 5.0
 
@@ -231,7 +236,7 @@ def test_rate_too_low_for_the_prewarping_is_refused() -> None:
 
 def test_custom_without_roots_is_a_gain() -> None:
     c = compensator({'compensator': 'custom', 'gain': 4.0, 'feedforward': 0.0}, 5000.0)
-    assert [compensate(c, 100.0, force) for force in (0.0, 50.0)] == [400.0, 200.0]
+    assert [compensate(c, 100.0, force, 0.0) for force in (0.0, 50.0)] == [400.0, 200.0]
 
 
 @pytest.mark.parametrize('name', COMPENSATORS)

@@ -30,8 +30,8 @@ ACCURACY: Final = 0.05
 def _dithered(state, p, c, reference, amplitude, frequency, period, out):
     steady = prepare(p, period)
     for k in range(out.shape[1]):
-        force, valve, _, _ = measure(state, p)
-        command = compensate(c, reference, force)
+        force, valve, _, velocity = measure(state, p)
+        command = compensate(c, reference, force, velocity)
         out[0, k] = force
         out[1, k] = valve
         advance(state, command + amplitude * math.sin(2.0 * math.pi * frequency * k * period),

@@ -1,0 +1,38 @@
+"""
+A reference that the actuator can follow, and the command that makes it do so.
+
+The model is the lag of the valve's coil, driven so that it approaches the desired force with the
+given bandwidth, as far as the drive allows: its drive is the feed-forward, and its force, delayed
+as the actuator's, is what the compensator compares with the measured one. So a step needs no
+overshoot of the feedback, and a large one does not wind it up (model following: Åström and
+Wittenmark, Computer-Controlled Systems, 1997, ch. 4).
+"""
+
+import math
+
+from asi_common.jit import jit
+from asi_common.parameter import Parameter
+
+PARAMETERS = (
+    Parameter('bandwidth', 0.0, 'Hz', 'With which the model approaches the reference; 0: no model',
+              0.0, 1e4),
+    Parameter('lag_frequency', 18.9, 'Hz', 'Corner of the lag of the actuator', 0.1, 1e4,
+              source='valve_flexure.coil_frequency'),
+    Parameter('drive', 1200.0, 'N', 'Largest drive of the model', 1.0, 1e5,
+              source='valve_hysteresis.saturation'),
+    Parameter('delay', 0.002, 's', 'Delay of the actuator, as the time constant of a lag',
+              0.0, 0.1, source='assumed'),
+)
+
+
+@jit
+def model_drive(force, reference, bandwidth, lag_frequency, drive):
+    """Return the drive (N) of the model at a force and a desired force (N); corners in Hz."""
+    wanted = force + bandwidth / lag_frequency * (reference - force)
+    return min(max(wanted, -drive), drive)
+
+
+@jit
+def approach(value, goal, rate, period):
+    """Return a lag of `rate` (1/s) after a control period (s)."""
+    return goal + (value - goal) * math.exp(-rate * period)

@@ -1,0 +1,25 @@
+"""
+The damping of the actuator compensated from its measured velocity, for a motion that feels light.
+
+Added to the command is a share of the command at which the actuator, moved at that velocity, gives
+no force. For the default actuator it is proportional to the velocity within 10 %, although the
+damping is not: the more it compensates, the further the valve opens, and the damping changes with
+the opening. The share is at most 1, since with more the actuator would push in the direction in
+which it is moved and would not be passive. The force loop around it has its own limit, which
+`asi tune` checks.
+"""
+
+from asi_common.jit import jit
+from asi_common.parameter import Parameter
+
+PARAMETERS = (
+    Parameter('share', 0.0, '', 'Share of the damping that is compensated; 0: none', 0.0, 1.0),
+    Parameter('damping', 1450.0, 'N s/m', 'Command per velocity at which the actuator gives no '
+              'force', 0.0, 1e5, source='default hydraulic_damping'),
+)
+
+
+@jit
+def compensation(velocity, share, damping):
+    """Return the command (N) at a velocity (m/s)."""
+    return share * damping * velocity

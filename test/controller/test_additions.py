@@ -1,0 +1,85 @@
+"""The additions to a compensator: against their formulas, and null without their parameters."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from asi_actuator.model.valve_hysteresis import play
+from asi_common.parameter import Value
+from asi_controller.additions import ADDITIONS, DOCUMENTATION
+from asi_controller.compensator import REST, compensate, compensator, frequency_response
+from asi_controller.parameters import COMPENSATOR_PARAMETERS
+
+RATE = 5000.0
+# Without this nothing but the addition makes a command.
+BARE: dict[str, Value] = {'gain': 1e-12, 'feedforward': 0.0}
+
+
+def commands(values: dict[str, Value], references: npt.ArrayLike, force: float = 0.0,
+             velocity: float = 0.0) -> npt.NDArray[np.float64]:
+    c = compensator(values, RATE)
+    return np.array([compensate(c, reference, force, velocity)
+                     for reference in np.asarray(references, float)])
+
+
+@pytest.mark.parametrize('name', ADDITIONS)
+def test_addition_is_off_by_default_and_its_other_parameters_change_nothing(name: str) -> None:
+    switch, *others = ADDITIONS[name]
+    assert switch.default == 0.0 and DOCUMENTATION[name].endswith('.')
+    assert {switch, *others} <= set(COMPENSATOR_PARAMETERS)
+    references = np.random.default_rng(1).normal(0.0, 300.0, 50)
+    assert np.array_equal(
+        commands({'compensator': 'lead4'}, references, 5.0, 0.1),
+        commands({'compensator': 'lead4'} | {each.name: each.high for each in others},
+                 references, 5.0, 0.1))
+
+
+def test_integrator_sums_the_error_and_stops_while_the_command_is_saturated() -> None:
+    values = BARE | {'integrator.rate': 50.0, 'saturation': 10.0}
+    found = commands(values, np.repeat([100.0, -100.0], [100, 3]))
+    assert found[:11] == pytest.approx(np.arange(11.0), abs=1e-6)
+    assert found[11:100] == pytest.approx(10.0)
+    # It moves back at once: what it did not sum need not be undone.
+    assert found[100:] == pytest.approx([10.0, 9.0, 8.0])
+    f = np.array([1.0, 30.0])
+    both = compensator({'integrator.rate': 50.0}, RATE)
+    assert frequency_response(both, f, RATE) - 3.0 == pytest.approx(50.0 / (2j * np.pi * f),
+                                                                    rel=0.02)
+
+
+def test_play_after_its_inverse_passes_what_moves_further_than_the_dead_zone() -> None:
+    wave = 100.0 * np.sin(np.linspace(0.0, 20.0, 2000))
+    values: dict[str, Value] = {'gain': 1e-12, 'feedforward': 1.0,
+                                'hysteresis_inverse.size': 25.0,
+                                'hysteresis_inverse.dead_zone': 1.0}
+    drive, passed = 0.0, []
+    for command in commands(values, wave):
+        drive = play(drive, command, 25.0)
+        passed.append(drive)
+    assert np.abs(passed - wave)[100:].max() < 2.0
+    # A wave within the dead zone never gets more than its own size through a play of that width.
+    small = commands(values, 0.5 * wave / 100.0)
+    assert np.ptp(small) / 2.0 <= 25.0 + 1.0
+
+
+def test_velocity_is_compensated_in_proportion_and_by_all_of_it_at_most() -> None:
+    values = BARE | {'velocity_feedforward.share': 0.5}
+    assert commands(values, [0.0], velocity=0.2)[0] == pytest.approx(0.5 * 1450.0 * 0.2)
+    assert ADDITIONS['velocity_feedforward'][0].high == 1.0
+
+
+def test_reference_model_drives_a_lag_like_its_own_along_its_force_without_error() -> None:
+    values: dict[str, Value] = {
+        'gain': 5.0, 'reference_model.bandwidth': 100.0, 'reference_model.lag_frequency': 20.0,
+        'reference_model.delay': 0.0}
+    c, force, forces = compensator(values, RATE), 0.0, []
+    c['fresh'] = REST
+    decay = np.exp(-2.0 * np.pi * 20.0 / RATE)
+    for _ in range(200):
+        command = compensate(c, 700.0, force, 0.0)
+        assert abs(command) <= 1200.0 + 1e-9
+        force = command + (force - command) * decay
+        forces.append(force)
+    assert forces[-1] == pytest.approx(700.0) and max(forces) <= 700.0 + 1e-9
+    # As fast as the drive allows: the lag itself would take 25 ms to 96 %.
+    assert forces[60] > 0.96 * 700.0
