@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from asi_analysis.measures.step_response import step_response as step_response
     from asi_analysis.paper.reproduction.answer import reproduce_paper as reproduce_paper
     from asi_analysis.reporting.result import Result as Result
+    from asi_analysis.tuning.answer import tune_controller as tune_controller
 
 # Public name -> the module that defines it.
 _HOME = {
@@ -60,6 +61,7 @@ _HOME = {
     'read_bag': 'bags.bag',
     'reproduce_paper': 'paper.reproduction.answer',
     'run': 'experiments.running',
+    'tune_controller': 'tuning.answer',
     'simulate': 'loop.in_process',
     'step_response': 'measures.step_response',
     'write_bag': 'bags.bag',

@@ -20,7 +20,7 @@ from asi_common.parameter import ParameterError, Value, completed, with_its_type
 from asi_common.record import as_number, field_name, record_dtype
 from asi_controller.additions.hysteresis_inverse import follow
 from asi_controller.additions.integrator import integrate
-from asi_controller.additions.reference_model import approach, model_drive
+from asi_controller.additions.reference_model import approach, extrapolated, model_drive
 from asi_controller.additions.velocity_feedforward import compensation
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
@@ -55,6 +55,7 @@ COMPENSATOR_DTYPE = np.dtype([
     ('period', np.float64),                          # s
     *record_dtype(ADDITION_PARAMETERS).descr,
     ('integral', np.float64),                        # N, of the integrator
+    ('reference', np.float64),                       # N, the last one
     ('model_force', np.float64),                     # N, of the reference model
     ('model_delayed', np.float64),                   # N
     ('centre', np.float64),                          # N, of the hysteresis inverse
@@ -165,7 +166,7 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     for parameter in ADDITION_PARAMETERS:
         c[field_name(parameter.name)] = as_number(parameter, v[parameter.name])
     if running is not None:
-        for name in ('integral', 'model_force', 'model_delayed', 'centre'):
+        for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre'):
             c[name] = running[name]
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
         if (np.array_equal(running['sections'], c['sections'])
@@ -196,7 +197,10 @@ def _beside(c, reference, measured, velocity):
     if c.reference_model_bandwidth > 0.0:
         if c.fresh == REST:
             c.model_force = c.model_delayed = measured
-        drive = model_drive(c.model_force, reference, c.reference_model_bandwidth,
+            c.reference = reference
+        ahead = extrapolated(reference, c.reference, c.reference_model_lead_time,
+                             c.reference_model_slope, c.period)
+        drive = model_drive(c.model_force, ahead, c.reference_model_bandwidth,
                             c.reference_model_lag_frequency, c.reference_model_drive)
         goal = c.model_delayed
         c.model_force = approach(c.model_force, drive, 2.0 * math.pi
@@ -206,6 +210,7 @@ def _beside(c, reference, measured, velocity):
                            if c.reference_model_delay > 0.0 else c.model_force)
     else:
         c.model_force = c.model_delayed = reference
+    c.reference = reference
     command = c.feedforward * drive
     if c.velocity_feedforward_share > 0.0:
         command += compensation(velocity, c.velocity_feedforward_share,
@@ -276,10 +281,12 @@ def frequency_response(c: np.void, frequencies_hz: npt.ArrayLike, rate_hz: float
     """
     Return the response of the discrete compensator at frequencies (Hz).
 
-    With the integrator; without feed-forward and the inverse of the hysteresis.
+    With the integrator (infinite at 0 Hz); without feed-forward and the inverse of the hysteresis.
     """
     z = np.exp(2j * np.pi * np.asarray(frequencies_hz, float) / rate_hz)
     response = c['gain'] * (c['lag'][0] + c['lag'][1] / z) / (1.0 + c['lag'][2] / z)
     for b0, b1, b2, a1, a2 in c['sections'][:c['count']]:
         response = response * (b0 + b1 / z + b2 / z**2) / (1.0 + a1 / z + a2 / z**2)
+    if c['integrator_rate'] == 0.0:
+        return response
     return response + c['integrator_rate'] / rate_hz / (z - 1.0)

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 # Importing a group adds its commands, in the order of the help.
-from asi_analysis.cli import bags, gap, limit_cycles, paper  # noqa: F401
+from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning  # noqa: F401
 from asi_analysis.cli.options import app as app
 from asi_analysis.errors import InputError
 

@@ -12,6 +12,7 @@ from asi_analysis.cli.options import (
     Held,
     Jobs,
     Json,
+    ParameterFile,
     Rate,
     Report,
     Settings,
@@ -124,6 +125,7 @@ def attribute(
 def quench(
     compensator: Compensator = None,
     gain: Gain = None,
+    controller: ParameterFile = None,
     step: Annotated[float, typer.Option(help='Force at which dither is tried, N')] = 100.0,
     conditions: Annotated[int, typer.Option(
         help='Number of conditions that the search for an oscillation tries', min=1)] = 200,
@@ -151,8 +153,9 @@ def quench(
     from asi_analysis.limit_cycle.quench.answer import quench_cycles
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as progress:
-        result = quench_cycles(*_configured(set_, compensator, gain, step), rates_hz, conditions,
-                               seed, designs, (replay, out) if replay else None, progress)
+        result = quench_cycles(*_configured(set_, compensator, gain, step, controller), rates_hz,
+                               conditions, seed, designs, (replay, out) if replay else None,
+                               progress)
         if report:
             result.write_report(report)
     show(result, as_json)
@@ -161,10 +164,10 @@ def quench(
 
 
 def _configured(settings: list[str] | None, compensator: str | None, gain: float | None,
-                step: float) -> tuple[dict[str, Any], dict[str, Any]]:
+                step: float, file: Path | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the parameters of actuator and controller, with a step as reference."""
     from asi_analysis.experiments.experiment import gather
-    values = gather({}, settings or [], {'controller': {
+    values = gather({'controller': file}, settings or [], {'controller': {
         'compensator': compensator, 'gain': gain, 'reference.shape': 'step',
         'reference.amplitude': step}}, 1.0)
     return values['actuator'], values['controller']

@@ -16,6 +16,7 @@ from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.valve_characteristic import valve_characteristic
 from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
 from asi_common.jit import jit
+from asi_controller.additions.hysteresis_inverse import follow
 
 # Samples a period (the error is of second order), and periods until the memory has settled.
 SAMPLES: Final = 720
@@ -23,7 +24,7 @@ SETTLING: Final = 3
 
 
 @jit
-def _hysteresis(amplitude, frequency, limit, samples, p):
+def _hysteresis(amplitude, frequency, limit, samples, p, size, dead_zone):
     step = 1.0 / (frequency * samples)
     decay = rate_decay(p, step)
     # Exact lag of the rate filter for a piecewise linear command.
@@ -31,6 +32,8 @@ def _hysteresis(amplitude, frequency, limit, samples, p):
     half = samples // 2
     flux = filtered = 0.0
     before = min(max(amplitude * math.sin(-2.0 * math.pi / samples), -limit), limit)
+    centre = max(min(dead_zone - min(amplitude, limit), 0.0), before - dead_zone)
+    before += size * (before - centre) / dead_zone
     total = 0.0 + 0.0j
     # The block is odd, so half a period determines the other. The first half yields the periodic
     # state of the filter, the second settles the play, the third is projected.
@@ -40,6 +43,8 @@ def _hysteresis(amplitude, frequency, limit, samples, p):
         angle = 2.0 * math.pi * k / samples
         sine = math.sin(angle)
         command = min(max(amplitude * sine, -limit), limit)
+        centre = follow(centre, command, dead_zone)
+        command += size * (command - centre) / dead_zone
         filtered = command - lag * (command - before) + (filtered - before) * decay
         before = command
         if k >= half:
@@ -50,14 +55,15 @@ def _hysteresis(amplitude, frequency, limit, samples, p):
 
 
 def hysteresis(amplitude_n: float, frequency_hz: float, p: np.void, limit_n: float = math.inf,
-               samples: int = SAMPLES) -> complex:
+               samples: int = SAMPLES, inverse: tuple[float, float] = (0.0, 1.0)) -> complex:
     """
     Return N of the magnetic circuit (N/N) for a command A sin, limited to ± limit.
 
     In continuous time. Play, rate filter and saturation have no common closed form: the block
-    function is run with `samples`, an even number, a period.
+    function is run with `samples`, an even number, a period. inverse: size and dead zone (N) of
+    the controller's hysteresis inverse before it.
     """
-    return complex(_hysteresis(amplitude_n, frequency_hz, limit_n, samples, p))
+    return complex(_hysteresis(amplitude_n, frequency_hz, limit_n, samples, p, *inverse))
 
 
 @jit

@@ -5,7 +5,8 @@ The model is the lag of the valve's coil, driven so that it approaches the desir
 given bandwidth, as far as the drive allows: its drive is the feed-forward, and its force, delayed
 as the actuator's, is what the compensator compares with the measured one. So a step needs no
 overshoot of the feedback, and a large one does not wind it up (model following: Åström and
-Wittenmark, Computer-Controlled Systems, 1997, ch. 4).
+Wittenmark, Computer-Controlled Systems, 1997, ch. 4). A reference that moves is extrapolated by
+the lead time, which takes back the delay; of a jump the slope counts only up to a limit.
 """
 
 import math
@@ -22,7 +23,16 @@ PARAMETERS = (
               source='valve_hysteresis.saturation'),
     Parameter('delay', 0.002, 's', 'Delay of the actuator, as the time constant of a lag',
               0.0, 0.1, source='assumed'),
+    Parameter('lead_time', 0.0, 's', 'Time by which the reference is extrapolated', 0.0, 0.1),
+    Parameter('slope', 2e4, 'N/s', 'Largest slope of the reference that is extrapolated',
+              0.0, 1e9, source='100 N at 32 Hz'),
 )
+
+
+@jit
+def extrapolated(reference, before, lead_time, slope, period):
+    """Return a reference (N) that was `before` (N) a control period (s) ago, a time (s) ahead."""
+    return reference + lead_time * min(max((reference - before) / period, -slope), slope)
 
 
 @jit

@@ -1,7 +1,7 @@
 """`asi predict`: predicted and simulated limit cycles over a range of gains."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from asi_analysis.loop.simulation import (
 from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent
+
+# Additions to the compensator that neither method contains.
+UNKNOWN: Final = ('integrator.rate', 'hysteresis_inverse.size', 'velocity_feedforward.share')
 
 
 class Prediction(Result):
@@ -91,7 +94,7 @@ def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0
     parameters by name, the rest at their defaults; the steady-state force is
     `reference.amplitude` (N). rate_hz: control rate, Hz. first_gain: start of the search, below
     the onset. steps_n: step sizes (N) for which the onset is computed as well. Raises InputError
-    unless first_gain is positive.
+    unless first_gain is positive, and for additions that the methods do not know.
 
     >>> import asi_analysis as asi
     >>> found = asi.predict_cycles({}, {'reference.amplitude': 100.0})    # doctest: +SKIP
@@ -99,6 +102,10 @@ def predict_cycles(actuator: Values, controller: Values, rate_hz: float = 5000.0
     if not first_gain > 0.0:
         raise InputError(f'gain = {first_gain:g} is not allowed: it must be above 0')
     controller = stepping(actuator, controller, rate_hz)
+    for name in UNKNOWN:
+        if controller.get(name):
+            raise InputError(f'{name} = {controller[name]:g} is not allowed: the prediction does '
+                             'not know this addition')
     progress('describing function of the hysteresis', 0.0)
     loop = loop_of(actuator, with_gain(controller, first_gain), rate_hz)
     unit = user_gain(controller, loop)

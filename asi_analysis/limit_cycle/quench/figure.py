@@ -23,7 +23,7 @@ def draw(actuator: Values, controller: Values, document: dict[str, Any]) -> Figu
     rate, at, curve = document['rate_hz'], document['margin_at'], document['design']
     loop = loop_of(actuator, controller, rate)
     compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate)
-    table = hysteresis_table(as_record(actuator))
+    table = hysteresis_table(as_record(actuator), loop.compensator)
     with style():
         figure = Figure(figsize=(WIDTH_IN, 7.4 if curve else 4.2), layout='constrained')
         axes = figure.subplots(2 if curve else 1, 1, squeeze=False)[:, 0]

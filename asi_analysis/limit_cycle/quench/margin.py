@@ -3,7 +3,7 @@ The limit-cycle margin of a compensator: least distance between its loop and -1/
 
 In the Nyquist plane, over amplitudes at the input of the hysteresis, biases (steady-state forces,
 which open the valve and so change the damping) and loads. The margin is 0 if the loop encircles a
-point of -1/N: a cycle is predicted.
+point of -1/N: a cycle is predicted. The feed-forward of the velocity is not in it.
 """
 
 from collections.abc import Iterator
@@ -44,10 +44,16 @@ class Margin(NamedTuple):
     load: str
 
 
-def hysteresis_table(p: np.void, amplitudes_n: Array = AMPLITUDES_N) -> Complex:
-    """Return N of the hysteresis: amplitudes x FREQUENCIES_HZ."""
-    table = np.array([[describing.hysteresis(a, f, p) for f in N_FREQUENCIES_HZ]
-                      for a in amplitudes_n])
+def hysteresis_table(p: np.void, c: np.void | None = None) -> Complex:
+    """
+    Return N of the hysteresis: amplitudes x FREQUENCIES_HZ.
+
+    c: record of the compensator, with the inverse of the hysteresis that it may have.
+    """
+    inverse = ((0.0, 1.0) if c is None else
+               (c['hysteresis_inverse_size'], c['hysteresis_inverse_dead_zone']))
+    table = np.array([[describing.hysteresis(a, f, p, inverse=inverse) for f in N_FREQUENCIES_HZ]
+                      for a in AMPLITUDES_N])
     fine, coarse = np.log(FREQUENCIES_HZ), np.log(N_FREQUENCIES_HZ)
     return np.array([np.interp(fine, coarse, row.real) + 1j * np.interp(fine, coarse, row.imag)
                      for row in table])
@@ -96,4 +102,4 @@ def margin(actuator: Values, controller: Values, rate_hz: float) -> Margin:
     loop = loop_of(actuator, controller, rate_hz)
     compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate_hz)
     return margin_of(compensated, list(plants(actuator, rate_hz)),
-                     hysteresis_table(as_record(actuator)))
+                     hysteresis_table(as_record(actuator), loop.compensator))

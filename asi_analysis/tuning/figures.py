@@ -1,0 +1,140 @@
+"""The figures of a force loop that `asi tune` searches by, each with the value to reach."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.loop.closed_loop import Values, close_many, loops_of
+
+SIZES_N: Final = (20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0)
+BAND_HZ: Final = (20.0, 40.0, 60.0, 80.0, 100.0)
+# Velocity (m/s) and frequency (Hz) of the motions by which a user feels the actuator.
+MOTIONS: Final = {'felt_force_slow_n': (0.2, 1.0), 'felt_force_fast_n': (0.5, 2.0)}
+# Frequencies (Hz) and velocities (m/s) at which the apparent impedance is taken.
+IMPEDANCE_HZ: Final = (1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 50.0)
+IMPEDANCE_M_S: Final = (0.02, 0.1)
+STEP_S: Final = 0.4
+# Real part of the impedance (N s/m) that counts as half of what is missing, and sensor noise (N).
+IMPEDANCE_SCALE: Final = 100.0
+NOISE_N: Final = 1.0
+DIVERGED: Final = 1e6
+
+Array = npt.NDArray[np.float64]
+
+
+class Row(NamedTuple):
+    """A figure: its unit, the value to reach, and whether more is better."""
+
+    name: str
+    unit: str
+    goal: float
+    text: str
+    more: bool = False
+
+
+ROWS: Final = (
+    Row('settling_median_s', 's', 0.015, 'settling to 2 % of steps of 20 to 700 N, median'),
+    Row('settling_worst_s', 's', 0.030, 'the same, worst'),
+    Row('overshoot_percent', '%', 5.0, 'overshoot of the same, worst'),
+    Row('steady_state_error_n', 'N', 0.1, 'steady-state error of the same, worst'),
+    Row('sine_error_percent', '%', 12.0, 'error on a sine of 10 Hz and 100 N, rms'),
+    Row('gain_100_hz_db', 'dB', -3.0, 'least gain up to 100 Hz at 50 N', True),
+    Row('peak_db', 'dB', 2.0, 'largest gain at 50 N'),
+    Row('felt_force_slow_n', 'N', 30.0, 'felt force, moved at 0.2 m/s and 1 Hz'),
+    Row('felt_force_fast_n', 'N', 80.0, 'felt force, moved at 0.5 m/s and 2 Hz'),
+    Row('noise_gain', 'N/N', 100.0, 'command per sensor noise, rms'),
+    Row('least_re_z_n_s_m', 'N s/m', 0.0, 'least real part of the impedance below 50 Hz', True),
+)
+
+
+def _harmonic(values: Array, frequency_hz: float, rate_hz: float) -> complex:
+    """Return the complex amplitude at a frequency, over at least one period and about 0.2 s."""
+    periods = max(1, round(0.2 * frequency_hz))
+    last = values[-round(periods * rate_hz / frequency_hz):]
+    angle = 2.0 * np.pi * frequency_hz * np.arange(len(last)) / rate_hz
+    return complex(2.0 * np.mean(last * np.exp(-1j * angle)))
+
+
+def _runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float,
+          duration_s: float) -> Array:
+    out = close_many(loops_of(actuators, controllers, rate_hz), duration_s)
+    return np.nan_to_num(np.clip(out, -DIVERGED, DIVERGED), nan=DIVERGED)
+
+
+def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0) -> dict[str, float]:
+    """
+    Return the figures of ROWS.
+
+    actuator, controller: parameters by name, the rest at their defaults.
+    """
+    def references(shape: str, **settings: float) -> dict[str, Any]:
+        return {**controller, 'reference.shape': shape, 'reference.start': 0.0,
+                **{f'reference.{name}': value for name, value in settings.items()}}
+
+    locked = {**actuator, 'load.type': 'locked'}
+    answer = _steps(_runs([locked] * len(SIZES_N),
+                          [references('step', amplitude=size) for size in SIZES_N],
+                          rate_hz, STEP_S), rate_hz)
+
+    sines = [references('sine', amplitude=100.0, frequency=10.0)] + [
+        references('sine', amplitude=50.0, frequency=frequency) for frequency in BAND_HZ]
+    found = _runs([locked] * len(sines), sines, rate_hz, 0.5)
+    wanted, force = found[0, [0, 2], -round(0.3 * rate_hz):]
+    gains = [20.0 * np.log10(max(abs(_harmonic(run[2], frequency, rate_hz)), 1e-6) / 50.0)
+             for run, frequency in zip(found[1:], BAND_HZ, strict=True)]
+    answer |= {'sine_error_percent': 100.0 * np.std(wanted - force) / np.std(wanted),
+               'gain_100_hz_db': min(gains), 'peak_db': max(gains)}
+
+    def moved(velocity: float, frequency: float) -> dict[str, Any]:
+        return {**actuator, 'load.type': 'prescribed', 'load.velocity': velocity,
+                'load.frequency': frequency}
+
+    still = references('step', amplitude=0.0)
+    for name, (velocity, frequency) in MOTIONS.items():
+        force = _runs([moved(velocity, frequency)], [still], rate_hz, 1.5 / frequency)[0, 2]
+        answer[name] = np.abs(force[-round(rate_hz / frequency):]).max()
+    cases = [(velocity, frequency) for velocity in IMPEDANCE_M_S for frequency in IMPEDANCE_HZ]
+    found = _runs([moved(*case) for case in cases], [still] * len(cases), rate_hz, 1.5)
+    answer['least_re_z_n_s_m'] = min(
+        (-_harmonic(run[2], frequency, rate_hz) / _harmonic(run[5], frequency, rate_hz)).real
+        for run, (_, frequency) in zip(found, cases, strict=True))
+
+    noisy = _runs([{**locked, 'force_sensor.noise': NOISE_N}],
+                  [references('step', amplitude=100.0)], rate_hz, STEP_S)[0, 1]
+    answer['noise_gain'] = np.std(noisy[len(noisy) // 2:]) / NOISE_N
+    return {name: float(value) for name, value in answer.items()}
+
+
+def _steps(runs: Array, rate_hz: float) -> dict[str, float]:
+    settling, overshoot, error = [], [], []
+    for run, size in zip(runs, SIZES_N, strict=True):
+        force = run[2]
+        outside = np.flatnonzero(np.abs(force - size) > 0.02 * size)
+        settling.append((outside[-1] + 1) / rate_hz if len(outside) else 0.0)
+        overshoot.append(100.0 * max(force.max() / size - 1.0, 0.0))
+        error.append(abs(size - force[-len(force) // 5:].mean()))
+    return {'settling_median_s': float(np.median(settling)), 'settling_worst_s': max(settling),
+            'overshoot_percent': max(overshoot), 'steady_state_error_n': max(error)}
+
+
+def missed(found: Mapping[str, float], goals: Mapping[str, float] | None = None
+           ) -> dict[str, float]:
+    """
+    Return by how much each row misses its value: the logarithm of the ratio, below 0 if reached.
+
+    goals: other values to reach, by name.
+    """
+    answer = {}
+    for row in ROWS:
+        goal = (goals or {}).get(row.name, row.goal)
+        value = found[row.name]
+        if row.unit == 'dB':
+            ratio = (value - goal) * np.log(10.0) / 20.0
+            answer[row.name] = -ratio if row.more else ratio
+        elif row.more:
+            answer[row.name] = (goal - value) / IMPEDANCE_SCALE
+        else:
+            answer[row.name] = float(np.log(max(value, 1e-6) / goal))
+    return answer

@@ -1,0 +1,165 @@
+"""
+Search of the settings of the controller: the figures of `figures.py`, under attack.
+
+The structure is declared: two leads without their lag, and all additions. The strategy is CMA-ES
+(Hansen, The CMA Evolution Strategy: A Tutorial, 2016). Its cost is what the rows miss, and the
+oscillation that is left under the worst conditions known, each made worse by a margin. Conditions
+are those that the attack of `asi quench` finds; the best settings are attacked again and again,
+and what is found joins.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import cma
+import numpy as np
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.limit_cycle.quench.attack import EXCITED_S, FREE_S, Condition, search
+from asi_analysis.loop.closed_loop import Values, close_many, loops_of
+from asi_analysis.terminal import Progress, silent
+from asi_analysis.tuning.figures import figures, missed
+from asi_common.parameter import Value, defaults
+from asi_controller.parameters import COMPENSATOR_PARAMETERS
+
+STRUCTURE: Final[Mapping[str, Value]] = {'compensator': 'lead2', 'lead2.lag_ratio': 1.0}
+# Least, first and largest value, on a logarithmic scale.
+RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
+    'gain': (0.2, 1.8, 6.0),
+    'lead2.ratio': (1.0, 6.5, 8.0),
+    'lead2.zero_frequency': (20.0, 85.0, 300.0),
+    'integrator.rate': (5.0, 60.0, 400.0),
+    'hysteresis_inverse.size': (5.0, 25.0, 30.0),
+    'hysteresis_inverse.dead_zone': (2.0, 4.0, 60.0),
+    'reference_model.bandwidth': (60.0, 180.0, 1000.0),
+    'reference_model.lag_frequency': (12.0, 17.0, 26.0),
+    'reference_model.drive': (900.0, 1600.0, 2500.0),
+    'reference_model.delay': (0.0004, 0.0025, 0.006),
+    'reference_model.lead_time': (0.0003, 0.001, 0.006),
+    'reference_model.slope': (5e3, 2e4, 6e4),
+    'velocity_feedforward.share': (0.05, 0.35, 1.0),
+    'saturation': (1200.0, 1400.0, 4000.0),
+    'feedforward': (0.9, 0.97, 1.1),
+}
+POPULATION: Final = 14
+SPREAD: Final = 0.1
+RATES_HZ: Final = (5000.0, 2000.0, 1000.0)
+# By how much the loop gain and the delay (s) of each condition are raised: the margin.
+MARGIN: Final = (1.2, 2e-4)
+# Amplitude (N, rms) that may be left, and duration (s) at the end over which it is measured.
+LEFT_N: Final = 0.2
+WATCHED_S: Final = 0.12
+# The attack inside: conditions tried, the worst of which are kept, and generations between two.
+ATTACKED: Final = 160
+KEPT: Final = 8
+GENERATIONS: Final = 12
+# Settings that are too bold, by which the first conditions are found.
+BOLD: Final[Sequence[Mapping[str, float]]] = (
+    {'integrator.rate': 2.5, 'gain': 1.3}, {'gain': 2.5},
+    {'velocity_feedforward.share': 2.0, 'integrator.rate': 1.5})
+# Cost of a row that is missed, of one that is reached, and of oscillations, per logarithm.
+MISSED: Final = 1.0
+REACHED: Final = 0.03
+OSCILLATES: Final = 0.5
+OUTSIDE: Final = 100.0
+
+
+class Candidate(NamedTuple):
+    """Settings with their cost, figures, and the oscillation left (sum of logarithms)."""
+
+    cost: float
+    controller: Mapping[str, Value]
+    figures: Mapping[str, float]
+    left: float
+
+
+def settings(point: np.ndarray) -> dict[str, Value]:
+    """Return the controller's parameters of a point in the unit cube."""
+    inside = np.clip(point, 0.0, 1.0)
+    return {**STRUCTURE, **{name: low * (high / low) ** float(x) for (name, (low, _, high)), x
+                            in zip(RANGES.items(), inside, strict=True)}}
+
+
+def first_point(start: Values) -> np.ndarray:
+    """Return the point of parameters, of RANGES where one is missing."""
+    values = {name: float(start.get(name, first)) for name, (_, first, _) in RANGES.items()}
+    return np.clip([math.log(max(values[name], low) / low) / math.log(high / low)
+                    for name, (low, _, high) in RANGES.items()], 0.0, 1.0)
+
+
+def left(conditions: Sequence[Condition], actuator: Values, controller: Values) -> float:
+    """Return the sum of the logarithms of the amplitudes left, over LEFT_N where above."""
+    gain, delay = MARGIN
+    table = defaults(ACTUATOR_PARAMETERS)
+    total = 0.0
+    every = [condition.settings(RATES_HZ) for condition in conditions]
+    for rate in RATES_HZ:
+        chosen = [each for each in every if each['rate_hz'] == rate]
+        actuators = [{**table, **actuator, **each['actuator']} for each in chosen]
+        for values in actuators:
+            values['valve_characteristic.gain'] *= gain
+            values['force_sensor.delay'] += delay
+        forces = close_many(loops_of(actuators, [{**controller, **each['reference']}
+                                                 for each in chosen], rate),
+                            EXCITED_S + FREE_S, WATCHED_S)[:, 2]
+        rms = np.std(np.nan_to_num(np.clip(forces, -1e6, 1e6), nan=1e6), axis=1)
+        total += float(np.log(np.maximum(rms / LEFT_N, 1.0)).sum())
+    return total
+
+
+def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluations: int, seed: int,
+         report: Progress = silent) -> tuple[Candidate, list[Candidate]]:
+    """
+    Return the best settings found, and all that were tried.
+
+    start: parameters of the controller to begin with; goals: values to reach by name, where they
+    are not those of ROWS.
+    """
+    begin = first_point(start)
+    conditions: list[Condition] = []
+
+    def attacked(controller: Values, number: int, count: int) -> None:
+        found = search(actuator, controller, RATES_HZ, ATTACKED, seed + number)
+        conditions.extend(trial.condition for trial in found[:count])
+
+    def candidate(point: np.ndarray) -> Candidate:
+        controller = settings(point)
+        found = figures(actuator, controller)
+        oscillation = left(conditions, actuator, controller)
+        beyond = np.maximum(0.0, -point) + np.maximum(0.0, point - 1.0)
+        cost = (sum(MISSED * max(miss, 0.0) + REACHED * miss
+                    for miss in missed(found, goals).values())
+                + OSCILLATES * oscillation + OUTSIDE * float(np.sum(beyond ** 2)))
+        return Candidate(cost, controller, found, oscillation)
+
+    report('first conditions', 0.0)
+    highest = {each.name: each.high for each in COMPENSATOR_PARAMETERS}
+    first = settings(begin)
+    for number, factors in enumerate(BOLD):
+        attacked({**first, **{name: min(float(first[name]) * factor, highest[name])
+                              for name, factor in factors.items()}}, number, KEPT)
+    strategy = cma.CMAEvolutionStrategy(
+        begin, SPREAD, {'seed': seed, 'popsize': POPULATION, 'verbose': -9})
+    tried: list[Candidate] = []
+    best, generation = candidate(begin), 0
+    while len(tried) < evaluations:
+        points = strategy.ask()
+        found = [candidate(np.asarray(point)) for point in points]
+        strategy.tell(points, [each.cost for each in found])
+        tried += found
+        best = min([best, *found], key=lambda each: each.cost)
+        generation += 1
+        report(f'cost {best.cost:.3g}', len(tried) / evaluations)
+        if generation % GENERATIONS == 0:
+            attacked(best.controller, generation, KEPT)
+            best = candidate(first_point(best.controller))
+    return best, tried
+
+
+def front(tried: Sequence[Candidate], names: Sequence[str]) -> list[Candidate]:
+    """Return those quiet under attack that no other one beats in all the figures of `names`."""
+    quiet = [each for each in tried if each.left == 0.0]
+    values = np.array([[each.figures[name] for name in names] for each in quiet])
+    return [each for each, row in zip(quiet, values, strict=True)
+            if not ((values <= row).all(1) & (values < row).any(1)).any()]
