@@ -3,7 +3,8 @@ Launch the actuator and its controller; optionally a recorder, and RViz.
 
 ros2 launch asi_actuator asi_actuator.launch.py mode:=realtime reference:=sine record:=run1
 
-An argument that is given sets its parameter; otherwise the parameter files apply.
+An argument that is given sets its parameter; otherwise the parameter files apply. Without files,
+compensator and gain the controller has the settings of config/force_control.yaml.
 """
 
 from pathlib import Path
@@ -26,7 +27,8 @@ PARAMETERS = {
     'duration': ('duration', float, ('actuator',), 'length of the run in s; 0: no end'),
     'driver': ('driver', str, ('actuator',), 'simulated, can or replay'),
     'compensator': ('compensator', str, ('controller',),
-                    'proportional, lead_lag, lead2, lead4 or custom'),
+                    'proportional, lead_lag, lead2, lead4 or custom; if neither this nor gain nor '
+                    'params_file is given, config/force_control.yaml'),
     'gain': ('gain', float, ('controller',), 'gain of the compensator; 0: its own'),
     'reference': ('reference.shape', str, ('controller',),
                   'topic, or a signal of the controller: step, ramp, sine, chirp …'),
@@ -78,7 +80,13 @@ def _parameters(given: dict[str, str], node: str) -> list[Any]:
     if given['record'] and node != 'recorder':
         values['await_recorder'] = True
     files = [file for file in given['params_file'].split(',') if file]
+    if node == 'controller' and not (files or given['compensator'] or given['gain']):
+        files = [str(_config() / 'force_control.yaml')]
     return [*files, values] if values else files
+
+
+def _config() -> Path:
+    return Path(get_package_share_directory('asi_actuator')) / 'config'
 
 
 def _recorder_ended(event: Any, context: Any) -> list[Any]:
@@ -90,7 +98,7 @@ def _scene(given: dict[str, str]) -> list[Any]:
     """Return RViz and the publisher of the actuator's frames, where they are installed."""
     if given['rviz'] != 'true':
         return []
-    config = Path(get_package_share_directory('asi_actuator')) / 'config'
+    config = _config()
     urdf = (config / 'asi_actuator.urdf').read_text()
     scene: list[Any] = []
     names = ('tf', 'tf_static', 'clock')

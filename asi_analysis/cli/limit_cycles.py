@@ -121,7 +121,7 @@ def attribute(
     show(result, as_json)
 
 
-@command('quench', 'asi quench --compensator lead4 --conditions 300 --designs 200')
+@command('quench', 'asi quench --controller config/force_control.yaml --conditions 300')
 def quench(
     compensator: Compensator = None,
     gain: Gain = None,

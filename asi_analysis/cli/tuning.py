@@ -17,7 +17,8 @@ def tune(
     prefer: Annotated[str, typer.Option(
         help='What counts most: balanced, stiff, transparent or quiet')] = 'balanced',
     evaluations: Annotated[int, typer.Option(
-        help='Settings of the controller that are tried', min=1)] = 800,
+        help='Settings of the controller that are tried; 0: only those of the start', min=0)
+        ] = 800,
     conditions: Annotated[int, typer.Option(
         help='Conditions of the attack on what is found', min=1)] = 300,
     seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0)] = 1,

@@ -15,7 +15,9 @@ MOTIONS: Final = {'felt_force_slow_n': (0.2, 1.0), 'felt_force_fast_n': (0.5, 2.
 # Frequencies (Hz) and velocities (m/s) at which the apparent impedance is taken.
 IMPEDANCE_HZ: Final = (1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 50.0)
 IMPEDANCE_M_S: Final = (0.02, 0.1)
+# Duration of a step, and rest before it: a compensator starts in the steady state.
 STEP_S: Final = 0.4
+BEFORE_S: Final = 0.01
 # Real part of the impedance (N s/m) that counts as half of what is missing, and sensor noise (N).
 IMPEDANCE_SCALE: Final = 100.0
 NOISE_N: Final = 1.0
@@ -70,13 +72,13 @@ def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0) -> di
     actuator, controller: parameters by name, the rest at their defaults.
     """
     def references(shape: str, **settings: float) -> dict[str, Any]:
-        return {**controller, 'reference.shape': shape, 'reference.start': 0.0,
+        return {**controller, 'reference.shape': shape, 'reference.start': BEFORE_S,
                 **{f'reference.{name}': value for name, value in settings.items()}}
 
     locked = {**actuator, 'load.type': 'locked'}
     answer = _steps(_runs([locked] * len(SIZES_N),
                           [references('step', amplitude=size) for size in SIZES_N],
-                          rate_hz, STEP_S), rate_hz)
+                          rate_hz, BEFORE_S + STEP_S), rate_hz)
 
     sines = [references('sine', amplitude=100.0, frequency=10.0)] + [
         references('sine', amplitude=50.0, frequency=frequency) for frequency in BAND_HZ]
@@ -110,7 +112,7 @@ def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0) -> di
 def _steps(runs: Array, rate_hz: float) -> dict[str, float]:
     settling, overshoot, error = [], [], []
     for run, size in zip(runs, SIZES_N, strict=True):
-        force = run[2]
+        force = run[2, round(BEFORE_S * rate_hz):]
         outside = np.flatnonzero(np.abs(force - size) > 0.02 * size)
         settling.append((outside[-1] + 1) / rate_hz if len(outside) else 0.0)
         overshoot.append(100.0 * max(force.max() / size - 1.0, 0.0))

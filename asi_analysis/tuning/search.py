@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import cma
 import numpy as np
+from scipy import signal
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.limit_cycle.quench.attack import EXCITED_S, FREE_S, Condition, search
@@ -43,13 +44,15 @@ RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
     'feedforward': (0.9, 0.97, 1.1),
 }
 POPULATION: Final = 14
-SPREAD: Final = 0.1
+SPREAD: Final = 0.06
 RATES_HZ: Final = (5000.0, 2000.0, 1000.0)
 # By how much the loop gain and the delay (s) of each condition are raised: the margin.
-MARGIN: Final = (1.2, 2e-4)
-# Amplitude (N, rms) that may be left, and duration (s) at the end over which it is measured.
+MARGIN: Final = (1.1, 1e-4)
+# Amplitude (N, rms) that may be left, durations (s) at the end over which it is measured twice,
+# and by how much its logarithm must fall from one to the other, so that it decays.
 LEFT_N: Final = 0.2
 WATCHED_S: Final = 0.12
+FALL: Final = 0.2
 # The attack inside: conditions tried, the worst of which are kept, and generations between two.
 ATTACKED: Final = 160
 KEPT: Final = 8
@@ -89,12 +92,12 @@ def first_point(start: Values) -> np.ndarray:
 
 
 def left(conditions: Sequence[Condition], actuator: Values, controller: Values) -> float:
-    """Return the sum of the logarithms of the amplitudes left, over LEFT_N where above."""
+    """Return the sum of the logarithms over LEFT_N of the amplitudes left that do not decay."""
     gain, delay = MARGIN
     table = defaults(ACTUATOR_PARAMETERS)
     total = 0.0
     every = [condition.settings(RATES_HZ) for condition in conditions]
-    for rate in RATES_HZ:
+    for rate in {each['rate_hz'] for each in every}:
         chosen = [each for each in every if each['rate_hz'] == rate]
         actuators = [{**table, **actuator, **each['actuator']} for each in chosen]
         for values in actuators:
@@ -102,9 +105,14 @@ def left(conditions: Sequence[Condition], actuator: Values, controller: Values) 
             values['force_sensor.delay'] += delay
         forces = close_many(loops_of(actuators, [{**controller, **each['reference']}
                                                  for each in chosen], rate),
-                            EXCITED_S + FREE_S, WATCHED_S)[:, 2]
-        rms = np.std(np.nan_to_num(np.clip(forces, -1e6, 1e6), nan=1e6), axis=1)
-        total += float(np.log(np.maximum(rms / LEFT_N, 1.0)).sum())
+                            EXCITED_S + FREE_S, 2.0 * WATCHED_S)[:, 2]
+        forces = np.nan_to_num(np.clip(forces, -1e6, 1e6), nan=1e6)
+        # Without its trend, since a slow creep is no oscillation.
+        first, last = (signal.detrend(part).std(axis=1) for part in np.split(
+            forces[:, :2 * (forces.shape[1] // 2)], 2, axis=1))
+        lasts = np.clip(1.0 + np.log(np.maximum(last, 1e-9) / np.maximum(first, 1e-9)) / FALL,
+                        0.0, 1.0)
+        total += float((np.log(np.maximum(last / LEFT_N, 1.0)) * lasts).sum())
     return total
 
 

@@ -6,7 +6,7 @@ given bandwidth, as far as the drive allows: its drive is the feed-forward, and 
 as the actuator's, is what the compensator compares with the measured one. So a step needs no
 overshoot of the feedback, and a large one does not wind it up (model following: Åström and
 Wittenmark, Computer-Controlled Systems, 1997, ch. 4). A reference that moves is extrapolated by
-the lead time, which takes back the delay; of a jump the slope counts only up to a limit.
+the lead time, which takes back the delay; a jump, with a larger slope than allowed, is not.
 """
 
 import math
@@ -24,15 +24,16 @@ PARAMETERS = (
     Parameter('delay', 0.002, 's', 'Delay of the actuator, as the time constant of a lag',
               0.0, 0.1, source='assumed'),
     Parameter('lead_time', 0.0, 's', 'Time by which the reference is extrapolated', 0.0, 0.1),
-    Parameter('slope', 2e4, 'N/s', 'Largest slope of the reference that is extrapolated',
-              0.0, 1e9, source='100 N at 32 Hz'),
+    Parameter('slope', 2e4, 'N/s', 'Largest slope that is extrapolated: more is a jump', 0.0, 1e9,
+              source='100 N at 32 Hz'),
 )
 
 
 @jit
 def extrapolated(reference, before, lead_time, slope, period):
     """Return a reference (N) that was `before` (N) a control period (s) ago, a time (s) ahead."""
-    return reference + lead_time * min(max((reference - before) / period, -slope), slope)
+    rate = (reference - before) / period
+    return reference + lead_time * rate if abs(rate) <= slope else reference
 
 
 @jit

@@ -1,7 +1,9 @@
 """
 Two equal leads, and a lag that is quicker than that of `lead_lag`.
 
-The second-order lead of section 5 of the paper. Its gain is that above the corner of the lag.
+The second-order lead of section 5 of the paper. Its gain is that above the corner of the lag. With
+a heavy load on a stiff spring it can oscillate
+(`asi quench --compensator lead2 --conditions 1000`).
 """
 
 import math

@@ -7,6 +7,7 @@ import pytest
 from asi_actuator.model.valve_hysteresis import play
 from asi_common.parameter import Value
 from asi_controller.additions import ADDITIONS, DOCUMENTATION
+from asi_controller.additions.reference_model import extrapolated
 from asi_controller.compensator import REST, compensate, compensator, frequency_response
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -83,3 +84,8 @@ def test_reference_model_drives_a_lag_like_its_own_along_its_force_without_error
     assert forces[-1] == pytest.approx(700.0) and max(forces) <= 700.0 + 1e-9
     # As fast as the drive allows: the lag itself would take 25 ms to 96 %.
     assert forces[60] > 0.96 * 700.0
+
+
+def test_reference_model_extrapolates_a_ramp_and_not_a_jump() -> None:
+    assert extrapolated(10.0, 8.0, 0.001, 2e4, 0.0002) == pytest.approx(20.0)
+    assert extrapolated(30.0, 8.0, 0.001, 2e4, 0.0002) == 30.0

@@ -9,7 +9,7 @@ from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.quench.attack import Trial, search
 from asi_analysis.limit_cycle.quench.design import design
 from asi_analysis.limit_cycle.quench.dither import dither
-from asi_analysis.limit_cycle.quench.margin import margin
+from asi_analysis.limit_cycle.quench.margin import LOADS, margin
 from asi_analysis.loop.simulation import Values, step_run, sustained
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent
@@ -36,11 +36,14 @@ class Quench(Result):
                      '{margin_at[load]}', self)
         yield (f'{self.sustained_found} sustained oscillations in {self.conditions_tried} '
                'conditions')
+        if self.sustained_found and self.margin > 0.0:
+            yield f'the margin does not show them; its loads are {", ".join(LOADS)}'
         worst = [each for each in self.worst if each['sustained']]
         if worst:
-            yield table_of(worst, {
+            yield table_of([{**each, 'load': _load(each['condition']['actuator'])}
+                            for each in worst], {
                 'amplitude N': '{amplitude_n:.3g}', 'control Hz': '{condition[rate_hz]:g}',
-                'load': '{condition[actuator][load.type]}',
+                'load': '{load}',
                 'reference': '{condition[reference][reference.shape]}',
                 'size N': '{condition[reference][reference.amplitude]:.0f}',
                 'about N': '{condition[reference][reference.offset]:.0f}'},
@@ -108,6 +111,14 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
     if designs:
         document['design'] = design(actuator, controller, rate, designs, seed, progress)
     return Quench(document, actuator=actuator, controller=controller)
+
+
+def _load(actuator: Values) -> str:
+    kind = str(actuator['load.type'])
+    if kind == 'locked':
+        return kind
+    spring = f'{actuator["load.stiffness"]:.2g} N/m, ' if kind == 'spring' else ''
+    return f'{kind}, {spring}{actuator["load.mass"]:.2g} kg'
 
 
 def _finite(value: float) -> float | None:
