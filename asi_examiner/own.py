@@ -1,5 +1,5 @@
 """
-Cases of the simulator itself: unchanged, or with one of its parameters changed.
+Cases of the simulator itself: unchanged, with one of its parameters changed, or an effect on.
 
 Recorded by the code of the two nodes, at 1, 2 and 5 kHz, with every load and several excitations,
 with and without noise. The true parameters are within the model that a diagnosis fits, so that no
@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from asi_actuator.model.effects import EFFECT, EFFECTS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
@@ -57,10 +58,15 @@ CHANGED = {
 ONLY_OF = {'load.locked_stiffness': 'locked', 'load.stiffness': 'spring', 'load.damping': 'spring'}
 
 
-class OwnCase(NamedTuple):
-    """One case: the changed parameter (None if none) and its factor, and the recordings."""
+# Effects that are switched on, at this range of factors of their example; not what is random.
+EFFECTS_ON = tuple(effect for effect in EFFECTS if effect.name != 'sensor_dropout')
+SIZE = (0.5, 1.5)
 
-    parameter: str | None
+
+class OwnCase(NamedTuple):
+    """One case: what was changed (a parameter, an effect, None) and its factor; recordings."""
+
+    changed: str | None
     factor: float
     visibility: float       # change of the signals, nothing refitted, in multiples of the noise
     excitation: str
@@ -77,22 +83,26 @@ def draw_own(seed: int) -> OwnCase:
     excitation = str(rng.choice(list(EXCITATIONS)))
     nominal: dict[str, Value] = {'load.type': load}
     size = float(rng.choice([120.0, 250.0]))
-    parameter, factor = None, 1.0
-    if rng.random() > UNCHANGED:
-        parameter = str(rng.choice([name for name in CHANGED
+    changed, factor, machine = None, 1.0, dict(nominal)
+    kind = rng.random()
+    if kind > 0.5 * (1.0 + UNCHANGED):
+        effect = EFFECTS_ON[rng.integers(len(EFFECTS_ON))]
+        changed, factor = effect.name, float(rng.uniform(*SIZE))
+        machine |= {name: factor * value if isinstance(value, float) else value
+                    for name, value in effect.example.items()}
+    elif kind > UNCHANGED:
+        changed = str(rng.choice([name for name in CHANGED
                                     if ONLY_OF.get(name, load) == load]))
         factor = math.exp(rng.uniform(*np.log(FACTOR))) ** (1.0 if rng.random() < 0.5 else -1.0)
+        default = next(p.default for p in ACTUATOR_PARAMETERS if p.name == changed)
+        machine[changed] = float(default) * factor
     noise = float(rng.random() < 0.7)
-    machine = dict(nominal)
-    if parameter is not None:
-        default = next(p.default for p in ACTUATOR_PARAMETERS if p.name == parameter)
-        machine[parameter] = float(default) * factor
     runs = [_recorded(values, excitation, size, rate, [seed, number], level)
             for number, (values, level) in enumerate(
                 ((machine, noise), (machine, noise), (machine, 0.0), (nominal, 0.0)))]
     visibility = max(float(np.std(getattr(runs[2], name) - getattr(runs[3], name))) / level
                      for name, level in NOISE.items())
-    return OwnCase(parameter, factor, visibility, excitation, rate, nominal, runs[0], runs[1])
+    return OwnCase(changed, factor, visibility, excitation, rate, nominal, runs[0], runs[1])
 
 
 def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz: float,
@@ -110,7 +120,8 @@ def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz:
 
 def truth(case: OwnCase) -> tuple[str, list[str], list[str]]:
     """Return kind, effects and blocks of the right answer."""
-    if case.parameter is None:
+    if case.changed is None:
         return 'none', [], []
-    effect, block = CHANGED[case.parameter]
+    effect, block = (CHANGED[case.changed] if case.changed in CHANGED else
+                     (case.changed, EFFECT[case.changed].block))
     return 'effect' if case.visibility > VISIBLE else 'small', [effect], [block]

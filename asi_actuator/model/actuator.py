@@ -134,16 +134,22 @@ def prepare(p, period):
 
 
 @jit
+def valve_jump(state, command, p):
+    """Let the magnetic circuit jump to a new command (N), and a valve without dynamics too."""
+    magnetise(state, command, 1.0, p)
+    if (p.valve_flexure_model != FULL and p.valve_flexure_deadband == 0.0
+            and p.valve_flexure_lag_time == 0.0):
+        state.valve_position = valve_position(deflected(flexure_gain(p) * state.drive, p), p)
+
+
+@jit
 def jump(state, command, p):
     """
     Let everything jump that a new command or a prescribed motion moves at once.
 
     So that the first sub-step begins with the values just after, and stays second order.
     """
-    magnetise(state, command, 1.0, p)
-    if (p.valve_flexure_model != FULL and p.valve_flexure_deadband == 0.0
-            and p.valve_flexure_lag_time == 0.0):
-        state.valve_position = valve_position(deflected(flexure_gain(p) * state.drive, p), p)
+    valve_jump(state, command, p)
     state.static_force = valve_characteristic(state.valve_position, p)
     if p.valve_characteristic_supply_sag > 0.0:
         state.static_force *= 1.0 - p.valve_characteristic_supply_sag * state.supply_load
@@ -159,8 +165,8 @@ def jump(state, command, p):
 
 
 @inlined
-def substep(state, command, p, steady):
-    """Advance `state` by a sub-step at a constant valve command (N)."""
+def valve_substep(state, command, p, steady):
+    """Advance the valve by a sub-step at a constant valve command (N)."""
     # The drive bends too much within a sub-step for a straight line: its mean by Simpson's rule.
     drive_before = state.drive
     drive_middle = magnetise(state, command, steady.half_decay, p)
@@ -170,6 +176,12 @@ def substep(state, command, p, steady):
     state.ring_index = (state.ring_index + 1) & (RING - 1)
     deflection = valve_flexure(state, drive_mean, drive_after, p, steady.flexure)
     state.valve_position = valve_position(deflection, p)
+
+
+@inlined
+def substep(state, command, p, steady):
+    """Advance `state` by a sub-step at a constant valve command (N)."""
+    valve_substep(state, command, p, steady)
     static_before = state.static_force
     state.static_force = valve_characteristic(state.valve_position, p)
     opening = valve_opening(state.valve_position, p)
@@ -198,6 +210,18 @@ def advance(state, command, p, steady):
     state.sample += 1
     if p.force_sensor_drop_rate > 0.0:
         keep_reading(state, p)
+
+
+@jit
+def advance_valve(state, command, p, steady):
+    """Advance the valve alone by one control period at a constant valve command (N), in place."""
+    limited = sent(state, command, p)
+    delayed = p.command_path_delay > 0.0
+    valve_jump(state, arrived(state, 0, steady.command) if delayed else limited, p)
+    for number in range(steady.substeps):
+        valve_substep(state, arrived(state, number, steady.command) if delayed else limited, p,
+                      steady)
+    state.sample += 1
 
 
 @jit

@@ -16,6 +16,7 @@ from asi_analysis.gap.inference import localisation, plausibility
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
+from asi_analysis.gap.inference.search import explained_by_simulator
 from asi_analysis.gap.inference.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference.uncertainty import (
     Likelihood,
@@ -24,9 +25,10 @@ from asi_analysis.gap.inference.uncertainty import (
     likelihood,
 )
 from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
-from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group
+from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group, simulator_group
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.model.simulator import by_simulator, simulator_record
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
@@ -81,7 +83,8 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
                      'hydraulics by its own signal')
     moves = has['motion'] and has['force'] and nominal.get('load.type') != 'prescribed'
     channels = tuple(name for name, there in (
-        ('force', has['force'] and (has['valve_position'] or has['command'])), ('load', moves))
+        ('force', has['force'] and (has['valve_position'] or has['command'])),
+        ('load', moves))
         if there)
     if not has['force']:
         notes.append('without the force nothing is said of hydraulics, mechanics and sensor')
@@ -94,6 +97,15 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     if not groups:
         raise InputError(f'{runs[0].source}: no block has both its input and its output recorded')
     return groups, notes
+
+
+def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tolerance: float
+                     ) -> list[Group]:
+    """Return the same channels as the simulator predicts them; the load's is the motion."""
+    p = simulator_record(nominal)
+    return [simulator_group(p, group.recordings, tuple(
+        'motion' if channel == 'load' else channel for channel in group.channels), tolerance)
+        for group in groups]
 
 
 def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actuator',
@@ -123,14 +135,18 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
 
     for note in notes:   # before the checks, since they may explain why one fails
         warnings.warn(note, InputWarning, stacklevel=2)
-    for group in groups:
-        if plant == 'actuator':
-            for note in plausibility.check_against_model(group):
-                warnings.warn(note, InputWarning, stacklevel=2)
-                notes.append(note)
-        else:
-            plausibility.check_joint(group)
-    weighed = weigh_groups(groups, tolerance, tick)
+    weighed = None
+    if plant == 'actuator' and by_simulator(model) and len(groups) == 2:
+        weighed = explained_by_simulator(simulated_groups(groups, model, tolerance), tick)
+    if weighed is None:
+        for group in groups:
+            if plant == 'actuator':
+                for note in plausibility.check_against_model(group):
+                    warnings.warn(note, InputWarning, stacklevel=2)
+                    notes.append(note)
+            else:
+                plausibility.check_joint(group)
+        weighed = weigh_groups(groups, tolerance, tick)
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     answer = Diagnosis([run.source for run in runs], weighed, joined, verdict, [], notes, None,
@@ -146,7 +162,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
                                             _missing(runs, ('position', 'valve_position')))
     elif len(ambiguous) > 1:
         experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')))
-    if [g.channels for g in groups] == [('valve',), ('force', 'load')]:
+    if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')]:
         # With refitted parameters: a difference within their tolerance is no gap.
         chain = localisation.along_the_chain(groups[0], groups[1], *(
             w.candidates[()].fitted.record for w in weighed))

@@ -84,6 +84,10 @@ class Recording:
     held_out: Mask               # samples for model selection
     report: Mask                 # validation samples; only the reported result uses them
     number: int = 0              # whose values the fields of a recording have
+    raw_velocity: Array | None = None   # m/s, as measured
+    valve_estimate: Array | None = None   # m, measured valve position with less noise
+    # By channel: what a shorter sub-step adds to the predictions of the simulator.
+    corrections: dict[str, Array] = field(default_factory=dict)
     cache: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:
@@ -313,6 +317,14 @@ def judged(values: Array, motion: Motion) -> Array:
     return np.fft.irfft(spectrum, count)[motion.pad:motion.pad + values.size]
 
 
+def velocity_of(recording: Recording) -> Array | None:
+    """Return the velocity (m/s), measured or from the position; None without either."""
+    motion = recording.motion
+    if recording.velocity is not None or motion is None:
+        return recording.velocity
+    return motion.velocity[motion.pad:motion.pad + recording.fit.size]
+
+
 def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     """
     Return which samples to fit on and which to hold out: to choose or to report on.
@@ -439,6 +451,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         recordings.append(Recording(
             source=run.source, period_s=period, command=moving.get('command'), force=force,
             valve_position=moving.get('valve_position'), velocity=velocity,
+            raw_velocity=moving.get('velocity'),
             motion=motion,
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},

@@ -124,7 +124,7 @@ def separation(group: Group, recording: Recording, first: np.void, second: np.vo
     valid = recording.valid
     apart = 0.0
     for channel in group.channels:
-        if channel == 'load' and recording.motion is None:   # nothing moves there
+        if channel in ('load', 'motion') and recording.motion is None:   # nothing moves there
             continue
         difference = (predict(recording, channel, first) - predict(recording, channel, second))
         apart += float(np.mean(difference[valid] ** 2)) / group.error_floor[channel]

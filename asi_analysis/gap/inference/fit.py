@@ -17,7 +17,6 @@ import numpy.typing as npt
 from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
-from asi_analysis.gap.model.blocks import PLANT_DTYPE
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
@@ -49,6 +48,12 @@ class Fitted(NamedTuple):
     @property
     def at_limit(self) -> dict[str, str]:
         """Return the nominal parameters at a bound: 'low' or 'high', by field."""
+        nominal = self.problem.group.nominal
+        ratios = {free: self.record[free.field] / nominal[free.field] - 1.0
+                  for free in self.free if free.prior < math.inf}
+        if ratios:
+            return {free.field: 'high' if ratio > 0.0 else 'low'
+                    for free, ratio in ratios.items() if abs(ratio) > 2.0 * free.prior}
         declared = {free for free in self.problem.group.nuisance
                     if free.scale == 'nominal' and free.field in NOMINAL_FIELDS}
         return {free.field: 'low' if share < 0.5 else 'high'
@@ -83,9 +88,13 @@ def _parameter(free: Free, group: Group, p: np.void) -> FreeParameter:
     p: record that holds the parameter which `free.scale` refers to.
     """
     unit = _unit(free, group, p)
-    low, high = free.low * unit, free.high * unit
+    low, high = sorted((free.low * unit, free.high * unit))
     scale = Scale.LOG if low > 0.0 and high > LOG_RANGE * low else Scale.LINEAR
-    return FreeParameter(free.field, float(group.nominal[free.field]), low, high, scale)
+    nominal, prior = float(group.nominal[free.field]), math.inf
+    if free.prior < math.inf:
+        prior = free.prior * (abs(nominal) / (high - low) if scale is Scale.LINEAR
+                              else 1.0 / math.log(high / low))
+    return FreeParameter(free.field, nominal, low, high, scale, prior)
 
 
 def _share(parameter: FreeParameter, value: float) -> float:
@@ -134,9 +143,9 @@ def held_out_error(group: Group, p: np.void) -> Values:
     return residual
 
 
-def independent_samples(group: Group, p: np.void) -> Values:
+def independent_samples(group: Group, p: np.void, of: str = 'held_out') -> Values:
     """
-    Return the effective sample size of the residual on the held-out parts, by channel.
+    Return the effective sample size of the residual on a part of the data, by channel.
 
     The number of samples over the sum of the autocorrelation, truncated where the sum of two
     neighbours is no longer positive (Geyer 1992, initial positive sequence).
@@ -145,7 +154,9 @@ def independent_samples(group: Group, p: np.void) -> Values:
     for channel in group.channels:
         counts[channel] = 0.0
         for recording in group.recordings:
-            used = recording.held_out.astype(float)
+            used = getattr(recording, of).astype(float)
+            if not used.any():
+                continue
             residual = (measured(recording, channel) - predict(recording, channel, p)) * used
             size = 2 * residual.size
             products = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:residual.size]
@@ -192,6 +203,10 @@ class Problem:
     def record(self, theta: Array) -> np.void:
         """Return the plant's record at a parameter vector."""
         return _record(self.group, self.free, theta, self.fixed)
+
+    def parameter(self, free: Free) -> FreeParameter:
+        """Return a free parameter with its bounds in its own unit."""
+        return _parameter(free, self.group, self.group.nominal)
 
     def _by_channel(self, theta: Array) -> list[Array]:
         if self._key != theta.tobytes():
@@ -381,7 +396,7 @@ class LinearScreen:
             return np.inf
         group = self.base.problem.group
         changes, least = change[:, None], 0.0
-        if per_recording and group.nominal.dtype != PLANT_DTYPE:   # one size for each recording
+        if per_recording and len({r.number for r in group.recordings}) > 1:
             number = np.concatenate([np.full(r.fit.sum(), r.number) for r in group.recordings])
             number = np.tile(number, len(group.channels))
             changes, least = change[:, None] * (number[:, None] == np.unique(number)), -LARGEST

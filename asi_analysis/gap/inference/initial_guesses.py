@@ -12,11 +12,13 @@ import numpy.typing as npt
 from scipy.fft import next_fast_len
 
 from asi_analysis.gap.inference.fit import STEP, Fitted
-from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model import blocks, simulator
+from asi_analysis.gap.model.blocks import dead_zone, in_steps
 from asi_analysis.gap.model.effects import of_recording
 from asi_analysis.gap.model.group import Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
+from asi_common.jit import jit
 
 Complex = npt.NDArray[np.complexfloating]
 
@@ -49,11 +51,12 @@ def initial_guesses(fitted: Fitted) -> Values:
     """
     group = fitted.problem.group
     found: Values = {}
-    for recording in group.recordings if 'load' in group.channels else ():
+    channel = 'motion' if 'motion' in group.channels else 'load'
+    for recording in group.recordings if channel in group.channels else ():
         if not recording.fit.any():
             continue
-        residual, known = _unexplained(fitted, 'load', recording)
-        raw = measured(recording, 'load') - predict(recording, 'load', fitted.record)
+        residual, known = _unexplained(fitted, channel, recording)
+        raw = _output(recording, channel) - _predicted(recording, channel, fitted.record)
         own = _wave(residual, recording) | _pulse(residual, _judged(recording), known, raw,
                                               recording.period_s)
         found |= {of_recording(name, recording.number): value for name, value in own.items()}
@@ -72,9 +75,9 @@ def _unexplained(fitted: Fitted, channel: str, recording: Recording) -> tuple[Ar
     than the residual is limited to that (ridge regression).
     """
     group = fitted.problem.group
-    base = predict(recording, channel, fitted.record)
+    base = _predicted(recording, channel, fitted.record)
     judged = _judged(recording)
-    residual = (measured(recording, channel) - base) * judged
+    residual = (_output(recording, channel) - base) * judged
     columns = [np.full_like(base, OFFSET_RANGE * np.linalg.norm(residual))]
     for number, free in enumerate(fitted.free):
         if acts_on(free.field, channel, group):
@@ -82,11 +85,25 @@ def _unexplained(fitted: Fitted, channel: str, recording: Recording) -> tuple[Ar
             moved = fitted.theta.copy()
             moved[number] += step
             columns.append(
-                (predict(recording, channel, fitted.problem.record(moved)) - base) / step)
+                (_predicted(recording, channel, fitted.problem.record(moved)) - base) / step)
     ranges = np.array(columns).T * judged[:, None]
     triangle = np.linalg.cholesky(ranges.T @ ranges + residual @ residual * np.eye(len(columns)))
     known = np.linalg.solve(triangle, ranges.T).T
     return residual - known @ (known.T @ residual), known
+
+
+def _output(recording: Recording, channel: str) -> Array:
+    """Return the measured output of a channel; of a motion, the force that it takes."""
+    if channel != 'motion':
+        return measured(recording, channel)
+    return np.zeros(recording.fit.size)
+
+
+def _predicted(recording: Recording, channel: str, p: np.void) -> Array:
+    """Return the same, predicted; of a motion, the force that what it misses takes."""
+    if channel != 'motion':
+        return predict(recording, channel, p)
+    return simulator.missed_force(recording, p)
 
 
 def _judged(recording: Recording) -> Array:
@@ -104,11 +121,12 @@ def _wave(residual: Array, recording: Recording) -> Values:
     count = 8 * residual.size   # padded, for a frequency as fine as the wave's phase at the end
     lobe = 4 * count // residual.size + 1   # as wide as a wave is in these spectra
     motion = recording.motion
-    assert motion is not None
+    force = recording.force_judged
+    assert motion is not None and force is not None
     moved = motion.position[motion.pad:motion.pad + residual.size]
     power, *driven = (np.abs(np.fft.rfft(signal * np.hanning(residual.size), count)) ** 2
                       for signal in (residual, *(each - each.mean() for each in (
-                          measured(recording, 'load'), moved))))
+                          force, moved))))
     lowest = count // residual.size   # one wave in the recording
     power[:lowest] = 0.0
     lines = [_lines(each, lobe) for each in driven]
@@ -182,6 +200,9 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     recording, p = fitted.problem.group.recordings[0], fitted.record
     command = recording.command
     assert command is not None
+    own = simulator.of_simulator(p)
+    band, bias = ((p['valve_flexure_deadband'], p['valve_flexure_bias']) if own else
+                  (p['command_deadband'], p['command_bias']))
     residual, _ = _unexplained(fitted, channel, recording)
     count = next_fast_len(command.size + _response_samples(recording), real=True)
     # Gain of a command step of 1 N at each sample: its product with the response of the valve.
@@ -194,8 +215,8 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     def gain(counts: Array, levels: Array, quantiser: tuple[float, float]) -> Array:
         values, level = np.unique(levels, return_inverse=True)
         out = np.empty(counts.size)
-        blocks.step_gain(values, np.bincount(level, judged), np.bincount(level, gain_by_sample),
-                             largest / counts, *quantiser, blocks.parts(p)[1], out)
+        step_gain(values, np.bincount(level, judged), np.bincount(level, gain_by_sample),
+                         largest / counts, *quantiser, band, bias, out)
         return out
 
     few_levels = np.unique(command).size <= BINS
@@ -219,6 +240,8 @@ def _response_samples(recording: Recording) -> int:
 def _response(recording: Recording, p: np.void, count: int) -> Complex:
     """Return the linear frequency response of the valve to its command."""
     linear = p.copy()
+    if simulator.of_simulator(p):
+        return simulator.valve_response(recording, p, _response_samples(recording), count)
     for name in ('valve_hysteresis_model', 'loop_width', 'command_deadband', 'command_bias',
                  'command_quantum', 'valve_limit'):
         linear[name] = 0
@@ -227,3 +250,32 @@ def _response(recording: Recording, p: np.void, count: int) -> Complex:
     blocks.valve(step[0], *blocks.parts(linear), recording.period_s, recording.sub_steps(1e-3),
                  step[1])
     return np.fft.rfft(np.diff(step[1], append=step[1, -1]), count)
+
+
+@jit
+def step_gain(values, counts, sums, quanta, phase, truncated, band, bias, out):
+    """
+    Put into `out` how much steps of each quantum (N) promise to explain, as if nothing were slow.
+
+    values: m commands (N); counts: how often each came; sums: of what steps of one newton there
+    could explain. Less what a gain and an offset of the command could do as well.
+    """
+    plain, total, mean, square = np.empty(values.size), 0.0, 0.0, 0.0
+    for i in range(values.size):
+        plain[i] = dead_zone(values[i] + bias, band)
+        total += counts[i]
+        mean += counts[i] * plain[i]
+    mean /= total
+    for i in range(values.size):
+        square += counts[i] * (plain[i] - mean) ** 2
+    for k in range(quanta.size):
+        even, along, size, product = 0.0, 0.0, 0.0, 0.0
+        for i in range(values.size):
+            stepped = in_steps(values[i], quanta[k], phase, truncated) + bias
+            change = dead_zone(stepped, band) - plain[i]
+            even += counts[i] * change
+            along += counts[i] * change * (plain[i] - mean)
+            size += counts[i] * change * change
+            product += sums[i] * change
+        size -= even * even / total + along * along / max(square, 1e-300)
+        out[k] = max(product, 0.0) ** 2 / max(size, 1e-3 * total * quanta[k] ** 2)

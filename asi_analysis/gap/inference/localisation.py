@@ -15,12 +15,12 @@ from asi_analysis.gap.model.blocks import impedance, load_constants
 from asi_analysis.gap.model.effects import BLOCKS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass
+from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass, velocity_of
 
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
 # Blocks of each channel: they share its gap if no effect is named.
 ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
-         'load': ('mechanics', 'sensor')}
+         'load': ('mechanics', 'sensor'), 'motion': ('mechanics', 'hydraulics')}
 
 
 LEAST_SHARE = 0.01     # of the samples in a regime, and of a gap
@@ -80,7 +80,7 @@ def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
         block = str(block_of(name))
         blocks[block] = blocks.get(block, 0.0) + part
     if not blocks:   # no gap, or unknown: by the best single effect of each block
-        null = weighed.candidates[()].fitted.held_out[channel]
+        null = max(weighed.candidates[()].fitted.held_out[channel], 1e-300)
         for block in ALONG[channel]:
             blocks[block] = LEAST_SHARE * null + max(
                 (null - candidate.fitted.held_out[channel]
@@ -228,14 +228,6 @@ def _add(square: dict[tuple[str, str], Array], regime: tuple[str, str], residual
          valid: Mask) -> None:
     sums = np.array([*np.sum(residual[:, valid] ** 2, axis=1), valid.sum()])
     square[regime] = square.get(regime, np.zeros(3)) + sums
-
-
-def velocity_of(recording: Recording) -> Array | None:
-    """Return the velocity (m/s), measured or from the position; None without either."""
-    motion = recording.motion
-    if recording.velocity is not None or motion is None:
-        return recording.velocity
-    return motion.velocity[motion.pad:motion.pad + recording.fit.size]
 
 
 def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:

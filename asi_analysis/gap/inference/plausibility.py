@@ -18,6 +18,8 @@ from asi_analysis.gap.prepare import (
     Recording,
     agree,
     clipped,
+    noise_of,
+    velocity_of,
     velocity_over_derivative,
 )
 
@@ -35,7 +37,8 @@ IMPROVED = 0.1         # by which a shift of the clock must raise the correlatio
 
 # The output and the input of each channel.
 COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
-            'load': ('force', 'velocity or position')}
+            'load': ('force', 'velocity or position'),
+            'motion': ('velocity', 'command')}
 
 
 def check_signals(run: Run) -> list[str]:
@@ -108,7 +111,8 @@ def check_excitation(recording: Recording) -> None:
     for name in ('command', 'force'):
         values = getattr(recording, name)
         if (values is not None and np.std(values) < LEAST_SWING * recording.noise[name]
-                and not (name == 'command' and _moves_something(recording))):
+                and not (name == 'command' and _moves_something(recording))
+                and not (name == 'force' and _moves_freely(recording))):
             raise InputError(
                 f'{recording.source}: no excitation: {name} swings by {np.std(values):.3g} (rms), '
                 f'its noise is {recording.noise[name]:.3g}; record a run in which it moves')
@@ -120,6 +124,12 @@ def _moves_something(recording: Recording) -> bool:
     answer = recording.force if answer is None else answer
     return (answer is not None and recording.command is not None
             and best_delay(answer, recording.command, recording.period_s)[1] > LEAST_CORRELATION)
+
+
+def _moves_freely(recording: Recording) -> bool:
+    """Return whether a load without force moves, as a free piston does."""
+    velocity = velocity_of(recording)
+    return velocity is not None and bool(np.std(velocity) > LEAST_SWING * noise_of(velocity))
 
 
 def check_motion(run: Run) -> list[str]:
@@ -148,6 +158,8 @@ def check_against_model(group: Group) -> list[str]:
         for channel in sorted(group.channels, reverse=True):
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
             valid = recording.valid
+            if max(np.std(real[valid]), np.std(model[valid])) < LEAST_SWING * group.noise[channel]:
+                continue   # it hardly moves, as the force of a free piston
             output, driven = COMPARED[channel]
             where = f'{recording.source}: {output} against what the model makes of {driven}'
             if np.std(model[valid]) == 0.0:
@@ -157,7 +169,7 @@ def check_against_model(group: Group) -> list[str]:
             if correlation < -SHAPE_CORRELATION:
                 raise InputError(f'{where}: the sign is reversed (correlation {correlation:.2f}); '
                                  f'check the sign of {output} and of {driven}')
-            least = 1.0 / FACTOR if channel != 'load' else 1.0 / (SOFTER * FACTOR)
+            least = 1.0 / FACTOR if channel not in ('load', 'motion') else 1.0 / (SOFTER * FACTOR)
             implausible = not 1.0 / LARGEST_FACTOR < slope < LARGEST_FACTOR
             if implausible or (correlation > SHAPE_CORRELATION and not least < slope < FACTOR):
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
+from asi_analysis.gap.inference.posterior import Posterior
 from asi_analysis.gap.inference.probability import CONSTANTS
 from asi_analysis.gap.prepare import Array
 
@@ -51,6 +52,8 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
                     + model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
+    if isinstance(problem, Posterior):
+        square += np.diag(problem.prior[1])
     # The gradient is zero inside the bounds, but for the tolerance of the optimiser.
     inside = (theta > at_bound) & (theta < 1.0 - at_bound)
     return Likelihood(square, np.where(inside, 0.0, slope))
@@ -62,6 +65,8 @@ def at_limit(fitted: Fitted) -> dict[str, str]:
 
     Only those that the recordings determine: the interval ends before the middle of the range.
     """
+    if isinstance(fitted.problem, Posterior):   # its priors are of no sharp limit
+        return fitted.at_limit
     found = likelihood(fitted, AT_LIMIT)
     numbers = {free.field: number for number, free in enumerate(fitted.free)}
 

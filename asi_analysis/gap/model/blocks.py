@@ -235,35 +235,6 @@ def valve(command, p, e, period, count, out):
 
 
 @jit
-def step_gain(values, counts, sums, quanta, phase, truncated, e, out):
-    """
-    Put into `out` how much steps of each quantum (N) promise to explain, as if nothing were slow.
-
-    values: m commands (N); counts: how often each came; sums: of what steps of one newton there
-    could explain. Less what a gain and an offset of the command could do as well.
-    """
-    plain, total, mean, square = np.empty(values.size), 0.0, 0.0, 0.0
-    for i in range(values.size):
-        plain[i] = dead_zone(values[i] + e.command_bias, e.command_deadband)
-        total += counts[i]
-        mean += counts[i] * plain[i]
-    mean /= total
-    for i in range(values.size):
-        square += counts[i] * (plain[i] - mean) ** 2
-    for k in range(quanta.size):
-        even, along, size, product = 0.0, 0.0, 0.0, 0.0
-        for i in range(values.size):
-            stepped = in_steps(values[i], quanta[k], phase, truncated) + e.command_bias
-            change = dead_zone(stepped, e.command_deadband) - plain[i]
-            even += counts[i] * change
-            along += counts[i] * change * (plain[i] - mean)
-            size += counts[i] * change * change
-            product += sums[i] * change
-        size -= even * even / total + along * along / max(square, 1e-300)
-        out[k] = max(product, 0.0) ** 2 / max(size, 1e-3 * total * quanta[k] ** 2)
-
-
-@jit
 def magnetised(fluxes, widths, command, filtered, p, e):
     """
     Return the flux (N) of the nominal hysteresis, whose shape is left open; updates its plays.

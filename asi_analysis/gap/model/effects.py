@@ -7,6 +7,7 @@ that they fit any actuator. An effect may have several variants: where it acts (
 after the force sensor) or how (missing from reality, though the nominal model has it).
 """
 
+import math
 from typing import NamedTuple
 
 COMMAND_PATH, VALVE, HYDRAULICS, MECHANICS, SENSOR = BLOCKS = (
@@ -30,13 +31,17 @@ class Free(NamedTuple):
     starts: tuple[float, ...]
     scale: str = ''
     unit: str = ''
+    prior: float = math.inf   # standard deviation about the nominal value, as a share of it
 
 
 # Fields with an own value in each recording.
 OF_A_RECORDING = (
     'load_offset', 'disturbance', 'disturbance_wave', 'disturbance_frequency', 'disturbance_phase',
     'disturbance_pulse', 'disturbance_start', 'disturbance_end', 'sensor_offset', 'sensor_drift',
-    'sensor_drift_curve', 'sensor_drift_bend')
+    'sensor_drift_curve', 'sensor_drift_bend', 'load_external_force',
+    'load_external_force_frequency', 'load_external_force_phase', 'load_external_force_start',
+    'load_external_force_end', 'backlash_centre', 'force_sensor_offset', 'force_sensor_drift',
+    'force_sensor_drift_curve')
 
 
 def of_recording(field: str, number: int) -> str:

@@ -6,15 +6,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from asi_analysis.gap.model import forms, simulator
 from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Array, Recording, noise_of
 from asi_common.jit import FULL, LINEAR
 
 Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
 NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the noise is lower
 MODEL_ERROR = 0.005  # of a signal (rms): general error of any model
+SIMULATOR_ERROR = 0.001   # the same of the simulator's prediction
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
 # they have no effect, and are left out.
 UNCERTAIN = {
@@ -70,6 +72,8 @@ class Group:
     error_floor: Values = field(default_factory=dict)
     formulation: Values = field(default_factory=dict)
     effects: tuple[Effect, ...] = EFFECTS
+    given: np.void | None = None   # as nominal, but for what another group has found
+    exact_substep_s: float = 0.0   # of the simulator
 
     @property
     def held_out_s(self) -> float:
@@ -121,6 +125,53 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
                  formulation, effects)
 
 
+def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
+                    tolerance: float = TOLERANCE) -> Group:
+    """Return a group of channels that the simulator itself predicts, ready to be fitted."""
+    scale = scales(recordings)
+    scale |= {'stiffness': 1.0 / scale['compliance'], 'inverse_force': 1.0 / scale['force']}
+    count = 1 + max(recording.number for recording in recordings)
+    p = for_recordings(nominal.copy(), count)
+    recordings = [replace(r, valve_estimate=r.valve_position) for r in recordings]
+    noise = {channel: max(_noise(recording, channel, p) for recording in recordings)
+             for channel in channels}
+    size = {channel: float(np.mean([np.mean(measured(recording, channel) ** 2)
+                                    for recording in recordings])) for channel in channels}
+    error_floor = {channel: noise[channel] ** 2 + SIMULATOR_ERROR ** 2 * size[channel]
+                   for channel in channels}
+    exact = float(p['maximum_substep'])
+    recordings, p['maximum_substep'] = simulator.with_corrections(
+        recordings, channels, p, error_floor, exact)
+    names = [name for kind in ('valve', 'force') if kind in channels or kind == 'valve'
+             and any(r.valve_position is None for r in recordings)
+             for name in forms.UNCERTAIN[kind]]
+    nuisance = tuple(Free(name, 0.1, 3.0, (1.0,), 'nominal', prior=0.5 * tolerance)
+                     for name in dict.fromkeys(names)
+                     if nominal[name] != 0.0 and _is_modelled(name, nominal))
+    effects = tuple(effect._replace(variants=tuple(
+        variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
+        for effect in forms.EFFECTS)
+    return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
+                 dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact)
+
+
+def with_simulated_valve(group: Group, valve: np.void) -> Group:
+    """
+    Return a group with the valve of a record, and with less noise in the measured position.
+
+    The estimate is the simulated position, plus its error where that stands out of the noise.
+    """
+    p = group.nominal.copy()
+    for name in simulator.VALVE_FIELDS:
+        p[name] = valve[name]
+    p['maximum_substep'] = group.exact_substep_s
+    recordings = [replace(r, valve_estimate=simulator.estimated_valve(r, p), corrections={},
+                          cache={}) for r in group.recordings]
+    recordings, p['maximum_substep'] = simulator.with_corrections(
+        recordings, group.channels, p, group.error_floor, group.exact_substep_s)
+    return replace(group, nominal=p, given=group.nominal, recordings=recordings)
+
+
 def with_lower_noise(group: Group, residual: Values) -> Group:
     """
     Return a group whose noise is at most the residual of a model (mean squares).
@@ -141,6 +192,8 @@ def _noise(recording: Recording, channel: str, p: np.void) -> float:
     noise, motion = recording.noise, recording.motion
     if channel == 'valve':
         return noise['valve_position']
+    if channel == 'motion':
+        return noise_of(measured(recording, 'motion'))
     share = 1.0
     if channel == 'load':
         assert motion is not None
@@ -223,6 +276,9 @@ def channels_of(variant: Variant, group: Group) -> set[str]:
     if any(group.nominal[name] == 0.0 for name in variant.needs):
         return set()
     shows = set(variant.channels)
+    if simulator.of_simulator(group.nominal):
+        return {channel for channel in group.channels
+                if any(acts_on(free.field, channel, group) for free in variant.free)}
     if 'valve' in shows and not group.measures_valve:
         shows.add('force')
     return shows & set(group.channels)
@@ -251,6 +307,11 @@ ACTS_ON = _channels_by_field()
 def acts_on(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
     field = field.partition('@')[0]
+    if simulator.of_simulator(group.nominal):
+        if field in simulator.VALVE_FIELDS and field not in forms.UNCERTAIN['force']:
+            return channel == 'valve' or not group.measures_valve
+        return channel == 'force' or (channel == 'motion' and (
+            not field.startswith('force_sensor_')))
     through = channel == 'force' and not group.measures_valve and 'valve' in ACTS_ON[field]
     inert = (field in ('load_mass', 'piston_share')
              and group.nominal['force_sensor_mass_share'] != 0.0)

@@ -7,6 +7,7 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
+from asi_analysis.gap.model.simulator import of_simulator
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 from asi_common.record import as_number, field_name
@@ -44,6 +45,8 @@ TURNED: Final = frozenset({
     'piston_share', 'disturbance', 'disturbance_wave', 'disturbance_frequency',
     'disturbance_phase', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
     'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split', 'sensor_lag_split'})
+# Parameters that predictions set for themselves.
+OF_PREDICTIONS: Final = ('maximum_substep', 'force_sensor.noise', 'force_sensor.drop_rate')
 ROUNDED: Final = 0.75   # friction that gives way more gradually than this is a Dahl bristle
 NO_STIFFENING_N: Final = 1e5
 
@@ -185,6 +188,19 @@ def left_out(p: np.void, values: Mapping[str, Value]) -> list[str]:
     return names + pushes[1:]
 
 
+def _of_simulator(p: np.void, model: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the parameters that a record of the simulator changes, by dotted name."""
+    changed: dict[str, Value] = {}
+    for parameter in ACTUATOR_PARAMETERS:
+        found = p[field_name(parameter.name)]
+        if parameter.name in OF_PREDICTIONS or found == as_number(
+                parameter, model.get(parameter.name, parameter.default)):
+            continue
+        changed[parameter.name] = (parameter.choices[int(found)] if parameter.choices else
+                                   _allowed(parameter.name, float(found)))
+    return changed
+
+
 def _allowed(name: str, value: Value) -> Value:
     """Return a value within what its parameter allows."""
     parameter = next(p for p in ACTUATOR_PARAMETERS if p.name == name)
@@ -201,6 +217,8 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
     model: nominal parameters by dotted name; records: the verdict's, one a group of channels.
     """
     values = dict(model)
+    if all(map(of_simulator, records)):
+        return values | _of_simulator(records[-1], model), []
     for p in records:
         for parameter in ACTUATOR_PARAMETERS:
             given = model.get(parameter.name, parameter.default)

@@ -8,11 +8,11 @@ import numpy as np
 
 from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
-from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import Complex
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Array, Recording, velocity_of
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 
@@ -55,6 +55,8 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
 def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output of a channel: n samples, in the channel's unit."""
     p = _in_recording(p, recording.number)
+    if simulator.of_simulator(p):
+        return simulator.predict(recording, channel, p)
     if channel == 'load':
         return _load(recording, p)
     if channel == 'valve':
@@ -87,7 +89,7 @@ def for_recordings(p: np.void, count: int) -> np.void:
     if count == 1:
         return p
     names = [(field, of_recording(field, number)) for number in range(1, count)
-             for field in OF_A_RECORDING]
+             for field in OF_A_RECORDING if field in (p.dtype.names or ())]
     wide = np.zeros(1, np.dtype(p.dtype.descr + [(own, np.float64) for _, own in names]))[0]
     for name in p.dtype.names or ():
         wide[name] = p[name]
@@ -102,7 +104,8 @@ def _in_recording(p: np.void, number: int) -> np.void:
         return p
     own = p.copy()
     for field in OF_A_RECORDING:
-        own[field] = p[of_recording(field, number)]
+        if field in (p.dtype.names or ()):
+            own[field] = p[of_recording(field, number)]
     return own
 
 
@@ -112,7 +115,7 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
 
     The inputs are valve position and motion. A lag reduces it, an inverted lag increases it.
     """
-    if channel == 'valve':
+    if channel == 'valve' or simulator.of_simulator(p):
         return 0.0
     if channel == 'load':
         motion = recording.motion
@@ -250,6 +253,8 @@ def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, 
 def measured(recording: Recording, channel: str) -> Array:
     """Return the measured output of a channel."""
     signal = {'valve': recording.valve_position, 'force': recording.force,
-              'load': recording.force_judged}[channel]
+              'load': recording.force_judged, 'motion': (
+                  velocity_of(recording) if recording.raw_velocity is None else
+                  recording.raw_velocity)}[channel]
     assert signal is not None
     return signal

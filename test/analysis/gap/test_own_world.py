@@ -12,9 +12,12 @@ def test_own_case_is_what_its_answer_says(seed):
     np.testing.assert_array_equal(case.run.force_n, again.run.force_n)
     assert case.run.rate_hz == pytest.approx(case.rate_hz)
     kind, effects, blocks = truth(case)
-    if case.parameter is None:
+    if case.changed is None:
         assert (kind, effects, case.visibility) == ('none', [], 0.0)
     else:
-        assert (effects[0], blocks[0]) == CHANGED[case.parameter]
+        if case.changed in CHANGED:
+            assert (effects[0], blocks[0]) == CHANGED[case.changed]
+            assert not 1.0 / 1.3 < case.factor < 1.3
+        else:
+            assert effects == [case.changed]
         assert (kind == 'effect') == (case.visibility > VISIBLE)
-        assert not 1.0 / 1.3 < case.factor < 1.3

@@ -1,0 +1,328 @@
+"""
+Does the simulator itself explain the recordings? Alone, or with one effect switched on.
+
+A linear screen ranks every effect in each of its forms; the best are fitted, and weighed by their
+evidence. The answer counts only if it leaves no more than the noise: then the machine is within
+the simulator's own equations, and no other formulation needs to be tried.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.gap.inference.fit import Fitted, independent_samples
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.initial_guesses import initial_guesses
+from asi_analysis.gap.inference.posterior import (
+    ROUNDS,
+    Best,
+    Posterior,
+    fitted,
+    mean_squares,
+    most_probable,
+)
+from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import (
+    PARAMETER,
+    UNKNOWN,
+    Effect,
+    Free,
+    Variant,
+    block_of,
+)
+from asi_analysis.gap.model.group import Group, acts_on, channels_of, with_simulated_valve
+from asi_analysis.gap.prepare import Array
+from asi_common.record import field_name
+
+HOPELESS = 30.0   # times the least cost after a few rounds: such a fit is not completed
+FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
+LARGEST = 3.0         # of an effect's start, in the linear screen
+RIDGE = 1e-9
+STRAINED = 2.0        # standard deviations of its prior that a nominal parameter is off
+# Prior log odds of an effect, and of a parameter beyond its tolerance, against their absence.
+EFFECT, BEYOND = -4.0, -3.0
+MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
+NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
+# Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
+# differences: three standard errors of its variance are about this over the root of the samples.
+MARGIN, NOISE_ERROR = 1.1, 10.0
+
+
+class Found(NamedTuple):
+    """A hypothesis, its problem and most probable parameters."""
+
+    names: Names
+    variants: tuple[Variant, ...]
+    problem: Posterior
+    best: Best
+
+
+def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None]
+                           ) -> list[Weighed] | None:
+    """
+    Return the groups, weighed, if the simulator explains them down to their noise; else None.
+
+    As it is, with parameters within their tolerance, or with one effect or one parameter beyond
+    its tolerance.
+    """
+    valve, rest = groups
+    first = _explained(valve, tick)
+    if first is None:
+        return None
+    for weighed in (first, *_rivals(first)):
+        best = _most_probable(weighed)
+        second = _explained(with_simulated_valve(rest, best.fitted.record), tick)
+        if second is not None and len(best.names) + len(_most_probable(second).names) < 2:
+            return [weighed, second]
+    return None
+
+
+def _explained(group: Group, tick: Callable[[], None]) -> Weighed | None:
+    """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
+    found = _hypotheses(group, tick)
+    best = min(found.values(), key=lambda f: f.best.cost)
+    if _left(best):
+        return None
+    candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
+    return Weighed(best.problem.group, candidates, _probabilities(group, found))
+
+
+def _rivals(valve: Weighed) -> Iterator[Weighed]:
+    """
+    Yield the same, with another parameter that changes the valve position as its gain does.
+
+    Thrust and full opening act on the force too, so what follows the valve tells them apart.
+    """
+    best, gain = _most_probable(valve), 'valve_characteristic_gain'
+    if best.names != (PARAMETER + 'valve_characteristic.gain',):
+        return
+    nominal = valve.group.nominal
+    ratio = float(best.fitted.record[gain] / nominal[gain])
+    for field, factor in (('valve_characteristic_maximum_force', 1.0 / ratio),
+                          ('valve_characteristic_full_opening', ratio)):
+        effect = _beyond(field, valve.group)
+        free, = effect.variants[0].free
+        problem = Posterior(valve.group, tuple(
+            free if each.field == gain else each for each in best.fitted.free))
+        record = best.fitted.record.copy()
+        record[gain], record[field] = nominal[gain], factor * nominal[field]
+        theta = np.array([problem.parameter(each).share(float(record[each.field]))
+                          for each in problem.free])
+        candidate = Candidate((effect.name,), effect.variants, best.fitted._replace(
+            record=record, free=problem.free, theta=theta, problem=problem))
+        others = {names: c for names, c in valve.candidates.items() if names != best.names}
+        chance = {names: p for names, p in valve.probability.items() if names != best.names}
+        yield Weighed(replace(valve.group, effects=(*valve.group.effects, effect)),
+                      {**others, candidate.names: candidate},
+                      {**chance, candidate.names: valve.probability[best.names]})
+
+
+def _most_probable(weighed: Weighed) -> Candidate:
+    names = max(weighed.candidates, key=lambda names: weighed.probability[names])
+    return weighed.candidates[names]
+
+
+def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
+    """Return the nominal model and the single effects that were fitted."""
+    group = replace(group, effects=(*group.effects, *_parameter_errors(group)))
+    problem = Posterior(group, group.nuisance)
+    mean = problem.prior[0]
+    as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
+    null = as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS))
+    strain = np.abs(null.best.theta - mean) * np.sqrt(problem.prior[1])
+    if not _left(null) and np.all(strain < STRAINED):
+        return {(): null}
+    group.scale.update(initial_guesses(_fitted(null)))
+    return {(): null} | _singles(as_given, tick)
+
+
+def _left(found: Found) -> bool:
+    """Return whether a hypothesis leaves more than the error floor, as far as that is known."""
+    left = mean_squares(found.problem, found.best.residual)
+    samples = found.best.residual.size / left.size
+    return bool(np.any(left > MARGIN + NOISE_ERROR / math.sqrt(samples)))
+
+
+def _parameter_errors(group: Group) -> list[Effect]:
+    """Return the hypotheses that a nominal parameter is beyond its tolerance."""
+    held = {free.field for effect in group.effects for variant in effect.variants
+            for free in variant.free}
+    return [_beyond(free.field, group) for free in group.nuisance if free.field not in held]
+
+
+def _beyond(field: str, group: Group) -> Effect:
+    """Return the hypothesis that one nominal parameter is beyond its tolerance."""
+    dotted = next(p.name for p in ACTUATOR_PARAMETERS if field_name(p.name) == field)
+    free = Free(field, 0.2, 5.0, (0.5, 0.7, 1.5, 2.2), 'nominal')
+    return Effect(PARAMETER + dotted, str(block_of(PARAMETER + dotted)),
+                  f'{dotted} is beyond its tolerance',
+                  (Variant((free,), tuple(channel for channel in group.channels
+                                          if acts_on(field, channel, group))),), exact=True)
+
+
+class _Explained:
+    """What the parameters of a fit explain of a signal, by linear least squares."""
+
+    def __init__(self, slopes: Array, precision: Array) -> None:
+        size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
+        self._scaled = slopes / size
+        self._factor = cho_factor(self._scaled.T @ self._scaled + np.diag(
+            precision / size ** 2 + RIDGE))
+
+    def of(self, signal: Array) -> Array:
+        """Return the part (n samples) of a signal that they explain."""
+        part: Array = self._scaled @ cho_solve(self._factor, self._scaled.T @ signal)
+        return part
+
+
+class _Start(NamedTuple):
+    """A form of an effect at one of its starts: its problem and parameters."""
+
+    name: str
+    variant: Variant
+    problem: Posterior
+    theta: Array
+
+
+def _starts(base: Found) -> list[_Start]:
+    """Return every effect in each form at each of its starts, all else as in `base`."""
+    group, problem = base.problem.group, base.problem
+    shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
+    work = []
+    for effect in group.effects:
+        for variant in effect.variants:
+            if not channels_of(variant, group):
+                continue
+            own = {free.field for free in variant.free}
+            extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
+                                         *variant.free), variant.fixed, pool=problem.pool)
+            for varied in variant.free:   # one at its starts, the others at their first
+                for start in varied.starts if len(varied.starts) > 1 or (
+                        varied is variant.free[0]) else ():
+                    theta = np.array([
+                        shares[f.field] if f.field not in own else
+                        extended.start(f, start if f is varied else f.starts[0])
+                        for f in extended.free])
+                    work.append(_Start(effect.name, variant, extended, theta))
+    return work
+
+
+def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+    """Return the fits of the effects with the highest gain in the linear screen, from `base`."""
+    problem, residual = base.problem, base.best.residual
+    slopes, precision = problem.jacobian(base.best.theta), problem.prior[1]
+    everything = _Explained(slopes, precision)
+
+    def gain(start: _Start) -> float:
+        own = {free.field for free in start.variant.free}
+        change = start.problem.residual(start.theta) - residual
+        if not np.isfinite(change).all():
+            return -math.inf
+        keep = [n for n, free in enumerate(problem.free) if free.field not in own]
+        others = everything if len(keep) == len(problem.free) else _Explained(
+            slopes[:, keep], precision[keep])
+        size = float(change @ change - change @ others.of(change))
+        if size <= RIDGE * float(change @ change):
+            return -math.inf
+        along = float((residual - others.of(residual)) @ change)
+        amount = min(max(-along / size, 0.0), LARGEST)
+        # What other parameters explain by themselves is the same for all but those without one.
+        return 0.5 * float(residual @ others.of(residual)) - amount * along - (
+            0.5 * amount ** 2 * size)
+
+    work = _starts(base)
+    gains = []
+    for n, value in enumerate(problem.pool.map(gain, work)):
+        gains.append(value)
+        if n % 10 == 0:
+            tick()
+    order = sorted(range(len(work)), key=lambda n: -gains[n])
+    fits: dict[Names, Found] = {}
+    for name in list(dict.fromkeys(work[n].name for n in order))[:FITTED]:
+        start = work[next(n for n in order if work[n].name == name)]
+        best = most_probable(start.problem, start.theta, ROUNDS // 4)
+        fits[(name,)] = Found((name,), (start.variant,), start.problem, best)
+        tick()
+    least = min(found.best.cost for found in fits.values())
+    for found in sorted(fits.values(), key=lambda f: f.best.cost)[:POLISHED]:
+        if found.best.cost > HOPELESS * least:
+            break
+        starts = [found.best.theta,
+                  _with_shared(found, min(fits.values(), key=lambda f: f.best.cost))]
+        theta = min(starts, key=lambda each: float(np.sum(found.problem.residual(each) ** 2)))
+        fits[found.names] = found._replace(best=most_probable(found.problem, theta))
+        tick()
+    return fits
+
+
+def _with_shared(found: Found, other: Found) -> Array:
+    """Return the parameters of a fit with those that another one has too taken from there."""
+    values = other.problem.record(other.best.theta)
+    known = {free.field for free in other.problem.free}
+    return np.array([found.problem.parameter(free).share(float(values[free.field]))
+                     if free.field in known else share
+                     for free, share in zip(found.problem.free, found.best.theta, strict=True)])
+
+
+def _fitted(found: Found) -> Fitted:
+    """Return a hypothesis as the rest of the diagnosis takes it."""
+    return fitted(found.problem, found.best)
+
+
+def _probabilities(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
+    """Return the probability of every hypothesis, `unknown` among them."""
+    least = min(found.values(), key=lambda f: f.best.cost)
+    samples = independent_samples(group, least.problem.record(least.best.theta), 'known')
+    # Of the error floor; a difference below it says nothing.
+    model = np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
+                      for channel in group.channels])
+    counts = 1.0 / (1.0 / np.array([samples[channel] for channel in group.channels])
+                    + model / MODEL_SAMPLES)
+    total = sum(int(r.known.sum()) for r in group.recordings)
+    level = mean_squares(least.problem, least.best.residual)
+    rough = {names: _log_posterior(f, counts, level, model) for names, f in found.items()}
+    highest = max(rough.values())
+    evidence = {names: rough[names] + _log_volume(f, counts / total, model)
+                for names, f in found.items() if rough[names] > highest - NEGLIGIBLE}
+    highest = max(evidence.values())
+    evidence = dict.fromkeys(found, -math.inf) | evidence
+    weight = {names: math.exp(value - highest) for names, value in evidence.items()}
+    chance = {names: value / sum(weight.values()) for names, value in weight.items()}
+    # What leaves no more than noise leaves no room for anything unknown.
+    return {**chance, (UNKNOWN,): 0.0}
+
+
+def _log_posterior(found: Found, counts: Array, level: Array, model: Array) -> float:
+    """
+    Return the log likelihood of a hypothesis with all its priors, up to a constant.
+
+    counts: effective samples of each channel; level: mean square that the best leaves; model:
+    that of the model error.
+    """
+    mean, precision = found.problem.prior
+    left = mean_squares(found.problem, found.best.residual)
+    normal = precision > 0.0
+    return (-0.5 * float(counts @ np.log((left + model) / (level + model)))
+            - 0.5 * float(precision @ (found.best.theta - mean) ** 2)
+            + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
+            + sum(BEYOND if name.startswith(PARAMETER) else EFFECT for name in found.names))
+
+
+def _log_volume(found: Found, share: Array, model: Array) -> float:
+    """Return the log of the volume of the parameters; share: effective samples over samples."""
+    problem, theta = found.problem, found.best.theta
+    precision = problem.prior[1]
+    left = mean_squares(problem, found.best.residual)
+    slopes = problem.jacobian(theta)
+    weight = np.repeat(share / (left + model), slopes.shape[0] // left.size)
+    square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
+    normal = precision > 0.0
+    # A uniform prior: at most the whole range.
+    square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())
+    _, log_det = np.linalg.slogdet(square)
+    return 0.5 * theta.size * math.log(2.0 * math.pi) - 0.5 * float(log_det)

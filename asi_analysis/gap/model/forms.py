@@ -1,0 +1,177 @@
+"""
+How each effect of the vocabulary may look in the simulator: the parameters that a fit frees.
+
+Bounds and starts are in units of the recording; see `Free`. Block and description of an effect are
+with the physics, in asi_actuator/model/effects.py.
+"""
+
+from asi_actuator.model import effects as declared
+from asi_actuator.model.backlash import MASS, SPRING_ALONE, SPRING_AND_DAMPER
+from asi_actuator.model.command_path import EDGE, NEAREST, ZERO
+from asi_actuator.parameters import ACTUATOR_DTYPE
+from asi_analysis.gap.model.effects import Effect, Free, Variant
+from asi_common.jit import FULL
+
+VALVE, MOVED, SENSOR = ('valve',), ('force', 'motion'), ('force',)
+SMALL = (0.005, 0.02, 0.06, 0.15)
+LARGE = (0.5, 0.7, 0.85, 0.95)
+TIMES = (0.0005, 0.002, 0.008)
+
+
+def _scaled(field: str, low: float = 0.0, high: float = 5.0,
+            starts: tuple[float, ...] = (0.4, 1.7)) -> Free:
+    """Return a nominal parameter, free in multiples of itself."""
+    return Free(field, low, high, starts, 'nominal')
+
+
+def _form(channels: tuple[str, ...], *free: Free, fixed: dict[str, float] | None = None,
+          needs: tuple[str, ...] = ()) -> Variant:
+    scaled = tuple(each.field for each in free if each.scale == 'nominal')
+    return Variant(free, channels, tuple((fixed or {}).items()), (*scaled, *needs))
+
+
+_PUSH = Free('load_external_force', -1.0, 1.0, (0.02, -0.02), 'force', 'N')
+_HYDRAULIC = tuple(f'hydraulic_damping_{name}' for name in (
+    'maximum_force', 'viscous', 'saturation_velocity', 'velocity_width', 'centre_share'))
+_GAP = Free('backlash_gap', 0.002, 1.4, (0.008, 0.04, 0.12, 0.3), 'position', 'm')
+_CENTRE = Free('backlash_centre', -0.5, 0.5, (0.0,), 'position', 'm')
+
+FORMS: dict[str, tuple[Variant, ...]] = {
+    'transport_delay': (
+        _form(VALVE, Free('command_path_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's')),
+        _form(VALVE, _scaled('valve_flexure_delay', 0.0, 20.0, (0.4, 2.0, 5.0)),
+              needs=('valve_flexure_model',)),
+    ),
+    'command_quantisation': tuple(
+        _form(VALVE, Free('command_path_quantum', 0.999, 1.001, (1.0,), guess, 'N'),
+              fixed={'command_path_rounding': kind})
+        for guess, kind in (('residual_step', NEAREST), ('residual_step_edge', EDGE),
+                            ('residual_step_zero', ZERO))),
+    'valve_hysteresis': (
+        _form(VALVE, _scaled('valve_hysteresis_radius', 0.0, 10.0),
+              needs=('valve_hysteresis_model',)),
+        _form(VALVE, _scaled('valve_hysteresis_radius', 0.0, 10.0),
+              _scaled('valve_hysteresis_lag_time'), needs=('valve_hysteresis_model',)),
+        _form(VALVE, Free('valve_hysteresis_radius', 0.0, 0.8, SMALL, 'command', 'N'),
+              fixed={'valve_hysteresis_model': FULL, 'valve_hysteresis_lag_time': 0.0,
+                     'valve_hysteresis_saturation': 1e9}),
+    ),
+    'valve_deadband': (
+        _form(VALVE, Free('valve_flexure_deadband', 0.0, 0.5, SMALL, 'command', 'N')),
+        _form(MOVED, Free('valve_characteristic_deadband', 0.0, 0.5, SMALL, 'valve_position',
+                          'm')),
+    ),
+    'valve_saturation': (
+        _form(VALVE, Free('valve_flexure_travel_limit', 0.2, 1.3, LARGE, 'valve_position', 'm')),
+        _form(VALVE, Free('command_limit', 0.2, 1.2, LARGE, 'command', 'N')),
+        _form(MOVED, Free('valve_characteristic_flow_limit', 0.2, 3.0, LARGE, 'force', 'N')),
+    ),
+    'valve_bias': (
+        _form(VALVE, Free('valve_flexure_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N')),
+        _form(MOVED, Free('valve_characteristic_bias', -0.7, 0.7, (0.02, -0.02),
+                          'valve_position', 'm')),
+    ),
+    'valve_lag': (
+        _form(VALVE, Free('valve_flexure_lag_time', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's')),
+        _form(VALVE, _scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),
+              needs=('valve_flexure_model',)),
+    ),
+    'hydraulic_damping': (
+        *(_form(MOVED, _scaled(name), needs=('hydraulic_damping_model',))
+          for name in _HYDRAULIC[:3]),
+        _form(MOVED, *map(_scaled, _HYDRAULIC), needs=('hydraulic_damping_model',)),
+        _form(MOVED, Free('hydraulic_damping_quadratic', 0.0, 2.0, (0.02, 0.2),
+                          'damping_quadratic', 'N s2/m2'),
+              Free('hydraulic_damping_opening_viscous', 0.0, 2.0, (0.02, 0.2), 'damping',
+                   'N s/m')),
+    ),
+    'supply_pressure': (
+        _form(MOVED, Free('valve_characteristic_supply_drop', -0.6, 0.9, (0.1, -0.1))),
+        _form(MOVED, Free('valve_characteristic_supply_drop', -0.6, 0.9, (0.1,)),
+              Free('valve_characteristic_supply_sag', 0.0, 3.0, (0.05, 0.5)),
+              Free('valve_characteristic_supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')),
+    ),
+    'internal_leakage': (
+        _form(MOVED, Free('fluid_dynamics_leakage', 0.0, 3.0, (0.1, 0.5))),
+        _form(MOVED, Free('fluid_dynamics_leakage', 0.0, 3.0, (0.1,)),
+              Free('fluid_dynamics_leakage_growth', 0.0, 3.0, (0.1,), 'inverse_force', '1/N')),
+    ),
+    'entrained_air': (
+        _form(MOVED, Free('fluid_dynamics_air_time', 0.0, 0.05, TIMES, '', 's'),
+              Free('fluid_dynamics_air_force', 0.03, 30.0, (0.5,), 'force', 'N')),
+    ),
+    'coulomb_friction': (
+        _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (0.4, 2.0, 6.0)),
+              needs=('friction_model',)),
+    ),
+    'stiction': (
+        _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0), needs=('friction_model',)),
+        _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0),
+              _scaled('friction_stiction_pull', 0.0, 8.0), needs=('friction_model',)),
+        _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0),
+              _scaled('friction_stiction_pull', 0.0, 8.0),
+              _scaled('friction_stribeck_velocity', 0.1, 30.0, (1.0, 5.0)),
+              needs=('friction_model',)),
+    ),
+    'friction_asymmetry': (
+        _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
+              _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), needs=('friction_model',)),
+    ),
+    'viscous_friction': (
+        _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),
+    ),
+    'backlash': (
+        _form(MOVED, _GAP, _CENTRE, fixed={'backlash_location': SPRING_AND_DAMPER}),
+        _form(MOVED, _GAP, _CENTRE, fixed={'backlash_location': SPRING_ALONE}),
+        _form(MOVED, _GAP, _CENTRE, Free('coupling_piston_share', 0.05, 0.95, (0.3, 0.7)),
+              fixed={'backlash_location': MASS}),
+    ),
+    'load_compliance': (
+        _form(MOVED, Free('coupling_stiffness', 0.15, 1000.0, (0.5, 2.0, 10.0, 50.0), 'stiffness',
+                          'N/m'),
+              Free('coupling_damping', 0.0, 2.0, (0.02,), 'damping', 'N s/m'),
+              Free('coupling_piston_share', 0.02, 0.98, (0.3, 0.7))),
+    ),
+    'disturbance_force': (
+        _form(MOVED, _PUSH),
+        _form(MOVED, _PUSH._replace(low=0.0, starts=(0.1,)),
+              Free('load_external_force_phase', 0.5, 1.5, (1.0,), 'residual_phase', 'turns'),
+              Free('load_external_force_frequency', 0.98, 1.02, (1.0,), 'residual_frequency',
+                   'Hz')),
+        _form(MOVED, _PUSH._replace(starts=(0.1, -0.1)),
+              Free('load_external_force_start', 0.997, 1.003, (1.0,), 'residual_start', 's'),
+              Free('load_external_force_end', 0.997, 1.003, (1.0,), 'residual_end', 's')),
+    ),
+    'sensor_offset': (
+        _form(SENSOR, Free('force_sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N')),),
+    'sensor_gain': (_form(SENSOR, _scaled('force_sensor_gain', 0.3, 2.5, (0.8, 1.25))),),
+    'sensor_lag': (
+        _form(SENSOR, Free('force_sensor_lag_time', 0.0, 0.05, TIMES, '', 's')),),
+    'sensor_drift': (
+        _form(SENSOR, Free('force_sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
+              Free('force_sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2')),),
+}
+# Effects with one established law; see `Effect`.
+EXACT = frozenset(FORMS) - {'valve_hysteresis', 'friction_asymmetry', 'backlash'}
+EFFECTS = tuple(Effect(effect.name, effect.block, effect.description, FORMS[effect.name],
+                       effect.name in EXACT)
+                for effect in declared.EFFECTS if effect.name in FORMS)
+
+# Nominal parameters that are uncertain, by the channel that they act on first.
+UNCERTAIN = {
+    'valve': ('valve_characteristic_gain', 'valve_flexure_coil_frequency',
+              'valve_flexure_natural_frequency', 'valve_flexure_damping_ratio',
+              'valve_flexure_delay', 'valve_hysteresis_radius', 'valve_hysteresis_lag_time',
+              'valve_hysteresis_linear_gain', 'valve_flexure_linear_gain'),
+    'force': ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force',
+              *_HYDRAULIC, *(f'hydraulic_damping_{name}' for name in (
+                  'linear_gain', 'width_growth', 'saturation_shift', 'saturation_narrowing')),
+              'fluid_dynamics_frequency', 'friction_linear_gain', 'friction_coulomb',
+              'friction_stiction_push', 'friction_stiction_pull',
+              'friction_stribeck_velocity', 'friction_presliding_stiffness',
+              'force_sensor_natural_frequency', 'force_sensor_delay',
+              'load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
+              'load_locked_damping', 'force_sensor_mass_share'),
+}
+assert {free.field for effect in EFFECTS for variant in effect.variants
+        for free in variant.free} <= set(ACTUATOR_DTYPE.names or ())

@@ -1,0 +1,252 @@
+"""
+The simulator as the predictor: its own `advance`, run on the recorded command.
+
+Where the valve position was measured, the simulated valve is corrected to it at each sample: by a
+bias, so that between samples the simulator's valve moves and nothing is interpolated. Piston and
+load are simulated open loop from the measured state at the start: the output-error form of the
+prediction-error method (Ljung, System Identification, 2nd ed., ch. 7).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import welch
+
+from asi_actuator.model.actuator import (
+    STATE_DTYPE,
+    advance,
+    advance_valve,
+    measure,
+    prepare,
+)
+from asi_actuator.model.load import load_spring
+from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
+from asi_analysis.gap.prepare import Array, Recording
+from asi_common.jit import OFF, jit
+from asi_common.parameter import Value
+
+# Sub-steps that are tried, the longest first, and their largest error, in error floors (rms).
+SUBSTEPS_S, SUBSTEP_ERROR = (5e-4, 2.5e-4, 1e-4, 5e-5), 0.2
+STARTED = 5.0            # standard errors: a position or velocity at the start that is not 0
+START_S = 0.02          # of a recording, from which position and velocity at its start are taken
+# Fields that the valve position depends on.
+VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startswith((
+    'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
+        'valve_characteristic_gain', 'valve_characteristic_maximum_force',
+        'valve_characteristic_full_opening', 'maximum_substep')
+CACHED = 4
+LEAST_KEPT = 0.5   # of a missed part's power that is not noise: below it, all of it is noise
+
+
+@jit
+def _valve(state, command, p, period, out):
+    steady = prepare(p, period)
+    for k in range(out.size):
+        out[k] = state.valve_position
+        advance_valve(state, command[k], p, steady)
+
+
+@jit
+def _follow(state, command, bias, p, period, out):
+    """Fill `out` (force, velocity; n samples); p.valve_flexure_bias is overwritten by `bias`."""
+    steady = prepare(p, period)
+    for k in range(out.shape[1]):
+        force, _, _, v = measure(state, p)
+        out[0, k] = force
+        out[1, k] = v
+        p.valve_flexure_bias = bias[k]
+        advance(state, command[k], p, steady)
+
+
+def simulator_record(nominal: Mapping[str, Value]) -> np.void:
+    """Return the record of nominal parameters that predictions start from: without noise."""
+    p = as_record(nominal)
+    p['force_sensor_noise'] = p['force_sensor_drop_rate'] = 0.0
+    return p
+
+
+def by_simulator(nominal: Mapping[str, Value]) -> bool:
+    """Return whether the simulator itself predicts: not for simplified nominal models."""
+    return all(nominal.get(f'{block}.model', 'full') == 'full' for block in (
+        'valve_hysteresis', 'valve_flexure', 'hydraulic_damping', 'friction')) and (
+            nominal.get('load.type') != 'prescribed')
+
+
+def of_simulator(p: np.void) -> bool:
+    """Return whether a record is the simulator's own (perhaps with values of each recording)."""
+    return 'loop_width' not in (p.dtype.names or ())
+
+
+def _actuator(p: np.void) -> np.void:
+    return np.frombuffer(p.tobytes(), ACTUATOR_DTYPE, 1)[0].copy()
+
+
+def _cached(recording: Recording, key: bytes, make: Callable[[], Array]) -> Array:
+    known = recording.cache   # of several threads
+    made = known.get(key)
+    if made is None:
+        made = make()
+        while len(known) >= CACHED:
+            with suppress(KeyError, RuntimeError):
+                del known[next(iter(known))]
+        known[key] = made
+    return made
+
+
+def simulated_valve(recording: Recording, p: np.void) -> Array:
+    """Return the valve position (m, n samples) that the recorded command gives."""
+    command = recording.command
+    out = np.zeros(recording.fit.size)
+    if command is None:
+        return out
+    key = b'valve' + b''.join(p[name].tobytes() for name in VALVE_FIELDS)
+
+    def run() -> Array:
+        _valve(np.zeros(1, STATE_DTYPE)[0], command, _actuator(p), recording.period_s, out)
+        return out
+
+    return _cached(recording, key, run)
+
+
+def estimated_valve(recording: Recording, p: np.void) -> Array | None:
+    """
+    Return the measured valve position (m, n samples) with the noise that the simulator shows.
+
+    A Wiener filter of what the simulated position misses: where its power is that of the noise,
+    the simulated position is kept.
+    """
+    if recording.valve_position is None:
+        return None
+    simulated = simulated_valve(recording, p)
+    missed = recording.valve_position - simulated
+    frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
+    noise = 2.0 * recording.noise['valve_position'] ** 2
+    keep = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
+    spectrum = np.fft.rfft(missed)
+    keep = np.interp(np.fft.rfftfreq(missed.size), frequency,
+                     np.where(keep > LEAST_KEPT, keep, 0.0))
+    return simulated + np.fft.irfft(spectrum * keep, missed.size)
+
+
+def simulated_motion(recording: Recording, p: np.void) -> Array:
+    """Return force (N) and velocity (m/s), 2 x n samples."""
+    def run() -> Array:
+        q, count = _actuator(p), recording.fit.size
+        command = recording.command if recording.command is not None else np.zeros(count)
+        bias = np.full(count, float(q['valve_flexure_bias']))
+        estimate = recording.valve_estimate
+        if estimate is not None:
+            error = estimate - simulated_valve(recording, p)
+            # Over a period: the mean of both ends; as a valve command.
+            error[:-1] = 0.5 * (error[:-1] + error[1:])
+            bias += error * float(q['valve_characteristic_maximum_force'] / (
+                q['valve_characteristic_gain'] * q['valve_characteristic_full_opening']))
+        state = np.zeros(1, STATE_DTYPE)[0]
+        state['position'], state['velocity'] = _start(recording)
+        state['load_position'], state['load_velocity'] = state['position'], state['velocity']
+        out = np.empty((2, count))
+        _follow(state, command, bias, q, recording.period_s, out)
+        return out
+
+    return _cached(recording, b'motion' + p.tobytes(), run)
+
+
+def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
+                     floor: Mapping[str, float], shortest: float
+                     ) -> tuple[list[Recording], float]:
+    """
+    Return recordings with the corrections of a longer sub-step (s), and that sub-step.
+
+    The error of the longer sub-step hardly depends on the parameters, so that of `p` is added to
+    all predictions. It is at most a part of the error floor (mean square, by channel).
+    """
+    def predictions(substep: float) -> list[dict[str, Array]]:
+        q = p.copy()
+        q['maximum_substep'] = substep
+        return [{channel: predict(replace(recording, corrections={}), channel, q)
+                 for channel in channels} for recording in recordings]
+
+    exact = predictions(shortest)
+    for substep in SUBSTEPS_S:
+        if substep <= shortest:
+            break
+        found: list[dict[str, Array]] = [
+                 {channel: fine[channel] - rough[channel] for channel in channels}
+                 for fine, rough in zip(exact, predictions(substep), strict=True)]
+        if all(np.sqrt(np.mean(each[channel] ** 2) / floor[channel]) < SUBSTEP_ERROR
+               for each in found for channel in channels):
+            return [replace(recording, corrections=each, cache={})
+                    for recording, each in zip(recordings, found, strict=True)], substep
+    return [replace(recording, corrections={}, cache={}) for recording in recordings], shortest
+
+
+def _start(recording: Recording) -> tuple[float, float]:
+    """Return position (m) and velocity (m/s) at the start; 0 where they are within the noise."""
+    motion = recording.motion
+    if motion is None or not motion.measured:
+        return 0.0, 0.0
+    count = max(int(START_S / recording.period_s), 2)
+    inner = slice(motion.pad, motion.pad + count)
+    noise = recording.noise
+    level = noise.get('position', noise.get('velocity', 0.0) * recording.period_s)
+    found = []
+    for mean, error in ((motion.position[inner].mean(), level),
+                        (motion.velocity[inner].mean(),
+                         noise.get('velocity', level / recording.period_s))):
+        found.append(float(mean) if abs(mean) > STARTED * error / math.sqrt(count) else 0.0)
+    return found[0], found[1]
+
+
+def predict(recording: Recording, channel: str, p: np.void) -> Array:
+    """Return the predicted output of a channel: n samples, in the channel's unit."""
+    correction = recording.corrections.get(channel, 0.0)
+    if channel == 'valve':
+        return simulated_valve(recording, p) + correction
+    force, velocity = simulated_motion(recording, p)
+    motion = recording.motion
+    if channel == 'force' or recording.raw_velocity is not None or motion is None:
+        return (force if channel == 'force' else velocity) + correction
+    # The measured velocity is that of a smoothed position.
+    count = velocity.size + 2 * motion.pad
+    smooth = np.fft.rfft(np.pad(velocity, motion.pad, 'reflect')) * motion.smooth
+    return np.fft.irfft(smooth, count)[motion.pad:motion.pad + velocity.size] + correction
+
+
+def missed_force(recording: Recording, p: np.void) -> Array:
+    """
+    Return the force (N, n samples) that is missed if a motion is not the simulated one.
+
+    Less the measured one: what moves the load by the difference of the velocities, less the
+    difference of the forces; within the band in which motion and force are judged.
+    """
+    motion = recording.motion
+    assert motion is not None and recording.force is not None
+    force, velocity = simulated_motion(recording, p)
+    stiffness, damping = load_spring(_actuator(p))
+    inner = slice(motion.pad, motion.pad + velocity.size)
+    measured = motion.velocity[inner] if recording.raw_velocity is None else recording.raw_velocity
+
+    def spectrum(values: Array) -> Any:
+        return np.fft.rfft(np.pad(values, motion.pad, 'reflect'))
+
+    s = 1j * np.maximum(motion.omega, motion.omega[1])
+    mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
+    takes = (mass * s + damping + stiffness / s) * spectrum(velocity - measured)
+    total = motion.judge * (takes - spectrum(force - recording.force))
+    return np.fft.irfft(total, velocity.size + 2 * motion.pad)[inner]
+
+
+def valve_response(recording: Recording, p: np.void, samples: int, count: int) -> Any:
+    """Return the linear frequency response of the valve: `samples` of its impulse response."""
+    q = _actuator(p)
+    q['valve_hysteresis_model'] = OFF
+    for name in ('command_path_quantum', 'valve_flexure_deadband', 'valve_flexure_bias',
+                 'valve_flexure_travel_limit'):
+        q[name] = 0.0
+    command, out = np.ones(samples), np.empty(samples)
+    _valve(np.zeros(1, STATE_DTYPE)[0], command, q, recording.period_s, out)
+    return np.fft.rfft(np.diff(out, append=out[-1]), count)

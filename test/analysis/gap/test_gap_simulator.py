@@ -1,0 +1,134 @@
+"""The simulator as predictor: right on its own recordings, and silent about those that are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asi_actuator.model.actuator import (
+    STATE_DTYPE,
+    advance,
+    advance_valve,
+    prepare,
+    rest,
+)
+from asi_actuator.parameters import as_record
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.inference.search import explained_by_simulator
+from asi_analysis.gap.model import simulator
+from asi_analysis.gap.model.group import simulator_group, with_simulated_valve
+from asi_analysis.gap.model.model_file import improved_model
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import prepare as prepared
+from asi_analysis.loop.closed_loop import simulate_loop
+
+NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
+LOOP = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'multisine',
+        'reference.frequency': 0.5, 'reference.end_frequency': 60.0,
+        'reference.amplitude': 200.0, 'reference.start': 0.05}
+CHANNELS = ('force', 'motion')
+
+
+def recorded(machine, rate_hz=1000.0, noise=1.0, duration_s=5.0):
+    """Return a recording of the simulator with these parameters."""
+    signals = simulate_loop(machine, LOOP, duration_s, rate_hz)._asdict()
+    rng = np.random.default_rng(4)
+    for name, level in NOISE.items():
+        signals[name] = signals[name] + noise * level * rng.standard_normal(signals[name].size)
+    del signals['reference_n']
+    return Run(**signals)
+
+
+def test_the_valve_alone_moves_as_in_the_whole_actuator():
+    p = as_record({'command_path.delay': 0.0013, 'valve_flexure.lag_time': 0.002})
+    whole, alone = rest(), np.zeros(1, STATE_DTYPE)[0]
+    steady = prepare(p, 1e-3)
+    for k in range(200):
+        command = 300.0 * np.sin(0.2 * k)
+        advance(whole, command, p, steady)
+        advance_valve(alone, command, p, steady)
+        assert alone['valve_position'] == whole['valve_position']
+
+
+@pytest.mark.parametrize(('load', 'rate_hz'), [('spring', 1000.0), ('locked', 2000.0),
+                                               ('free', 5000.0)])
+def test_what_the_true_parameters_leave_is_the_noise(load, rate_hz):
+    nominal = {'load.type': load}
+    recordings = prepared([recorded(nominal, rate_hz, duration_s=3.0)])
+    p = simulator.simulator_record(nominal)
+    valve = simulator_group(p, recordings, ('valve',))
+    rest_ = with_simulated_valve(simulator_group(p, recordings, CHANNELS), valve.nominal)
+    for group, channel, level in ((valve, 'valve', 1e-7), (rest_, 'force', 1.0),
+                                  (rest_, 'motion', 5e-4)):
+        recording = group.recordings[0]
+        left = measured(recording, channel) - predict(recording, channel, group.nominal)
+        assert np.std(left[recording.valid]) == pytest.approx(level, rel=0.06)
+
+
+def test_a_longer_sub_step_is_corrected():
+    nominal = {'load.type': 'spring'}
+    recordings = prepared([recorded(nominal, duration_s=2.0)])
+    group = simulator_group(simulator.simulator_record(nominal), recordings, CHANNELS)
+    assert group.nominal['maximum_substep'] > 2.0 * group.exact_substep_s
+    p = group.nominal.copy()
+    p['load_mass'] *= 1.1   # the correction is that of the nominal mass
+    exact = simulator_group(simulator.simulator_record(nominal), recordings, CHANNELS)
+    q = p.copy()
+    q['maximum_substep'] = group.exact_substep_s
+    plain = replace(exact.recordings[0], corrections={}, cache={})
+    for channel in CHANNELS:
+        error = predict(group.recordings[0], channel, p) - predict(plain, channel, q)
+        assert np.std(error) < 0.05 * np.sqrt(group.error_floor[channel])
+
+
+def test_the_unchanged_simulator_has_no_gap():
+    for noise in (1.0, 0.0):
+        answer = document(diagnose([recorded({'load.type': 'spring'}, noise=noise)],
+                                   {'load.type': 'spring'}))
+        assert answer['verdict'] == 'no_gap'
+        assert answer['unknown_probability'] < 0.2
+
+
+def test_a_parameter_beyond_its_tolerance_is_named_with_its_size():
+    nominal = {'load.type': 'spring'}
+    diagnosis = diagnose([recorded({**nominal, 'load.stiffness': 3.1e5})], nominal)
+    answer = document(diagnosis)
+    assert answer['verdict'] == 'parameter:load.stiffness'
+    row = answer['which'][0]
+    low, high = (row[f'parameters_{end}']['load_stiffness'] for end in ('low', 'high'))
+    assert low < 3.1e5 < high < 1.1 * low
+
+
+def test_thrust_is_told_from_the_gain_of_the_valve():
+    nominal = {'load.type': 'spring'}
+    answer = document(diagnose(
+        [recorded({**nominal, 'valve_characteristic.maximum_force': 600.0})], nominal))
+    assert answer['verdict'] == 'parameter:valve_characteristic.maximum_force'
+
+
+def test_an_effect_is_named_and_the_improved_model_is_the_machine():
+    nominal = {'load.type': 'spring'}
+    machine = {**nominal, 'friction.coulomb': 25.0}
+    diagnosis = diagnose([recorded(machine)], nominal)
+    assert diagnosis.verdict == ('coulomb_friction',)
+    values, missing = improved_model(
+        nominal, [diagnosis.best(weighed).fitted.record for weighed in diagnosis.groups])
+    assert missing == []
+    fresh = {**LOOP, 'reference.amplitude': 120.0, 'reference.seed': 3}
+    force = [simulate_loop(each, fresh, 2.0, 1000.0).force_n
+             for each in (machine, nominal, values)]
+    assert np.std(force[2] - force[0]) < 0.1 * np.std(force[1] - force[0])
+
+
+def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
+    nominal = {'load.type': 'spring'}
+    run = recorded(nominal, duration_s=3.0)
+    # A force that depends on the position as nothing in the simulator does.
+    run = Run(**{**{name: getattr(run, name) for name in (
+        'time_s', 'command_n', 'valve_position_m', 'position_m', 'velocity_m_s')},
+        'force_n': run.force_n + 40.0 * np.sin(run.position_m / 1e-4)})
+    recordings = prepared([run])
+    p = simulator.simulator_record(nominal)
+    groups = [simulator_group(p, recordings, channels) for channels in (('valve',), CHANNELS)]
+    assert explained_by_simulator(groups, lambda: None) is None
