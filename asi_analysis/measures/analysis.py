@@ -16,6 +16,7 @@ from asi_analysis.measures.frequency_response import (
 )
 from asi_analysis.measures.quality import Finding, findings, trust
 from asi_analysis.measures.step_response import HEADLINE, StepResponse, step_response
+from asi_analysis.measures.tracking import tracking
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # Largest share of missing samples for a spectrum or the fit of a sine.
@@ -42,7 +43,12 @@ class Analysis(Result):
             ('bandwidth', 'bandwidth_hz', 'Hz', 1.0),
             ('bandwidth of the actuator', 'actuator_bandwidth_hz', 'Hz', 1.0),
             ('delay, from the phase', 'delay_s', 'ms', 1e3),
-            ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3))
+            ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3),
+            ('tracking error, rms', 'tracking_error_rms_n', self.unit, 1.0),
+            ('tracking error, largest', 'tracking_error_peak_n', self.unit, 1.0),
+            ('tracking error, of the reference', 'tracking_error_percent', '%', 1.0),
+            ('valve command, rms', 'command_rms_n', 'N', 1.0),
+            ('impedance felt, real part', 'impedance_real', 'N s/m', 1.0))
             if self[key] is not None]
         yield Table(('', ''), [*rows, ('oscillation', in_words(self.oscillation, self.unit))])
         yield from (f'note: {note}' for note in self.notes)
@@ -79,7 +85,7 @@ def analyze(run: Run) -> Analysis:
     notes += step.notes
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
-    figures = _bandwidth(run, width) | {'oscillation': swing.to_dict()}
+    figures = _bandwidth(run, width) | tracking(run)._asdict() | {'oscillation': swing.to_dict()}
     reliable = dict(step.reliable)
     notes += _withhold_doubtful(run, step, findings(run), figures, reliable)
     return Analysis({
@@ -160,7 +166,13 @@ def _withhold_doubtful(run: Run, step: StepResponse, found: Sequence[Finding],
             ('bandwidth_hz', 'bandwidth', ('reference', output)),
             ('actuator_bandwidth_hz', 'bandwidth of the actuator', ('command', 'force')),
             ('delay_s', 'delay', ('reference', output)),
-            ('correlation_delay_s', 'delay by correlation', ('reference', output))):
+            ('correlation_delay_s', 'delay by correlation', ('reference', output)),
+            ('tracking_error_rms_n', 'tracking error', ('reference', output)),
+            ('tracking_error_peak_n', 'largest tracking error', ('reference', output)),
+            ('tracking_error_percent', 'share of the tracking error', ('reference', output)),
+            ('command_rms_n', 'command', ('command',)),
+            ('impedance_real', 'impedance', ('force', 'velocity')),
+            ('impedance_imaginary', 'impedance', ('force', 'velocity'))):
         trusted = trust(found, run, signals, start, end, LOST_SHARE)
         if by_step and name == 'bandwidth_hz':
             # It was measured from the step response.

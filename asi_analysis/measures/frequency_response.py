@@ -6,6 +6,7 @@ coherence. From a step: the spectrum of the differentiated step response, which 
 response of a linear loop.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
@@ -32,6 +33,12 @@ MOST_LINES: Final = 2**22
 # A reference of at least this many steps (PRBS) has a broad spectrum.
 FEWEST_STEPS: Final = 4
 HALF_POWER: Final = np.sqrt(0.5)
+# Correlation below which there is no delay; coefficients that are equal.
+LEAST_CORRELATION: Final = 0.3
+EQUAL_CORRELATION: Final = 0.01
+# A signal with this share of its power in so many lines on each side of the strongest is a sine.
+SINE: Final = 0.99
+SINE_LINES: Final = 3
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
 
 Array = npt.NDArray[np.float64]
@@ -80,16 +87,73 @@ def phase_delay(frequency_hz: Array, response: npt.NDArray[np.complex128],
     return float(-np.sum(weights * omega * phase) / np.sum(weights * omega**2))
 
 
-def correlation_delay(input_: Array, output: Array, period_s: float) -> float:
-    """Return the lag (s) of the largest cross-correlation, interpolated between samples."""
-    a, b = input_ - input_.mean(), output - output.mean()
-    correlation = signal.correlate(b, a, method='fft')
-    k = int(np.argmax(np.abs(correlation)))
-    lag = float(k - (a.size - 1))
-    if 0 < k < correlation.size - 1:
-        left, middle, right = correlation[k - 1:k + 2]
-        lag += 0.5 * (left - right) / (left - 2.0 * middle + right)
-    return float(lag * period_s)
+def correlation_delay(input_: Array, output: Array, period_s: float) -> float | None:
+    """
+    Return the lag (s) of the output behind the input by their correlation; None if they have none.
+
+    The lag with the largest correlation coefficient of the samples that overlap, up to half of the
+    run, interpolated between samples; of equal ones, as those of a periodic input, the shortest in
+    which the output follows. The differences are correlated where that is clearer than of the
+    signals, as for a staircase.
+    """
+    found = [_largest_correlation(a, b) for a, b in (
+        (input_, output), (np.diff(input_), np.diff(output)))]
+    coefficient, lag = max(found)
+    return lag * period_s if coefficient > LEAST_CORRELATION else None
+
+
+def _largest_correlation(a: Array, b: Array) -> tuple[float, float]:
+    """Return the largest correlation coefficient over the lags of `b`, and its lag in samples."""
+    most = a.size // 2
+    lags = np.arange(-most, most + 1)
+    products = signal.correlate(b, a, method='fft')[a.size - 1 - most:a.size + most]
+
+    def over(values: Array, first: Any, last: Any) -> Array:
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(sums[last] - sums[first])
+
+    begin_a, end_a = np.maximum(-lags, 0), a.size - np.maximum(lags, 0)
+    begin_b, end_b = begin_a + lags, end_a + lags
+    count = end_a - begin_a
+    sum_a, sum_b = over(a, begin_a, end_a), over(b, begin_b, end_b)
+    spread = [np.maximum(over(each ** 2, first, last) - total ** 2 / count, 0.0)
+              for each, first, last, total in ((a, begin_a, end_a, sum_a),
+                                               (b, begin_b, end_b, sum_b))]
+    # Where one of the signals rests there is no correlation.
+    least = [1e-3 * count / a.size * float(np.sum((each - each.mean()) ** 2)) for each in (a, b)]
+    known = (spread[0] > least[0]) & (spread[1] > least[1])
+    coefficient = np.where(known, (products - sum_a * sum_b / count)
+                           / np.sqrt(np.maximum(spread[0] * spread[1], 1e-300)), -1.0)
+    best = float(coefficient.max())
+    near = np.flatnonzero(coefficient > best - EQUAL_CORRELATION)
+    following = near[lags[near] >= 0]
+    near = following if following.size else near
+    k = int(near[np.argmin(np.abs(lags[near]))])
+    while 0 < k < coefficient.size - 1 and coefficient[k] < max(coefficient[k - 1],
+                                                                coefficient[k + 1]):
+        k += 1 if coefficient[k + 1] > coefficient[k - 1] else -1   # to the top of that peak
+    lag = float(lags[k])
+    if 0 < k < coefficient.size - 1:
+        left, middle, right = coefficient[k - 1:k + 2]
+        bend = left - 2.0 * middle + right
+        lag += float(0.5 * (left - right) / bend) if bend < 0.0 else 0.0
+    return best, lag
+
+
+def _strongest_hz(run: Run) -> float:
+    """Return the frequency (Hz) of the strongest line of the reference."""
+    assert run.reference_n is not None
+    values = np.nan_to_num(run.reference_n - np.nanmean(run.reference_n))
+    power = np.abs(np.fft.rfft(signal.windows.hann(values.size) * values))
+    return float(np.argmax(power) / (values.size * run.period_s))
+
+
+def is_sine(values: Array) -> bool:
+    """Return whether nearly all of a signal is a single sine, of which one frequency is known."""
+    window = signal.windows.hann(values.size)
+    power = np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2
+    k = int(np.argmax(power))
+    return bool(power[max(k - SINE_LINES, 0):k + SINE_LINES + 1].sum() > SINE * power.sum())
 
 
 def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
@@ -147,6 +211,9 @@ def actuator_bandwidth(run: Run) -> float | None:
     """Return the bandwidth (Hz) from valve command to force; None if it cannot be measured."""
     if run.command_n is None or run.force_n is None:
         return None
+    driving = run.command_n if run.reference_n is None else run.reference_n
+    if is_sine(driving[np.isfinite(driving)]):
+        return None
     response = estimate(run.command_n, run.force_n, run.period_s)
     return response.bandwidth_hz if response else None
 
@@ -176,6 +243,13 @@ def loop_bandwidth(run: Run) -> Bandwidth:
     response = estimate(run.reference_n, output, run.period_s)
     if response is None:
         return Bandwidth(None, None, None, None, TOO_POOR)
+    if is_sine(run.reference_n[np.isfinite(run.reference_n)]):
+        k = int(np.argmin(np.abs(response.frequency_hz - _strongest_hz(run))))
+        ratio = response.response[k]
+        return Bandwidth(None, None, None, None, (
+            f'the reference is a single sine of {response.frequency_hz[k]:.4g} Hz, which tells '
+            f'only the gain there, {abs(ratio):.3g}, and the phase, '
+            f'{math.degrees(np.angle(ratio)):.0f} degrees'))
     valid = np.isfinite(run.reference_n) & np.isfinite(output)
     lag = correlation_delay(np.where(valid, run.reference_n, 0.0), np.where(valid, output, 0.0),
                             run.period_s)

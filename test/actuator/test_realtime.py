@@ -182,7 +182,7 @@ def test_ticks_of_the_controller_get_in_step_with_the_states(
     tick_s, ages_s = 1000.0 + begin * period_s, []
     for state_s, next_s in zip(states_s[:-1], states_s[1:], strict=True):
         monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=state_s: now_s)
-        loop.on_state(loop.clock.now_ns(), 0.0)
+        loop.on_state(loop.clock.now_ns(), 0.0, 0.0)
         while tick_s < next_s:
             if tick_s >= state_s:
                 monkeypatch.setattr(controller_node.time, 'monotonic', lambda now_s=tick_s: now_s)

@@ -49,7 +49,7 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     for p in (weighed.group.nominal, diagnosis.best(weighed).fitted.record):
         left = measured(recording, shrink.channel) - predict(recording, shrink.channel, p)
         errors.append(math.sqrt(float(np.mean(left[valid] ** 2))))
-    return 1.0 - errors[1] / errors[0]
+    return 1.0 - errors[1] / errors[0] if errors[0] else 0.0
 
 
 def examine(folder: Path, entry: Mapping[str, str]) -> Row:

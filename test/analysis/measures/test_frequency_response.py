@@ -54,6 +54,37 @@ def test_pure_delay():
     assert correlation_delay(x, y, 1.0 / RATE_HZ) == pytest.approx(0.003, abs=1e-5)
 
 
+@pytest.mark.parametrize('delay_s', [0.0, 0.006, 0.088, 0.34])
+@pytest.mark.parametrize('kind', ['staircase', 'chirp', 'noise', 'multisine', 'step'])
+def test_delay_by_correlation_is_the_delay(kind, delay_s):
+    rate, count = 1000.0, 8000
+    t, rng = np.arange(count) / rate, np.random.default_rng(3)
+    x = {'staircase': np.repeat(rng.choice(np.arange(5) * 50.0, 20), 400),
+         'chirp': np.sin(2.0 * np.pi * (0.5 * t + 3.0 * t * t)),
+         'noise': rng.standard_normal(count),
+         'multisine': sum(np.sin(2.0 * np.pi * f * t + f * f) for f in np.arange(0.5, 40.0, 1.3)),
+         'step': np.where(t > 1.0, 100.0, 0.0)}[kind]
+    late = np.concatenate([np.full(int(delay_s * rate), x[0]), x])[:count]
+    noisy = late + 0.02 * np.std(x) * rng.standard_normal(count)
+    assert correlation_delay(x, noisy, 1.0 / rate) == pytest.approx(delay_s, rel=0.02,
+                                                                    abs=1.0 / rate)
+
+
+def test_signals_with_nothing_in_common_have_no_delay():
+    rng = np.random.default_rng(5)
+    assert correlation_delay(rng.standard_normal(4000), rng.standard_normal(4000), 1e-3) is None
+
+
+def test_a_single_sine_tells_no_bandwidth():
+    t = np.arange(8000) / 1000.0
+    run = Run(t, reference_n=100.0 * np.sin(2.0 * np.pi * 10.0 * t),
+              force_n=70.0 * np.sin(2.0 * np.pi * 10.0 * t - 0.5))
+    found = loop_bandwidth(run)
+    assert found.bandwidth_hz is None and found.delay_s is None
+    assert 'single sine of 10 Hz' in found.reason
+    assert '0.7' in found.reason and '-29 degrees' in found.reason
+
+
 def test_what_the_input_does_not_move_is_not_told():
     """Beyond the chirp's last frequency and in an output of noise there is no response."""
     x = excitation('chirp')

@@ -1,0 +1,71 @@
+"""Tracking of the reference, effort of the command, and the force that a moved joint feels."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.bags.run import Run
+from asi_analysis.measures.frequency_response import is_sine
+
+
+class Tracking(NamedTuple):
+    """
+    Errors over the whole run, in the unit of the controlled signal; None if not recorded.
+
+    tracking_error_percent: of the rms of the reference about its mean; None if it stands still.
+    impedance_real, impedance_imaginary: of force over velocity (N s/m) at `impedance_hz`, of a run
+    whose reference stands still while a single sine moves the piston; the force against the motion
+    counts as positive, so that a real part below 0 is not passive (Colgate, Hogan, "Robust control
+    of dynamically interacting systems", Int. J. Control 48, 1988).
+    """
+
+    tracking_error_rms_n: float | None = None
+    tracking_error_peak_n: float | None = None
+    tracking_error_percent: float | None = None
+    command_rms_n: float | None = None
+    impedance_hz: float | None = None
+    impedance_real: float | None = None
+    impedance_imaginary: float | None = None
+
+
+def tracking(run: Run) -> Tracking:
+    """Return how well a run follows its reference, and what that takes."""
+    command = None if run.command_n is None else float(np.sqrt(np.nanmean(run.command_n ** 2)))
+    output = None if run.reference_n is None else run.signals().get(run.controlled())
+    if run.reference_n is None or output is None:
+        return Tracking(command_rms_n=command)
+    known = np.isfinite(run.reference_n) & np.isfinite(output)
+    if not known.any():
+        return Tracking(command_rms_n=command)
+    reference, error = run.reference_n[known], (run.reference_n - output)[known]
+    rms, moved = float(np.sqrt(np.mean(error ** 2))), float(np.std(reference))
+    stands = moved < 1e-9 * max(float(np.abs(reference).max()), 1.0)
+    found = Tracking(rms, float(np.abs(error).max()), None if stands else 100.0 * rms / moved,
+                     command)
+    return found._replace(**_impedance(run)) if stands else found
+
+
+def _impedance(run: Run) -> dict[str, float]:
+    """Return the impedance at the frequency of a motion that is a single sine; {} of any other."""
+    if run.velocity_m_s is None or run.force_n is None:
+        return {}
+    known = np.isfinite(run.velocity_m_s) & np.isfinite(run.force_n)
+    if not known.all() or np.ptp(run.velocity_m_s) == 0.0 or not is_sine(run.velocity_m_s):
+        return {}
+    # The second half, in whole periods: what is left of the start has decayed.
+    spectrum = np.abs(np.fft.rfft(run.velocity_m_s - run.velocity_m_s.mean()))
+    frequency = float(np.argmax(spectrum)) / (len(run) * run.period_s)
+    periods = int(0.5 * len(run) * run.period_s * frequency)
+    if periods < 1:
+        return {}
+    count = round(periods / (frequency * run.period_s))
+    line = np.exp(-2j * np.pi * frequency * run.period_s * np.arange(count))
+
+    def amplitude(values: npt.NDArray[np.float64]) -> complex:
+        last = values[-count:]
+        return complex(np.sum((last - last.mean()) * line))
+
+    impedance = -amplitude(run.force_n) / amplitude(run.velocity_m_s)
+    return {'impedance_hz': frequency, 'impedance_real': impedance.real,
+            'impedance_imaginary': impedance.imag}
