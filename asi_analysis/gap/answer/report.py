@@ -64,6 +64,8 @@ def drawn(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, joint: bool
 
 def _output_signal(channel: str, run: Run, joint: bool) -> str:
     """Return the signal that a channel predicts; `valve` is the drive or servo of a joint."""
+    if channel == 'motion':
+        return 'velocity'
     if channel != 'valve':
         return 'force' if run.force_n is not None else 'command'
     if not joint:

@@ -85,11 +85,11 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None]
 def _explained(group: Group, tick: Callable[[], None]) -> Weighed | None:
     """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
     found = _hypotheses(group, tick)
-    best = min(found.values(), key=lambda f: f.best.cost)
-    if _left(best):
+    if all(map(_left, found.values())):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
-    return Weighed(best.problem.group, candidates, _probabilities(group, found))
+    weighed = Weighed(found[()].problem.group, candidates, _probabilities(group, found))
+    return None if _left(found[_most_probable(weighed).names]) else weighed
 
 
 def _rivals(valve: Weighed) -> Iterator[Weighed]:
