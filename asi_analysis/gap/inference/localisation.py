@@ -62,6 +62,11 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
             for names, probability in weighed.probability.items():
                 for block, part in _blocks_of(weighed, names, channel, probability).items():
                     share[block] += gap * probability * part
+    if sum(share.values()) == 0.0:   # refitted, nothing is above the error floor
+        for weighed in groups:
+            for names, probability in weighed.probability.items():
+                for name in set(names) - {UNKNOWN}:
+                    share[str(block_of(name))] += probability
     total = sum(share.values())
     if total > 0.0:
         share = {block: value / total for block, value in share.items()}
