@@ -86,8 +86,9 @@ class Recording:
     number: int = 0              # whose values the fields of a recording have
     raw_velocity: Array | None = None   # m/s, as measured
     valve_estimate: Array | None = None   # m, measured valve position with less noise
-    # By channel: what a shorter sub-step adds to the predictions of the simulator.
+    # By channel: what a shorter sub-step adds to the simulator's predictions with a longer one.
     corrections: dict[str, Array] = field(default_factory=dict)
+    corrected_substep_s: float = 0.0
     cache: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:

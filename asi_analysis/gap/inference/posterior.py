@@ -10,10 +10,11 @@ Algorithms, 2003, ch. 27 and 28).
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,17 +26,24 @@ from asi_analysis.gap.prepare import Array
 
 STEP = 1e-4       # of a parameter's range, for the derivatives
 ROUNDS = 12       # of the optimiser
-GAIN = 0.05       # of the log posterior: a round that gains less is the last
+# Of the log posterior, and as a share of it: a round that gains less than their sum is the last.
+GAIN, CONVERGED = 0.05, 3e-4
 TRIES = 5         # of a step, with more damping each
+SLOW = 0.003      # of the cost: an updated derivative that gains less is computed anew
 LONGEST_STEP = 0.3
+PART, BENT = 0.1, 0.4   # of a step: to see how the residual bends along it; the most that it may
+
+NONE: Mapping[str, Array] = MappingProxyType({})
+Item = TypeVar('Item')
+Made = TypeVar('Made')
 
 
 @dataclass
 class Posterior(Problem):
     """The negative log posterior of a group's free parameters, as a least-squares problem."""
 
-    pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(
-        len(os.sched_getaffinity(0))))
+    pool: ThreadPoolExecutor | None = field(default_factory=lambda: ThreadPoolExecutor(
+        len(os.sched_getaffinity(0))))   # None: within a thread of it
 
     def residual(self, theta: Array) -> Array:
         """Return the residual over the error floor (rms), channel after channel."""
@@ -55,9 +63,14 @@ class Posterior(Problem):
                       for r in self.group.recordings if r.known.any()]
         return np.concatenate(parts)
 
-    def jacobian(self, theta: Array, known: Mapping[str, Array] | None = None) -> Array:
-        """Return its derivatives; `known` ones, by field, are not computed again."""
-        known, base = known or {}, self.residual(theta)
+    def jacobian(self, theta: Array, known: Mapping[str, Array] = NONE,
+                 base: Array | None = None) -> Array:
+        """
+        Return the derivatives of the residual.
+
+        known: derivatives, by field, that are not computed again; base: the residual.
+        """
+        residual = self.residual(theta) if base is None else base
 
         def column(number: int) -> Array:
             name = self.free[number].field
@@ -66,9 +79,19 @@ class Posterior(Problem):
             moved = theta.copy()
             step = STEP if theta[number] < 0.5 else -STEP
             moved[number] += step
-            return (self._of(self.record(moved)) - base) / step
+            return (self._of(self.record(moved)) - residual) / step
 
-        return np.array(list(self.pool.map(column, range(theta.size)))).T
+        return np.array(list(self.each(column, range(theta.size)))).T
+
+    def each(self, function: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
+        """Return what a function makes of each item, on all cores if there is a pool."""
+        return map(function, items) if self.pool is None else self.pool.map(function, items)
+
+    def curvature(self, theta: Array, base: Array, step: Array) -> Array:
+        """Return the second derivative of the residual along a step."""
+        ahead, back = (self.residual(np.clip(theta + part * step, 0.0, 1.0))
+                       for part in (PART, -PART))
+        return (ahead - 2.0 * base + back) / PART ** 2
 
     @property
     def prior(self) -> tuple[Array, Array]:
@@ -87,8 +110,17 @@ class Best(NamedTuple):
 
 
 def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
-                  known: Mapping[str, Array] | None = None) -> Best:
-    """Return the most probable parameters, from a start, by the Levenberg-Marquardt method."""
+                  known: Mapping[str, Array] = NONE, goal: float = math.inf) -> Best:
+    """
+    Return the most probable parameters, from a start.
+
+    By the Levenberg-Marquardt method, with second derivatives along each step (Transtrum and
+    Sethna, arXiv:1201.5885): sums of parameters are known far better than each, so the way to
+    the minimum is long, narrow and bent. known: derivatives to begin with, by field. After each
+    step all are updated by what it showed (Broyden's method); they are computed anew where that
+    does not lead on, at most `rounds` times. goal: a cost; a fit that at its present rate does
+    not reach it is given up.
+    """
     mean, precision = problem.prior
 
     def cost_of(theta: Array, value: Array) -> float:
@@ -96,25 +128,43 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
 
     theta, value = start, problem.residual(start)
     cost, damping = cost_of(theta, value), 1e-4
-    for _ in range(rounds):
-        slopes = problem.jacobian(theta, known)
+    slopes, fresh = problem.jacobian(theta, known, value), not known
+    since = cost   # the cost when the derivatives were last computed
+    while True:
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost
-        for _ in range(TRIES):
-            step, _ = least_step(
-                square + damping * np.diag(np.diag(square)), slope,
-                np.maximum(-theta, -LONGEST_STEP), np.minimum(1.0 - theta, LONGEST_STEP))
-            there = np.clip(theta + step, 0.0, 1.0)
+        for _ in range(TRIES if fresh else 1):
+            there = _next(problem, theta, value, slopes, square, slope, damping)
             value_there = problem.residual(there)
             if (cost_there := cost_of(there, value_there)) < cost:
+                step = there - theta
+                missed = value_there - value - slopes @ step
+                slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
                 theta, value, cost = there, value_there, cost_there
                 damping = max(0.1 * damping, 1e-7)
                 break
             damping = 10.0 * max(damping, 1e-3)
-        if before - cost <= GAIN + 1e-4 * before:
-            break
-    return Best(theta, cost, value)
+        if before - cost > GAIN + SLOW * before:
+            fresh = False
+            continue
+        rounds -= 1
+        if rounds < 1 or fresh and before - cost <= GAIN + CONVERGED * before or (
+                cost - rounds * (since - cost) > goal):
+            return Best(theta, cost, value)
+        slopes, fresh, since = problem.jacobian(theta, base=value), True, cost
+
+
+def _next(problem: Posterior, theta: Array, value: Array, slopes: Array, square: Array,
+          slope: Array, damping: float) -> Array:
+    """Return where a step leads, bent as the residual is along it."""
+    damped = square + damping * np.diag(np.diag(square))
+    low, high = np.maximum(-theta, -LONGEST_STEP), np.minimum(1.0 - theta, LONGEST_STEP)
+    straight, _ = least_step(damped, slope, low, high)
+    bend = 0.5 * slopes.T @ problem.curvature(theta, value, straight)
+    bent, _ = least_step(damped, slope + bend, low, high)
+    near = np.linalg.norm(bent - straight) < BENT * np.linalg.norm(straight)
+    return np.clip(theta + (bent if near else straight), 0.0, 1.0)
 
 
 def fitted(problem: Posterior, best: Best) -> Fitted:

@@ -36,13 +36,17 @@ from asi_analysis.gap.model.effects import (
     block_of,
 )
 from asi_analysis.gap.model.group import Group, acts_on, channels_of, with_simulated_valve
+from asi_analysis.gap.model.simulator import SUBSTEP_ERROR
 from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
-HOPELESS = 30.0   # times the least cost after a few rounds: such a fit is not completed
+REACH = 50.0      # of the log posterior: farther from the best, a fit need not be completed
+ROUGH = 1         # derivatives of a fit after the linear screen
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
 LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
+# Fields of contacts and couplings.
+STIFF = {'backlash_gap', 'coupling_stiffness'}
 STRAINED = 2.0        # standard deviations of its prior that a nominal parameter is off
 # Prior log odds of an effect, and of a parameter beyond its tolerance, against their absence.
 EFFECT, BEYOND = -4.0, -3.0
@@ -133,7 +137,7 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     problem = Posterior(group, group.nuisance)
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
-    null = as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS))
+    null = _converged(as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS)))
     strain = np.abs(null.best.theta - mean) * np.sqrt(problem.prior[1])
     if not _left(null) and np.all(strain < STRAINED):
         return {(): null}
@@ -158,7 +162,7 @@ def _parameter_errors(group: Group) -> list[Effect]:
 def _beyond(field: str, group: Group) -> Effect:
     """Return the hypothesis that one nominal parameter is beyond its tolerance."""
     dotted = next(p.name for p in ACTUATOR_PARAMETERS if field_name(p.name) == field)
-    free = Free(field, 0.2, 5.0, (0.5, 0.7, 1.5, 2.2), 'nominal')
+    free = Free(field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal')
     return Effect(PARAMETER + dotted, str(block_of(PARAMETER + dotted)),
                   f'{dotted} is beyond its tolerance',
                   (Variant((free,), tuple(channel for channel in group.channels
@@ -193,14 +197,17 @@ def _starts(base: Found) -> list[_Start]:
     """Return every effect in each form at each of its starts, all else as in `base`."""
     group, problem = base.problem.group, base.problem
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
+    exact = ('maximum_substep', group.exact_substep_s)
     work = []
     for effect in group.effects:
         for variant in effect.variants:
             if not channels_of(variant, group):
                 continue
             own = {free.field for free in variant.free}
+            # Contacts and couplings are stiffer than what the sub-step was chosen by.
+            fixed = (*variant.fixed, exact) if own & STIFF else variant.fixed
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
-                                         *variant.free), variant.fixed, pool=problem.pool)
+                                         *variant.free), fixed, pool=problem.pool)
             for varied in variant.free:   # one at its starts, the others at their first
                 for start in varied.starts if len(varied.starts) > 1 or (
                         varied is variant.free[0]) else ():
@@ -237,27 +244,52 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
 
     work = _starts(base)
     gains = []
-    for n, value in enumerate(problem.pool.map(gain, work)):
+    for n, value in enumerate(problem.each(gain, work)):
         gains.append(value)
         if n % 10 == 0:
             tick()
     order = sorted(range(len(work)), key=lambda n: -gains[n])
     fits: dict[Names, Found] = {}
-    for name in list(dict.fromkeys(work[n].name for n in order))[:FITTED]:
+    known = {free.field: column for free, column in zip(problem.free, slopes.T, strict=True)}
+
+    def rough(name: str) -> Found:
         start = work[next(n for n in order if work[n].name == name)]
-        best = most_probable(start.problem, start.theta, ROUNDS // 4)
-        fits[(name,)] = Found((name,), (start.variant,), start.problem, best)
+        own = {free.field for free in start.variant.free}
+        best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH, {
+            field: column for field, column in known.items() if field not in own})
+        return Found((name,), (start.variant,), start.problem, best)
+
+    names = list(dict.fromkeys(work[n].name for n in order))[:FITTED]
+    for found in problem.each(rough, names):
+        fits[found.names] = found
         tick()
-    least = min(found.best.cost for found in fits.values())
-    for found in sorted(fits.values(), key=lambda f: f.best.cost)[:POLISHED]:
-        if found.best.cost > HOPELESS * least:
-            break
-        starts = [found.best.theta,
-                  _with_shared(found, min(fits.values(), key=lambda f: f.best.cost))]
+    leader, *rivals = sorted(fits.values(), key=lambda f: f.best.cost)
+    leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
+    fits[leader.names] = leader
+
+    def polished(found: Found) -> Found:
+        starts = [found.best.theta, _with_shared(found, leader)]
         theta = min(starts, key=lambda each: float(np.sum(found.problem.residual(each) ** 2)))
-        fits[found.names] = found._replace(best=most_probable(found.problem, theta))
+        goal = leader.best.cost + REACH
+        best = most_probable(replace(found.problem, pool=None), theta, goal=goal)
+        return _converged(found._replace(best=best), goal)
+
+    for found in problem.each(polished, rivals[:POLISHED]):
+        fits[found.names] = found
         tick()
     return fits
+
+
+def _converged(found: Found, goal: float = math.inf) -> Found:
+    """Return a hypothesis fitted with sub-steps so short that shorter ones change nothing."""
+    exact = ('maximum_substep', found.problem.group.exact_substep_s)
+    problem = replace(found.problem, fixed=(*found.problem.fixed, exact))
+    change = problem.residual(found.best.theta) - found.best.residual
+    left = max(1.0, float(np.mean(found.best.residual ** 2)))
+    if found.best.cost > goal or float(np.mean(change ** 2)) < SUBSTEP_ERROR ** 2 * left:
+        return found
+    return found._replace(problem=problem,
+                          best=most_probable(problem, found.best.theta, goal=goal))
 
 
 def _with_shared(found: Found, other: Found) -> Array:

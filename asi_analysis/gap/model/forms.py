@@ -33,7 +33,7 @@ def _form(channels: tuple[str, ...], *free: Free, fixed: dict[str, float] | None
 _PUSH = Free('load_external_force', -1.0, 1.0, (0.02, -0.02), 'force', 'N')
 _HYDRAULIC = tuple(f'hydraulic_damping_{name}' for name in (
     'maximum_force', 'viscous', 'saturation_velocity', 'velocity_width', 'centre_share'))
-_GAP = Free('backlash_gap', 0.002, 1.4, (0.008, 0.04, 0.12, 0.3), 'position', 'm')
+_GAP = Free('backlash_gap', 0.002, 1.4, (0.008, 0.02, 0.04, 0.07, 0.12, 0.3), 'position', 'm')
 _CENTRE = Free('backlash_centre', -0.5, 0.5, (0.0,), 'position', 'm')
 
 FORMS: dict[str, tuple[Variant, ...]] = {

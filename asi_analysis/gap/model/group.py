@@ -145,7 +145,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     names = [name for kind in ('valve', 'force') if kind in channels or kind == 'valve'
              and any(r.valve_position is None for r in recordings)
              for name in forms.UNCERTAIN[kind]]
-    nuisance = tuple(Free(name, 0.1, 3.0, (1.0,), 'nominal', prior=0.5 * tolerance)
+    nuisance = tuple(Free(name, 0.05, 5.0, (1.0,), 'nominal', prior=0.5 * tolerance)
                      for name in dict.fromkeys(names)
                      if nominal[name] != 0.0 and _is_modelled(name, nominal))
     effects = tuple(effect._replace(variants=tuple(

@@ -179,7 +179,7 @@ def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p
                  for fine, rough in zip(exact, predictions(substep), strict=True)]
         if all(np.sqrt(np.mean(each[channel] ** 2) / floor[channel]) < SUBSTEP_ERROR
                for each in found for channel in channels):
-            return [replace(recording, corrections=each, cache={})
+            return [replace(recording, corrections=each, corrected_substep_s=substep, cache={})
                     for recording, each in zip(recordings, found, strict=True)], substep
     return [replace(recording, corrections={}, cache={}) for recording in recordings], shortest
 
@@ -203,7 +203,8 @@ def _start(recording: Recording) -> tuple[float, float]:
 
 def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output of a channel: n samples, in the channel's unit."""
-    correction = recording.corrections.get(channel, 0.0)
+    longer = p['maximum_substep'] == recording.corrected_substep_s
+    correction = recording.corrections.get(channel, 0.0) if longer else 0.0
     if channel == 'valve':
         return simulated_valve(recording, p) + correction
     force, velocity = simulated_motion(recording, p)

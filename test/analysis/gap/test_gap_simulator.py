@@ -124,3 +124,10 @@ def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
     p = simulator.simulator_record(nominal)
     groups = [simulator_group(p, recordings, channels) for channels in (('valve',), CHANNELS)]
     assert explained_by_simulator(groups, lambda: None) is None
+
+
+def test_contacts_are_found_though_they_take_shorter_sub_steps():
+    nominal = {'load.type': 'spring'}
+    answer = document(diagnose([recorded({**nominal, 'backlash.gap': 2e-4}, noise=0.0)], nominal))
+    assert answer['verdict'] == 'backlash'
+    assert answer['which'][0]['parameters']['backlash_gap'] == pytest.approx(2e-4, rel=0.02)
