@@ -44,6 +44,7 @@ from asi_analysis.bags.qos import as_dictionary
 from asi_analysis.errors import InputError
 from asi_common.node.diagnostics import STATE
 from asi_common.node.executor import RunError, run_node
+from asi_common.node.ros_parameters import OF_EVERY_NODE
 from asi_common.node.topics import SteadyClock, message_class
 from asi_common.parameter import ParameterError
 from asi_common.topics import TOPICS
@@ -330,7 +331,8 @@ class Recorder(Node):
                 client.list_parameters(callback=partial(self._request_parameters, name, client))
 
     def _request_parameters(self, name: str, client: AsyncParameterClient, listed: Future) -> None:
-        names = listed.result().result.names
+        names = [name for name in listed.result().result.names
+                 if not name.startswith(OF_EVERY_NODE)]
         client.get_parameters(names, callback=partial(self._store_parameters, name, names))
 
     def _store_parameters(self, node: str, names: list[str], values: Future) -> None:
