@@ -7,12 +7,14 @@ from typing import Annotated, Any, Literal
 import typer
 
 from asi_analysis.cli.options import (
+    MOST_SEED,
     Bag,
     Compensator,
     Gain,
     Json,
     ParameterFile,
     Settings,
+    checked_step,
     command,
     show,
 )
@@ -25,6 +27,7 @@ def run(
     compensator: Compensator = None,
     gain: Gain = None,
     step: Annotated[float | None, typer.Option(
+        callback=checked_step,
         help='Size of a step in the reference, N; the same as --reference step --amplitude')
     ] = None,
     reference: Annotated[str | None, typer.Option(
@@ -43,7 +46,8 @@ def run(
     ] = 'lockstep',
     rate: Annotated[float, typer.Option(
         help='Control rate, Hz; 0: 5000 in lock-step, 1000 in real time')] = 0.0,
-    seed: Annotated[int | None, typer.Option(help='Seed of sensor noise and PRBS', min=0)] = None,
+    seed: Annotated[int | None, typer.Option(
+        help='Seed of sensor noise and PRBS', min=0, max=MOST_SEED)] = None,
     actuator: ParameterFile = None,
     controller: ParameterFile = None,
     set_: Settings = None,
@@ -110,7 +114,7 @@ def import_(
         help='Signal of a column; once for each signal; none for a file of `asi export`')] = None,
     rate: Annotated[float | None, typer.Option(
         help='Sampling rate, Hz, if no column is the time')] = None,
-    skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0)] = 0,
+    skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0, max=10**9)] = 0,
     delimiter: Annotated[str | None, typer.Option(
         help='Delimiter of the cells; default: detected')] = None,
     columns: Annotated[str | None, typer.Option(

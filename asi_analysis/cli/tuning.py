@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from asi_analysis.cli.options import Json, ParameterFile, Report, command, directory, show
+from asi_analysis.cli.options import (
+    MOST_SEED,
+    Json,
+    ParameterFile,
+    Report,
+    command,
+    directory,
+    show,
+)
 from asi_analysis.terminal import bar
 
 
@@ -21,7 +29,7 @@ def tune(
         ] = 800,
     conditions: Annotated[int, typer.Option(
         help='Conditions of the attack on what is found', min=1)] = 300,
-    seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0)] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0, max=MOST_SEED)] = 1,
     out: Annotated[Path | None, typer.Option(
         callback=directory, help='Directory for controller.yaml')] = None,
     report: Report = None,

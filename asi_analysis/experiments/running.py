@@ -56,9 +56,9 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
     """
     experiment = checked(experiment)
     bag = out / 'bag'
+    progress('starting the nodes', None)
     with (_environment() as environment,
           _nodes(experiment, out, environment) as nodes, _watched(environment) as status):
-        progress('starting the nodes', None)
         while nodes['actuator'].poll() is None:
             _raise_if_ended(nodes, out)
             actuator = status()
