@@ -53,12 +53,17 @@ def run(
     set_: Settings = None,
     out: Annotated[Path | None, typer.Option(
         help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
+    in_process: Annotated[bool, typer.Option(
+        '--in-process', help='Compute it in one process, without ROS: the same bag, sooner')
+    ] = False,
     experiment: Annotated[Literal['isolation'] | None, typer.Option(
         help='isolation: two runs that show whether a limit cycle is isolated')] = None,
     as_json: Json = False,
 ) -> None:
     """
     Run one experiment over ROS: start the nodes, record a bag, analyse it.
+
+    With --in-process the nodes are not started, and the bag is the same byte for byte.
 
     Order of precedence, lowest first: parameter files, --set, the other options.
     """
@@ -79,13 +84,17 @@ def run(
     planned = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
                                        rate))
     out = running.directory_of(planned, out)
+    run_one = running.run_experiment
+    if in_process:
+        from asi_analysis.loop.in_process import run_in_process
+        run_one = run_in_process
     try:
         with bar() as progress:
             if experiment:
                 from asi_analysis.limit_cycle.detection.experiment import isolation
-                result: Any = isolation(planned, out, progress)
+                result: Any = isolation(planned, out, progress, run_one)
             else:
-                result = running.summary(planned, running.run_experiment(planned, out, progress))
+                result = running.summary(planned, run_one(planned, out, progress))
     except KeyboardInterrupt:
         if (out / 'bag').exists():
             print(f'asi: what was recorded is in {out / "bag"}', file=sys.stderr)

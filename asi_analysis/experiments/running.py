@@ -78,13 +78,12 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
     return bag
 
 
-def _prepare(experiment: Experiment, out: Path) -> None:
-    """Write the parameter files of the nodes, and experiment.json."""
+def prepare(experiment: Experiment, out: Path) -> None:
+    """Write the parameter files of the nodes, and experiment.json, into an empty directory."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
-        (out / 'log').mkdir()
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
         node = experiment.node_parameters | {'await_recorder': True}
         write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
@@ -143,7 +142,8 @@ def _end_with_parent() -> None:
 def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
            ) -> Iterator[dict[str, subprocess.Popen]]:
     """Start the nodes; at the end, also after an error, end them and wait for that."""
-    _prepare(experiment, out)
+    prepare(experiment, out)
+    (out / 'log').mkdir()
     arguments = {
         'recorder': ['-p', f'output:={out / "bag"}',
                      '-p', f'configuration:={out / "experiment.json"}'],

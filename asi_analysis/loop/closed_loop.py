@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
@@ -57,13 +57,13 @@ class Loops(NamedTuple):
 
 
 @jit
-def _close_last(state, p, c, r, period, ticks, out):
-    """Run a loop for `ticks` control periods; fill `out` with the last of them."""
+def _close_last(state, p, c, r, period, first, ticks, out):
+    """Run a loop for `ticks` control periods after `first`; fill `out` with the last of them."""
     steady = prepare(p, period)
     skipped = ticks - out.shape[1]
     for tick in range(ticks):
         force, valve, position, velocity = measure(state, p)
-        reference = reference_force(tick * period, r)
+        reference = reference_force((first + tick) * period, r)
         command = compensate(c, reference, force, velocity)
         k = tick - skipped
         if k >= 0:
@@ -77,20 +77,21 @@ def _close_last(state, p, c, r, period, ticks, out):
 
 
 @jit
-def close_loop(state, p, c, r, period, out):
+def close_loop(state, p, c, r, period, first, out):
     """
     Run a loop and fill `out` (6 signals of LoopRun x control periods).
 
     state, p, c, r: records of the actuator, advanced in place, its parameters, compensator and
-    reference; period: s.
+    reference; period: s; first: control periods so far, for the time of the reference.
     """
-    _close_last(state, p, c, r, period, out.shape[1], out)
+    _close_last(state, p, c, r, period, first, out.shape[1], out)
 
 
 @jit
 def _close_block(states, plants, compensators, references, period, ticks, out):
     for i in range(states.size):
-        _close_last(states[i], plants[i], compensators[i], references[i], period, ticks, out[i])
+        _close_last(states[i], plants[i], compensators[i], references[i], period, 0, ticks,
+                    out[i])
 
 
 def close_many(loops: Loops, duration_s: float, last_s: float | None = None
@@ -154,10 +155,19 @@ def simulate_loop(actuator: Values, controller: Values, duration_s: float,
     actuator, controller: parameters by name, the rest at their defaults; the controller's are
     those of compensator and reference. Raises ParameterError for one that is not allowed.
     """
+    ticks = math.ceil(duration_s * rate_hz - 1e-9)
+    return next(loop_pieces(actuator, controller, ticks, rate_hz, ticks))
+
+
+def loop_pieces(actuator: Values, controller: Values, ticks: int, rate_hz: float, length: int
+                ) -> Iterator[LoopRun]:
+    """Yield the run of `simulate_loop` in pieces of up to `length` control periods."""
     check_period(1.0 / rate_hz)
-    out = np.empty((6, math.ceil(duration_s * rate_hz - 1e-9)))
-    close_loop(rest(), *records(actuator, controller, rate_hz), 1.0 / rate_hz, out)
-    return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
+    state, loop = rest(), records(actuator, controller, rate_hz)
+    for first in range(0, max(ticks, 1), max(length, 1)):
+        out = np.empty((6, min(length, ticks - first)))
+        close_loop(state, *loop, 1.0 / rate_hz, first, out)
+        yield LoopRun((first + np.arange(out.shape[1])) / rate_hz, *out)
 
 
 if __name__ == '__main__':
