@@ -326,3 +326,15 @@ def test_what_needs_nodes_is_refused_in_one_process(arguments, said, tmp_path, m
     assert cli.main() == 2
     message = capsys.readouterr().err
     assert said in message and len(message.splitlines()) == 1 and not (tmp_path / 'out').exists()
+
+
+def test_ctrl_c_ends_a_compilation(tmp_path):
+    """LLVM compiles the loop for many seconds, in which Python handles no signal."""
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'asi_analysis.cli', 'attribute'], stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT), 'NUMBA_CACHE_DIR': str(tmp_path)})
+    wait_until(lambda: any(tmp_path.rglob('*.nbi')), 'the first compiled function')
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=PATIENCE_S)[1] == 'asi: interrupted\n'
+    assert process.returncode == 130
+    assert not list(tmp_path.rglob('*_close_block*')), 'it went on to compile'
