@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from asi_analysis.limit_cycle.prediction.predict import predict_cycles as predict_cycles
     from asi_analysis.limit_cycle.quench.answer import quench_cycles as quench_cycles
     from asi_analysis.loop.in_process import simulate as simulate
+    from asi_analysis.loop.sweep import sweep as sweep
     from asi_analysis.measures.analysis import analyze as analyze
     from asi_analysis.measures.analysis import oscillation as oscillation
     from asi_analysis.measures.frequency_response import frequency_response as frequency_response
@@ -64,6 +65,7 @@ _HOME = {
     'tune_controller': 'tuning.answer',
     'simulate': 'loop.in_process',
     'step_response': 'measures.step_response',
+    'sweep': 'loop.sweep',
     'write_bag': 'bags.bag',
 }
 __all__ = list(_HOME)

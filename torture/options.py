@@ -42,6 +42,8 @@ VALUES: Final = (
     '{}', '\u202e1', '\x00')
 # Texts with numbers in them, {} stands for one; --set is tried with each parameter.
 TEXTS: Final = {'steps': ('{}', '100,{}'), 'rates': ('{}', '5000,{}'),
+                'springs': ('{}', '1e5,{}'),
+                'over': ('controller.gain={}', 'controller.gain=1:{}:3', 'load.mass=1:2:{}'),
                 'front': ('load.mass={}', 'load.mass=0.5,{}'),
                 'map_': ('reference=force_n*{}', 'reference=force_n+{}', 'reference=force_n[{}]')}
 # What a call needs to be complete, and soon over where a value is accepted.
@@ -51,7 +53,8 @@ NEEDED: Final = {
     'limit-cycle': ['--check', '1'],
     'quench': ['--out', 'new'], 'demo': ['--out', 'new'], 'calibrate': ['--out', 'new'],
     'ensemble': ['--out', 'new', '--pictures', 'new'], 'gap of': ['bag'],
-    'gap check': ['--out', 'new']}
+    'gap check': ['--out', 'new'], 'compare': ['lead4'],
+    'sweep': ['--over', 'controller.feedforward=1']}
 FILES: Final = ('bag:', 'table.csv')   # what a refusal may name instead of an option
 # One call of so many computes.
 COMPUTED: Final = 20

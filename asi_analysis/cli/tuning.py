@@ -1,4 +1,4 @@
-"""Command of the design of the controller: tune."""
+"""Commands of the design of the controller: tune, compare, sweep."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,9 +7,16 @@ import typer
 
 from asi_analysis.cli.options import (
     MOST_SEED,
+    Compensator,
+    Dask,
+    Gain,
+    Jobs,
     Json,
     ParameterFile,
+    Rate,
     Report,
+    Settings,
+    checked_step,
     command,
     directory,
     show,
@@ -52,3 +59,46 @@ def tune(
     show(result, as_json)
     if result.sustained_found:
         raise typer.Exit(1)
+
+
+@command('sweep', 'asi sweep --over controller.gain=1:10:10 --step 300 --csv gains.csv')
+def sweep(
+    over: Annotated[list[str], typer.Option(
+        '--over', metavar='NODE.NAME=VALUES',
+        help='Values of a parameter, A,B,C or START:STOP:COUNT; may be repeated, for a grid')],
+    compensator: Compensator = None,
+    gain: Gain = None,
+    step: Annotated[float, typer.Option(
+        callback=checked_step, help='Size of the step in the reference, N')] = 100.0,
+    load: Annotated[str | None, typer.Option(help='locked, spring, free or prescribed')] = None,
+    duration: Annotated[float, typer.Option(help='Length of each run, s')] = 0.5,
+    rate: Rate = 5000.0,
+    actuator: ParameterFile = None,
+    controller: ParameterFile = None,
+    set_: Settings = None,
+    csv: Annotated[Path | None, typer.Option(help='CSV file to write the table to')] = None,
+    bags: Annotated[Path | None, typer.Option(
+        callback=directory, help='Directory for a bag of each run, that of `asi run`')] = None,
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Compute the step figures of a grid of parameters, without ROS.
+
+    The loops are computed on all cores; with --jobs the measuring and writing too.
+    """
+    from asi_analysis.experiments.experiment import gather
+    from asi_analysis.loop.sweep import grid
+    from asi_analysis.loop.sweep import sweep as run_sweep
+    from asi_analysis.parallel import workers
+    values = gather({'actuator': actuator, 'controller': controller}, set_ or [], {
+        'actuator': {'load.type': load},
+        'controller': {'compensator': compensator, 'gain': gain, 'reference.shape': 'step',
+                       'reference.amplitude': step}}, duration)
+    with workers(jobs, dask), bar() as progress:
+        result = run_sweep(grid(over), values['actuator'], values['controller'], duration, rate,
+                           bags=bags, progress=progress)
+        if csv:
+            result.write_csv(csv)
+    show(result, as_json)
