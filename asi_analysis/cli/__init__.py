@@ -5,11 +5,16 @@ Modules are imported when a command needs them. A new command is one function wi
 module of its group; exceptions become exit statuses (see `main`).
 """
 
+import os
 import sys
 import warnings
 from typing import Any
 
 import typer
+
+# The matrices are small: threads of the linear algebra only wait for each other (--jobs takes
+# processes). Set before numpy is imported.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 # Importing a group adds its commands, in the order of the help.
 from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning  # noqa: F401

@@ -33,6 +33,9 @@ def limit_cycle(
         help='Bags of the same loop, analysed together')] = None,
     signal: Annotated[str | None, typer.Option(
         help='Signal to analyse; default: the force, or else the first signal')] = None,
+    undriven: Annotated[bool, typer.Option(
+        '--undriven', help='Nothing drove the recording from outside: for one without a reference')
+    ] = False,
     report: Report = None,
     check: Annotated[int | None, typer.Option(
         min=1, help='Instead of a bag: number of synthetic signals of each class')] = None,
@@ -55,7 +58,7 @@ def limit_cycle(
         progress('reading', None)
         runs = [read_bag(bag) for bag in bags]
         progress('analysing', None)
-        result = detect_limit_cycles(runs, signal)
+        result = detect_limit_cycles(runs, signal, undriven)
         if report:
             result.write_report(report)
     show(result, as_json)
