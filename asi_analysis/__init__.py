@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from asi_analysis.paper.reproduction.answer import reproduce_paper as reproduce_paper
     from asi_analysis.reporting.result import Result as Result
     from asi_analysis.tuning.answer import tune_controller as tune_controller
+    from asi_analysis.tuning.compare import compare_controllers as compare_controllers
 
 # Public name -> the module that defines it.
 _HOME = {
@@ -51,6 +52,7 @@ _HOME = {
     'analyze': 'measures.analysis',
     'attribute_cycle': 'limit_cycle.attribution.recording',
     'attribute_model': 'limit_cycle.attribution.ablation',
+    'compare_controllers': 'tuning.compare',
     'detect_limit_cycles': 'limit_cycle.detection.answer',
     'diagnose': 'gap.answer.command',
     'export': 'bags.exchange.exporting',

@@ -1,5 +1,7 @@
 """Commands of the design of the controller: tune, compare, sweep."""
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +21,7 @@ from asi_analysis.cli.options import (
     checked_step,
     command,
     directory,
+    numbers,
     show,
 )
 from asi_analysis.terminal import bar
@@ -59,6 +62,49 @@ def tune(
     show(result, as_json)
     if result.sustained_found:
         raise typer.Exit(1)
+
+
+@command('compare', 'asi compare lead4 config/force_control.yaml --report runs/compare')
+def compare(
+    what: Annotated[list[str], typer.Argument(
+        help='Compensators by name, parameter files of controllers (.yaml), and bags')],
+    actuator: ParameterFile = None,
+    set_: Settings = None,
+    rates: Annotated[str, typer.Option(
+        help='Control rates, Hz; noise, plants and springs are at the first')] = '5000,2000,1000',
+    springs: Annotated[str, typer.Option(
+        help="Springs as load, N/m, and a free load; '': none")] = '1e4,1e5,1e6',
+    plants: Annotated[int, typer.Option(
+        help='Actuators with errors of up to 20 %', min=0, max=10_000)] = 12,
+    noise: Annotated[float, typer.Option(
+        help='Noise of the force sensor, N rms; 0: none', min=0.0, max=1e4)] = 1.0,
+    seed: Annotated[int, typer.Option(help='Seed of the plants', min=0, max=MOST_SEED)] = 1,
+    markdown: Annotated[Path | None, typer.Option(
+        help='File for the tables as Markdown')] = None,
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Compare controllers, simulated in many conditions, and recordings.
+
+    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on both cores.
+    """
+    from asi_analysis.experiments.experiment import gather
+    from asi_analysis.tuning.compare import compare_controllers, read_compared
+    values = gather({'actuator': actuator}, set_ or [], {}, 1.0)
+    with bar() as progress:
+        progress('reading', None)
+        controllers, recordings = read_compared(what)
+        result = compare_controllers(
+            {name: {**each, **values['controller']} for name, each in controllers.items()},
+            recordings, values['actuator'], numbers('--rates', rates),
+            numbers('--springs', springs), plants, noise, seed, progress)
+        if report:
+            progress('report', None)
+            result.write_report(report)
+        if markdown:
+            result.write_markdown(markdown, shlex.join(['asi', *sys.argv[1:]]))
+    show(result, as_json)
 
 
 @command('sweep', 'asi sweep --over controller.gain=1:10:10 --step 300 --csv gains.csv')

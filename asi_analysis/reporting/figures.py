@@ -9,7 +9,7 @@ import io
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -210,4 +210,40 @@ def hysteresis_loop(command: Array, valve_position: Array, straight: tuple[float
         axes.set(xlabel='valve command (N)', ylabel='valve position (µm)')
         axes.xaxis.set_major_locator(MaxNLocator(7))
         axes.legend(loc='upper left')
+        return figure
+
+
+class Panel(NamedTuple):
+    """Curves over each other: label -> x and y."""
+
+    title: str
+    x: str
+    y: str
+    lines: Mapping[str, tuple[Array, Array]]
+    logarithmic: bool = False   # x
+
+
+def overlays(panels: Sequence[Panel], columns: int = 1) -> Figure:
+    """Draw panels with one legend; a label has the same line in each, 'reference' a dashed one."""
+    rows = -(-len(panels) // columns)
+    labels = [label for label in dict.fromkeys(label for panel in panels for label in panel.lines)
+              if label != 'reference']
+    with style():
+        figure = _figure(0.6 + 2.3 * rows)
+        for panel, axes in zip(panels, np.ravel(figure.subplots(rows, columns, squeeze=False)),
+                               strict=False):
+            for label, (x, y) in panel.lines.items():
+                if label == 'reference':
+                    axes.plot(x, y, color='black', linewidth=0.9, linestyle='--', label=label)
+                    continue
+                number = labels.index(label)
+                axes.plot(x, y, color=COLOURS[number % len(COLOURS)], linewidth=1.1, label=label,
+                          linestyle=('-', '-.', ':')[number // len(COLOURS) % 3])
+            axes.set(xlabel=panel.x, ylabel=panel.y)
+            axes.set_title(panel.title)
+            if panel.logarithmic:
+                axes.set_xscale('log')
+        handles = {text: handle for axes in figure.axes for handle, text in zip(
+            *axes.get_legend_handles_labels(), strict=True)}
+        figure.legend(list(handles.values()), list(handles), loc='outside upper center', ncols=2)
         return figure
