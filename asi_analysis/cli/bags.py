@@ -105,12 +105,15 @@ def run(
 @command('analyze', 'asi analyze runs/demo/lead_lag/bag')
 def analyze(
     bag: Bag,
+    signal: Annotated[str | None, typer.Option(
+        help='Signal to measure, as position; default: the one that the reference controls')
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Measure step response, bandwidth and oscillation of a recorded run."""
+    """Measure step response, bandwidth, delay and oscillation of a recorded run."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.measures.analysis import analyze as analyze_run
-    show(analyze_run(read_bag(bag)), as_json)
+    show(analyze_run(read_bag(bag), signal), as_json)
 
 
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')

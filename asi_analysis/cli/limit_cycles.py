@@ -32,7 +32,8 @@ def limit_cycle(
     bags: Annotated[list[Path] | None, typer.Argument(
         help='Bags of the same loop, analysed together')] = None,
     signal: Annotated[str | None, typer.Option(
-        help='Signal to analyse; default: the force, or else the first signal')] = None,
+        help='Signal to analyse, as position or pressure; default: the one that the reference '
+             'controls, or else the force')] = None,
     undriven: Annotated[bool, typer.Option(
         '--undriven', help='Nothing drove the recording from outside: for one without a reference')
     ] = False,

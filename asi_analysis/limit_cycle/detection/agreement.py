@@ -33,7 +33,7 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
     """
     Return the segments of a run, each with its verdict, in chronological order.
 
-    name: signal to analyse, by default the first of RESPONSES. undriven: nothing drove the run
+    name: signal to analyse, by default as `response_of`. undriven: nothing drove the run
     from outside, although no reference shows it. Raises InputError if the signal is absent.
     """
     found = judge_once(run, name)

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy import integrate, stats
 
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import OUTPUTS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
@@ -29,7 +29,6 @@ from asi_analysis.measures.sinusoid import (
     valid_samples,
 )
 
-RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
 FEWEST_CYCLES: Final = 3.0
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
@@ -106,9 +105,10 @@ class _Piece(NamedTuple):
 
 
 def response_of(run: Run, name: str | None = None) -> tuple[str, Array]:
-    """Return name and values of the signal to analyse, by default the first of RESPONSES."""
+    """Return name and values of the signal to analyse; default: the controlled, or of OUTPUTS."""
     present = run.signals()
-    candidates = [name] if name else [*RESPONSES, 'reference']
+    first = [] if run.reference_n is None else [run.controlled()]
+    candidates = [name] if name else [*first, *OUTPUTS, 'reference']
     for candidate in candidates:
         if candidate in present and np.isfinite(present[candidate]).sum() > 1:
             return candidate, present[candidate]
@@ -120,7 +120,7 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     """
     Return the segments of a run, each with its verdict, in chronological order, by one pass.
 
-    name: signal to analyse, by default the first of RESPONSES. Raises InputError if it is absent.
+    name: signal to analyse, by default as `response_of`. Raises InputError if it is absent.
     """
     chosen, values = response_of(run, name)
     time_s, values = valid_samples(run.time_s, values)
