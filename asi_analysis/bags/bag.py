@@ -86,7 +86,7 @@ def read_bag(path: str | Path) -> Run:
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
-    return _assemble(series, changes, str(path), contents.information)
+    return assemble(series, changes, str(path), contents.information)
 
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
@@ -199,7 +199,7 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
     return changes
 
 
-def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
+def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
               information: dict[str, Any]) -> Run:
     """Return the run: the topics aligned to one time base."""
     base = time_base(next(series[name] for name in (*TIME_BASES, *SIGNAL_TOPICS)

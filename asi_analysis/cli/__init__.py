@@ -17,7 +17,7 @@ import typer
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 # Importing a group adds its commands, in the order of the help.
-from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning  # noqa: F401
+from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning, viewing  # noqa: F401
 from asi_analysis.cli.interrupt import end_while_compiling
 from asi_analysis.cli.options import app as app
 from asi_analysis.errors import InputError

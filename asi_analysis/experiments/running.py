@@ -132,7 +132,7 @@ def reserve(name: str) -> socket.socket | None:
     return claim
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Let Linux send SIGINT to this node when the process that started it dies."""
     if sys.platform == 'linux':
         LIBC.prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
@@ -158,7 +158,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
                 nodes[name] = subprocess.Popen(
                     [sys.executable, '-m', module, '--ros-args', *arguments[name]],
                     stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                    env=dict(environment), start_new_session=True, preexec_fn=_end_with_parent)
+                    env=dict(environment), start_new_session=True, preexec_fn=end_with_parent)
         yield nodes
     finally:
         _stop(nodes)

@@ -1,0 +1,35 @@
+"""Commands that show a loop: live."""
+
+import os
+from typing import Annotated
+
+import typer
+
+from asi_analysis.cli.options import command
+from asi_analysis.errors import InputError
+
+
+@command('live', 'asi live --simulate')
+def live(
+    simulate: Annotated[bool, typer.Option(
+        '--simulate', help='Start a simulated actuator and a controller too')] = False,
+    port: Annotated[int, typer.Option(help='Port of 127.0.0.1', min=1, max=65535)] = 8080,
+    namespace: Annotated[str, typer.Option(help='Namespace of the loop, as /left')] = '',
+    browser: Annotated[bool, typer.Option(help='Open the page in the browser')] = True,
+) -> None:
+    """
+    Show the running loop in the browser: signals, every parameter, recording, questions.
+
+    It hears the nodes of ROS_DOMAIN_ID, and ends with Ctrl-C.
+    """
+    try:
+        import nicegui  # noqa: F401
+    except ImportError:
+        raise InputError('asi live needs NiceGUI: pip install "asi_actuator[live]"') from None
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    import rclpy
+
+    from asi_analysis.viewing.page import serve
+    from asi_common.node.executor import choose_transport
+    choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
+    serve(port, namespace, simulate, browser)
