@@ -53,7 +53,7 @@ NEEDED: Final = {
     'limit-cycle': ['--check', '1'],
     'quench': ['--out', 'new'], 'demo': ['--out', 'new'], 'calibrate': ['--out', 'new'],
     'ensemble': ['--out', 'new', '--pictures', 'new'], 'gap of': ['bag'],
-    'gap check': ['--out', 'new'], 'compare': ['lead4'],
+    'gap check': ['--out', 'new'], 'live': ['--no-browser'], 'compare': ['lead4'],
     'sweep': ['--over', 'controller.feedforward=1']}
 FILES: Final = ('bag:', 'table.csv')   # what a refusal may name instead of an option
 # One call of so many computes.

@@ -7,6 +7,7 @@ import typer
 
 from asi_analysis.cli.options import command
 from asi_analysis.errors import InputError
+from asi_analysis.terminal import bar
 
 
 @command('live', 'asi live --simulate')
@@ -26,10 +27,12 @@ def live(
         import nicegui  # noqa: F401
     except ImportError:
         raise InputError('asi live needs NiceGUI: pip install "asi_actuator[live]"') from None
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    import rclpy
+    with bar() as progress:
+        progress('starting', None)
+        import rclpy
 
-    from asi_analysis.viewing.page import serve
-    from asi_common.node.executor import choose_transport
+        from asi_analysis.viewing.page import serve
+        from asi_common.node.executor import choose_transport
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
     serve(port, namespace, simulate, browser)
