@@ -24,6 +24,7 @@ from asi_analysis.tuning.figures import (
     held_figures,
     missed,
     responses,
+    step_figures,
 )
 from asi_analysis.tuning.overlays import recorded, simulated
 from asi_common.files import write_text
@@ -80,6 +81,8 @@ class Comparison(Result):
                 [row['text'], filled('{goal:.3g}', row), row['unit'],
                  *(row[name] for name in self.controllers)] for row in found.values()],
                 condition, ['to reach', *self.controllers])
+            if condition == self['figures'][0]['condition']:
+                yield self._steps(condition)
         if self['recordings']:
             names = [each['source'] for each in self['recordings']]
             yield Table(['', '', *names], [
@@ -88,6 +91,17 @@ class Comparison(Result):
                   for key, text, unit, factor in RECORDED),
                 ['oscillation', '', *(in_words(each['oscillation'])
                                       for each in self['recordings'])]], 'recordings', names)
+
+    def _steps(self, condition: str) -> Table:
+        sizes: dict[float, list[str]] = {}
+        for each in self['steps']:
+            sizes.setdefault(each['size_n'], []).append(filled(
+                ('over ' if each['settling_s'] >= STEP_S else '') + '{settling_s:.3g} s, '
+                '{overshoot_percent:.2g} %, {steady_state_error_n:.2g} N', each))
+        return Table(['step', *self.controllers],
+                     [[f'{size:g} N', *cells] for size, cells in sizes.items()],
+                     f'settling to 2 %, overshoot and steady-state error {condition}',
+                     ['step', *self.controllers])
 
     def markdown(self) -> str:
         """Return the tables as Markdown; what is not reached is bold."""
@@ -156,6 +170,8 @@ def compare_controllers(
     return Comparison({
         'controllers': list(controllers), 'rates_hz': list(rates_hz), 'plants': plants,
         'noise_n': noise_n, 'figures': rows,
+        'steps': [{'controller': name, **step._asdict()} for name, runs in nominal.items()
+                  for step in step_figures(runs.steps, rates_hz[0])],
         'recordings': [_recording(name, run) for name, run in runs_.items()],
     }, responses=nominal, runs=runs_)
 

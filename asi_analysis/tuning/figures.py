@@ -140,14 +140,30 @@ def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0,
             'noise_gain': float(np.std(noisy[len(noisy) // 2:]) / NOISE_N)}
 
 
-def _steps(runs: Array, rate_hz: float) -> dict[str, float]:
-    settling, overshoot, error = [], [], []
-    for run, size in zip(runs, SIZES_N, strict=True):
+class Step(NamedTuple):
+    """Figures of a step: until it stays within 2 % of the reference, s, and beyond it, %."""
+
+    size_n: float
+    settling_s: float
+    overshoot_percent: float
+    steady_state_error_n: float
+
+
+def step_figures(steps: Array, rate_hz: float) -> list[Step]:
+    """Return the figures of each step of `held`; one that does not settle takes STEP_S."""
+    found = []
+    for run, size in zip(steps, SIZES_N, strict=True):
         force = run[2, round(BEFORE_S * rate_hz):]
         outside = np.flatnonzero(np.abs(force - size) > 0.02 * size)
-        settling.append((outside[-1] + 1) / rate_hz if len(outside) else 0.0)
-        overshoot.append(100.0 * max(force.max() / size - 1.0, 0.0))
-        error.append(abs(size - force[-len(force) // 5:].mean()))
+        found.append(Step(
+            size, float(outside[-1] + 1) / rate_hz if len(outside) else 0.0,
+            float(100.0 * max(force.max() / size - 1.0, 0.0)),
+            float(abs(size - force[-len(force) // 5:].mean()))))
+    return found
+
+
+def _steps(runs: Array, rate_hz: float) -> dict[str, float]:
+    _, settling, overshoot, error = zip(*step_figures(runs, rate_hz), strict=True)
     return {'settling_median_s': float(np.median(settling)), 'settling_worst_s': max(settling),
             'overshoot_percent': max(overshoot), 'steady_state_error_n': max(error)}
 
