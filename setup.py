@@ -49,13 +49,15 @@ setup(
     extras_require={
         'cluster': ['dask', 'distributed'],
         'pandas': ['pandas>=2.0'],   # to_frame() of results and runs
+        'live': ['nicegui>=3.18'],
+        'view': ['rerun-sdk>=0.41'],
         # What `make bench` compares with, over what the tests need.
         'bench': ['mujoco', 'mcap-ros2-support'],
         # What `make docs` builds the documents with.
         'docs': ['sphinx>=8', 'myst-nb>=1.2', 'furo', 'sphinxcontrib-mermaid>=1.0'],
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'control', 'colcon-common-extensions',
                  'ruff', 'mypy', 'import-linter>=2.0', 'types-PyYAML', 'dask', 'distributed',
-                 'pandas>=2.0'],
+                 'pandas>=2.0', 'nicegui>=3.18'],
     },
     zip_safe=True,
     maintainer='asi_actuator maintainers',

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from asi_analysis.limit_cycle.prediction.predict import predict_cycles as predict_cycles
     from asi_analysis.limit_cycle.quench.answer import quench_cycles as quench_cycles
     from asi_analysis.loop.in_process import simulate as simulate
+    from asi_analysis.loop.sweep import sweep as sweep
     from asi_analysis.measures.analysis import analyze as analyze
     from asi_analysis.measures.analysis import oscillation as oscillation
     from asi_analysis.measures.frequency_response import frequency_response as frequency_response
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from asi_analysis.paper.reproduction.answer import reproduce_paper as reproduce_paper
     from asi_analysis.reporting.result import Result as Result
     from asi_analysis.tuning.answer import tune_controller as tune_controller
+    from asi_analysis.tuning.compare import compare_controllers as compare_controllers
 
 # Public name -> the module that defines it.
 _HOME = {
@@ -50,6 +52,7 @@ _HOME = {
     'analyze': 'measures.analysis',
     'attribute_cycle': 'limit_cycle.attribution.recording',
     'attribute_model': 'limit_cycle.attribution.ablation',
+    'compare_controllers': 'tuning.compare',
     'detect_limit_cycles': 'limit_cycle.detection.answer',
     'diagnose': 'gap.answer.command',
     'export': 'bags.exchange.exporting',
@@ -64,6 +67,7 @@ _HOME = {
     'tune_controller': 'tuning.answer',
     'simulate': 'loop.in_process',
     'step_response': 'measures.step_response',
+    'sweep': 'loop.sweep',
     'write_bag': 'bags.bag',
 }
 __all__ = list(_HOME)

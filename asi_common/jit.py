@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numba
+from numba.core import event
 
 from asi_common.jit_cache import cache_folder
 
@@ -22,6 +23,27 @@ jit = numba.njit(cache=_FOLDER is not None, error_model='numpy', nogil=True)
 # For functions of a sub-step: LLVM by itself does not inline them, and passing their many
 # arguments takes a tenth of the time.
 inlined = numba.njit(cache=_FOLDER is not None, error_model='numpy', nogil=True, forceinline=True)
+
+
+class _Compiling(event.Listener):
+    """Counts the compilations that go on; one may begin another."""
+
+    number = 0
+
+    def on_start(self, event: Any) -> None:
+        self.number += 1
+
+    def on_end(self, event: Any) -> None:
+        self.number -= 1
+
+
+_compiling: Final = _Compiling()
+event.register('numba:compile', _compiling)
+
+
+def compiling() -> bool:
+    """Return whether numba compiles in this process now."""
+    return _compiling.number > 0
 
 
 def compiled_for(function: Any, *arguments: object) -> Callable[..., Any]:

@@ -19,7 +19,7 @@ from asi_common.parameter import ParameterError, Value
 TRUE: Final = frozenset('Y y yes Yes YES true True TRUE on On ON'.split())
 FALSE: Final = frozenset('N n no No NO false False FALSE off Off OFF'.split())
 INTEGER: Final = re.compile(
-    r'[+-]?(?:0[xX](?P<hex>[0-9a-fA-F]+)|(?P<octal>0[0-7]+)|0|[1-9][0-9]*)')
+    r'[+-]?(?:0[xX](?P<hex>[0-9a-fA-F]+)|(?P<octal>0[0-7]+)|0|[1-9][0-9]{0,18})')
 FLOAT: Final = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?')
 NOT_FINITE: Final = re.compile(r'[+-]?\.?(nan|inf|infinity)', re.IGNORECASE)
 

@@ -51,6 +51,8 @@ TOPICS: Final[Mapping[str, TopicRow]] = {row.name: row for row in (
              {'reference': 'value'}),
     TopicRow('reference', 'std_msgs/msg/Float64', '',
              'reference of a recording that controls no force', {'reference': 'value'}),
+    TopicRow('pressure', 'std_msgs/msg/Float64', '',
+             'pressure of a recording, Pa', {'pressure': 'value'}),
     TopicRow('valve_command', 'geometry_msgs/msg/WrenchStamped', 'controller',
              '`force.x`: valve command N; its stamp is that of the state it answers',
              {'command': 'value'}),

@@ -1,5 +1,5 @@
 """
-Recording and reading of bags: rate without loss, processor time, and time to read.
+Bags: rate without loss, processor time, time to read, and speed without ROS.
 
 Recording: a replay publishes the six topics of the loop at a constant rate and the recorder writes
 them. Reading: a cached bag into a `Run`, compared with deserialising each message by rosbags and
@@ -25,6 +25,9 @@ from rosbags.typesys import Stores, get_typestore
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_file import Topic, read_contents
 from asi_analysis.bags.run import Run
+from asi_analysis.experiments.experiment import planned
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.in_process import run_in_process
 from bench.result import Result, ratios
 
 ROOT: Final = Path(__file__).parents[1]
@@ -149,8 +152,27 @@ def reading(seconds: int, rounds: int) -> list[Result]:
     return results
 
 
+def in_process(seconds: float, rounds: int) -> list[Result]:
+    """Return how fast `asi run --in-process` computes and writes, and its part for the model."""
+    experiment = planned({}, {'compensator': 'lead4'}, seconds, 'lockstep', 5000.0)
+    rates: dict[str, list[float]] = {'bag': [], 'model': []}
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(rounds):
+            begin = time.perf_counter()
+            run_in_process(experiment, Path(folder) / str(number))
+            middle = time.perf_counter()
+            simulate_loop(experiment.actuator, experiment.controller, seconds)
+            rates['bag'].append(seconds / (middle - begin))
+            rates['model'].append(seconds / (time.perf_counter() - middle))
+    ratio, spread = ratios(rates['bag'], rates['model'])
+    return [Result('recording.in_process', f'asi run --in-process, {seconds:g} s at 5 kHz and its '
+                   'bag, simulated seconds a second; ratio: to the loop without the bag',
+                   statistics.median(rates['bag']), 's/s', spread,
+                   f'loop alone, {statistics.median(rates["model"]):.0f} s/s', ratio)]
+
+
 def measure(quick: bool = False) -> list[Result]:
     """Return the results of recording and reading."""
     if quick:
-        return recording(RATES_HZ[:1]) + reading(10, 1)
-    return recording(RATES_HZ) + reading(60, 3) + reading(600, 1)
+        return recording(RATES_HZ[:1]) + reading(10, 1) + in_process(1.0, 1)
+    return recording(RATES_HZ) + reading(60, 3) + reading(600, 1) + in_process(60.0, 5)

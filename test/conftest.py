@@ -13,6 +13,9 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+# As the `asi` command does, before numpy is imported.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
 from asi_analysis.experiments.running import reserve
 
 ROOT = Path(__file__).parents[1]

@@ -2,14 +2,21 @@
 
 import json
 import re
+import shlex
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 import yaml
+from conftest import Listener, NodeProcess, wait_until
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
 
-from asi_common.node.diagnostics import LOOP, STATE
+from asi_common.node import messages as wire
 from asi_common.node.topics import message_class
 from asi_common.topics import FRAME, JOINTS, TOPICS
 
@@ -64,11 +71,57 @@ def test_the_joints_and_the_frame_of_the_topics_are_in_one_tree() -> None:
     assert topics == ['force'] and set(topics) <= set(TOPICS)
 
 
-def test_the_analyzers_take_every_status_of_the_nodes() -> None:
-    analyzers = yaml.safe_load((CONFIG / 'diagnostic_aggregator.yaml').read_text())[
-        'analyzers']['ros__parameters']
-    prefixes = {analyzer['contains'][0]: analyzer['num_items'] for analyzer in analyzers.values()
-                if isinstance(analyzer, dict)}
-    published = ['asi_actuator' + LOOP, 'asi_actuator' + STATE, 'asi_controller' + LOOP]
-    assert {prefix: sum(prefix in name for name in published) for prefix in prefixes} == prefixes
-    assert all(any(prefix in name for prefix in prefixes) for name in published)
+def test_the_analyzers_take_every_status_of_the_nodes(
+        start_node: Callable[..., NodeProcess], ros_node: Any) -> None:
+    """As diagnostic_aggregator does: `contains` is part of the name, `num_items` their number."""
+    given = yaml.safe_load((CONFIG / 'diagnostic_aggregator.yaml').read_text())['analyzers']
+    analyzers = {name: each for name, each in given['ros__parameters'].items()
+                 if isinstance(each, dict)}
+    heard = Listener(ros_node, DiagnosticArray, '/diagnostics')
+    start_node('asi_actuator.actuator_node', mode='realtime', rate_hz=200.0)
+    start_node('asi_controller.controller_node', mode='realtime', rate_hz=200.0)
+    wait_until(lambda: {'asi_actuator', 'asi_controller'} <= {
+        status.hardware_id for message in heard.messages for status in message.status}, 'both')
+    heard.wait(5)
+    names = {status.name for message in heard.messages for status in message.status}
+    taken = {name: [status for status in names if any(part in status for part in each['contains'])]
+             for name, each in analyzers.items()}
+    assert {name: len(found) for name, found in taken.items()} == {
+        name: each['num_items'] for name, each in analyzers.items()}
+    assert set().union(*taken.values()) == names
+    assert all(status.startswith(tuple(analyzers[name]['remove_prefix']))
+               for name, found in taken.items() for status in found)
+
+
+def test_a_command_of_ros2_control_arrives_as_the_desired_force() -> None:
+    """
+    The messages of joint_state_topic_hardware_interface, through the expression for topic_tools.
+
+    The plugin names all joints, and appends an effort for those alone that have the interface.
+    """
+    system = ElementTree.parse(CONFIG / 'ros2_control.xacro').getroot()
+    given = {param.get('name'): param.text for param in system.iter('param')}
+    text = (CONFIG / 'ros2_control.yaml').read_text()
+    command, = (line for line in text.splitlines() if 'ros2 run topic_tools transform' in line)
+    source, target, type_, expression, _, *modules = shlex.split(command)[5:]
+    assert given == {'joint_states_topic': '/joint_states', 'joint_commands_topic': source,
+                     'trigger_joint_command_threshold': '-1'}
+    assert TOPICS[target.strip('/')].type == type_
+    joints = {joint.get('name'): {each.get('name') for each in joint.iter('command_interface')}
+              for joint in system.iter('joint')}
+    assert set(joints) == set(JOINTS)
+    controllers = yaml.safe_load(text)
+    commanded = controllers['force']['ros__parameters']
+    sent = JointState(name=list(joints))
+    sent.header.stamp.sec = 7
+    for name, interfaces in joints.items():
+        if interfaces:
+            assert commanded == {'joints': [name], 'interface_name': min(interfaces)}
+            sent.effort.append(123.0)
+    received = eval(expression, {module: import_module(module) for module in modules}
+                    | {'m': sent})
+    assert wire.force(serialize_message(received)) == (7_000_000_000, 123.0)
+    # What the plugin reads: every joint has all three numbers.
+    state = deserialize_message(wire.state(0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)[0], JointState)
+    assert set(joints) <= set(state.name)
+    assert {len(state.position), len(state.velocity), len(state.effort)} == {len(state.name)}

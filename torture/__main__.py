@@ -18,6 +18,7 @@ from torture.frames import frames
 from torture.inputs import inputs
 from torture.lockstep import lockstep
 from torture.messages import messages
+from torture.options import options
 from torture.parameters import parameters
 from torture.processes import processes
 from torture.rig import NotThere, Rig, Tally
@@ -26,8 +27,8 @@ from torture.watchdogs import watchdogs
 
 # Share of the time that each gets.
 SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
-    watchdogs: 0.05, processes: 0.2, frames: 0.15, messages: 0.1, parameters: 0.1, bags: 0.05,
-    disk: 0.05, clocks: 0.05, lockstep: 0.1, soak: 0.05, inputs: 0.1,
+    watchdogs: 0.05, processes: 0.15, frames: 0.1, messages: 0.1, parameters: 0.1, bags: 0.05,
+    disk: 0.05, clocks: 0.05, lockstep: 0.1, soak: 0.05, inputs: 0.1, options: 0.1,
 }
 # The same seed for a scenario breaks the same things in the same order.
 SEED = int(os.environ.get('TORTURE_SEED', '1'))

@@ -13,11 +13,17 @@ import numpy.typing as npt
 from asi_analysis.bags import cdr
 from asi_analysis.bags.bag_file import Topic, read_contents
 from asi_analysis.bags.bag_writer import BagWriter, typestore
+from asi_analysis.bags.encoding import (
+    SIGNAL_TOPICS,
+    Nanoseconds,
+    encode,
+    signal_paths,
+    topic_values,
+)
 from asi_analysis.bags.run import SIGNALS, Array, Run, StateChange
 from asi_analysis.errors import InputError, InputWarning
-from asi_common.topics import FRAME, JOINTS, TOPICS
+from asi_common.topics import JOINTS, TOPICS
 
-SIGNAL_TOPICS: Final = {topic.name: topic for topic in TOPICS.values() if topic.signals}
 # The first of these that a bag has gives the time base; the others may have no stamps.
 TIME_BASES: Final = ('joint_states', 'force', 'valve_command', 'force_reference', 'reference')
 DIAGNOSTICS: Final = 'diagnostics'
@@ -25,8 +31,6 @@ DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 # End of the name of the status of a state (asi_common/node/diagnostics.py, which imports rclpy).
 STATE: Final = ': state'
 BLOCK_SAMPLES: Final = 20_000
-
-Nanoseconds = npt.NDArray[np.int64]
 
 
 class Series(NamedTuple):
@@ -82,7 +86,7 @@ def read_bag(path: str | Path) -> Run:
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
-    return _assemble(series, changes, str(path), contents.information)
+    return assemble(series, changes, str(path), contents.information)
 
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
@@ -116,41 +120,23 @@ def _write(run: Run, writer: BagWriter, information: Mapping[str, Any]) -> None:
     stamps = np.round((run.time_s - run.time_s[0]) * 1e9).astype(np.int64)
     stamps += round((run.period_s if len(run) > 1 else 1e-3) * 1e9)
     channels = {name: writer.add_topic(f'/{name}', TOPICS[name].type)
-                for name in _topic_values(run[:0])}
-    numbers = dict.fromkeys(channels, 0)
+                for name in topic_values(run[:0])}
     for start in range(0, len(run), BLOCK_SAMPLES):
         block = slice(start, start + BLOCK_SAMPLES)
-        rows: list[tuple[int, int, int, bytes]] = []
-        for name, values in _topic_values(run[block]).items():
+        messages = {}
+        for name, values in topic_values(run[block]).items():
             known = (np.arange(len(stamps[block])) if name == 'joint_states' else np.flatnonzero(
                 np.any([~np.isnan(column) for column in values.values()], axis=0)))
-            messages = _encode(TOPICS[name].type, stamps[block][known],
-                               {key: column[known] for key, column in values.items()})
-            rows += [(stamp, channels[name], number, data) for number, (stamp, data) in enumerate(
-                zip(stamps[block][known].tolist(), messages, strict=True), numbers[name] + 1)]
-            numbers[name] += len(known)
-        for stamp, channel, number, data in sorted(rows, key=lambda row: row[:2]):
-            writer.write(channel, stamp, stamp, number, data)
+            if len(known):
+                messages[channels[name]] = (stamps[block][known], encode(
+                    TOPICS[name].type, stamps[block][known],
+                    {key: column[known] for key, column in values.items()}))
+        writer.write_many(messages)
     writer.close()
 
 
 def _base_name(topic: str) -> str:
     return topic.rpartition('/')[2]
-
-
-def signal_paths(layout: cdr.Layout) -> dict[str, cdr.Path]:
-    """Return the paths of the numbers that a run uses, named as in `asi_common.topics`."""
-    joints = {path[1]: name for path, name in layout.strings.items() if path[0] == 'name'}
-    paths: dict[str, cdr.Path] = {}
-    for path in layout.numbers:
-        match path:
-            case ('header', 'stamp', part):
-                paths[str(part)] = path
-            case ('wrench', 'force', 'x') | ('data',):
-                paths['value'] = path
-            case (str(quantity), int(joint)) if joint in joints:
-                paths[f'{joints[joint]} {quantity}'] = path
-    return paths
 
 
 def decode(topic: Topic, select: Callable[[cdr.Layout], dict[str, cdr.Path]] = signal_paths
@@ -213,7 +199,7 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
     return changes
 
 
-def _assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
+def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
               information: dict[str, Any]) -> Run:
     """Return the run: the topics aligned to one time base."""
     base = time_base(next(series[name] for name in (*TIME_BASES, *SIGNAL_TOPICS)
@@ -287,37 +273,3 @@ def _nearest(ticks: Nanoseconds, times: Nanoseconds) -> npt.NDArray[np.intp]:
     if len(ticks) == 1:
         return np.zeros(len(times), np.intp)
     return np.where(times - ticks[after - 1] < ticks[after] - times, after - 1, after)
-
-
-def _topic_values(run: Run) -> dict[str, dict[str, Array]]:
-    """Return the numbers of each topic that a run has signals for."""
-    present = run.signals()
-    other = 'reference' if run.unit('reference') == 'N' else 'force_reference'
-    topics = {topic.name: {number: present[signal] for signal, number in topic.signals.items()
-                           if signal in present}
-              for topic in SIGNAL_TOPICS.values() if topic.name != other}
-    return {name: values for name, values in topics.items() if values or name == 'joint_states'}
-
-
-def _encode(type_: str, stamps: Nanoseconds, values: Mapping[str, Array]) -> list[bytes]:
-    """Return one message for each stamp (ns)."""
-    if not len(stamps):
-        return []
-    types = typestore().types
-    stamp = types['builtin_interfaces/msg/Time'](0, 0)
-    header = types['std_msgs/msg/Header'](stamp, FRAME)
-    if type_ == TOPICS['joint_states'].type:
-        missing = np.full(2, np.nan)
-        message = types[type_](header, list(JOINTS), missing, missing, missing)
-    elif type_ == TOPICS['force'].type:
-        zero = types['geometry_msgs/msg/Vector3'](0.0, 0.0, 0.0)
-        message = types[type_](header, types['geometry_msgs/msg/Wrench'](zero, zero))
-    else:
-        message = types[type_](0.0)
-    template = bytes(typestore().serialize_cdr(message, type_))
-    layout = cdr.layout_of(type_, template)
-    paths = signal_paths(layout)
-    numbers: dict[cdr.Path, npt.NDArray] = {paths[key]: column for key, column in values.items()}
-    if 'sec' in paths:
-        numbers |= {paths['sec']: stamps // 10**9, paths['nanosec']: stamps % 10**9}
-    return cdr.filled(template, layout, numbers)

@@ -80,15 +80,16 @@ def same_layout(table: npt.NDArray[np.uint8], template: bytes, layout: Layout
     return same
 
 
-def filled(template: bytes, layout: Layout, values: Mapping[Path, npt.NDArray]) -> list[bytes]:
-    """Return n copies of a message with the numbers at some paths replaced, arrays n."""
+def filled(template: bytes, layout: Layout, values: Mapping[Path, npt.NDArray]
+           ) -> npt.NDArray[np.uint8]:
+    """Return n copies of a message, n x length, with the numbers at some paths replaced."""
     count = len(next(iter(values.values())))
     table = np.tile(np.frombuffer(template, np.uint8), (count, 1))
     for path, column in values.items():
         offset, kind = layout.numbers[path]
         table[:, offset:offset + kind.itemsize] = np.ascontiguousarray(
             column, kind).view(np.uint8).reshape(count, -1)
-    return [row.tobytes() for row in table]
+    return table
 
 
 def _at(message: Any, path: Path) -> Any:

@@ -40,12 +40,15 @@ SIGNALS = (
     Signal('valve_position', 'valve_position_m', 'm'),
     Signal('position', 'position_m', 'm'),
     Signal('velocity', 'velocity_m_s', 'm/s'),
+    Signal('pressure', 'pressure_pa', 'Pa'),
 )
 
 
 # Signal that is controlled, by the unit of the reference; N m, rad and rad/s of a rotary joint.
 CONTROLLED = {'N': 'force', 'Nm': 'force', 'm': 'position', 'rad': 'position', 'm/s': 'velocity',
-              'rad/s': 'velocity'}
+              'rad/s': 'velocity', 'Pa': 'pressure'}
+# Signals that may be measured where no reference says which is controlled.
+OUTPUTS = ('force', 'position', 'velocity', 'pressure', 'valve_position', 'command')
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,6 +78,7 @@ class Run:
     valve_position_m: Array | None = None
     position_m: Array | None = None
     velocity_m_s: Array | None = None
+    pressure_pa: Array | None = None
     source: str = ''
     information: dict[str, Any] = field(default_factory=dict)
     states: tuple[StateChange, ...] = ()
@@ -122,6 +126,25 @@ class Run:
         """Return the name of the controlled signal, which has the unit of the reference."""
         return CONTROLLED[self.unit('reference')]
 
+    def output(self, name: str | None = None) -> str:
+        """
+        Return the name of the signal to measure: `name`, else the controlled one, else of OUTPUTS.
+
+        Raises InputError for a name that was not recorded; 'force' if nothing was.
+        """
+        present = self.signals()
+        if name is not None:
+            self.signal(name)
+            return name
+        first = [] if self.reference_n is None else [self.controlled()]
+        return next((each for each in (*first, *OUTPUTS) if each in present), 'force')
+
+    def followed(self, name: str | None = None) -> Array | None:
+        """Return the values of `output(name)` if the reference is that signal's, else None."""
+        output = self.output(name)
+        return (self.signals().get(output)
+                if self.reference_n is not None and output == self.controlled() else None)
+
     @property
     def period_s(self) -> float:
         """Sampling period: the median time between two samples, rounded to 1 ns."""
@@ -165,7 +188,8 @@ class Run:
             rows.append((name, self.unit(name), *(f'{figure:.5g}' for figure in figures),
                          str(len(values) - len(known))))
         yield Table(columns, rows, right=columns[2:])
-        absent = [signal.name for signal in SIGNALS if signal.name not in present]
+        absent = [signal.name for signal in SIGNALS
+                  if signal.name not in present and signal.name != 'pressure']   # of others only
         if absent:
             yield 'absent: ' + ', '.join(absent)
 

@@ -5,14 +5,20 @@ Modules are imported when a command needs them. A new command is one function wi
 module of its group; exceptions become exit statuses (see `main`).
 """
 
+import os
 import sys
 import warnings
 from typing import Any
 
 import typer
 
+# The matrices are small: threads of the linear algebra only wait for each other (--jobs takes
+# processes). Set before numpy is imported.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
 # Importing a group adds its commands, in the order of the help.
-from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning  # noqa: F401
+from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning, viewing  # noqa: F401
+from asi_analysis.cli.interrupt import end_while_compiling
 from asi_analysis.cli.options import app as app
 from asi_analysis.errors import InputError
 
@@ -24,6 +30,7 @@ def main() -> int:
     0: answered; 1: a check or a run failed; 2: wrong input or call (InputError, or a file that
     cannot be read or written), with one line on stderr; 130: Ctrl-C.
     """
+    end_while_compiling()
     warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
     # Typer brings its own copy of click; this is its ClickException.
     click_exception: Any = typer.BadParameter.__mro__[2]

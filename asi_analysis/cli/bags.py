@@ -7,12 +7,14 @@ from typing import Annotated, Any, Literal
 import typer
 
 from asi_analysis.cli.options import (
+    MOST_SEED,
     Bag,
     Compensator,
     Gain,
     Json,
     ParameterFile,
     Settings,
+    checked_step,
     command,
     show,
 )
@@ -25,6 +27,7 @@ def run(
     compensator: Compensator = None,
     gain: Gain = None,
     step: Annotated[float | None, typer.Option(
+        callback=checked_step,
         help='Size of a step in the reference, N; the same as --reference step --amplitude')
     ] = None,
     reference: Annotated[str | None, typer.Option(
@@ -43,18 +46,24 @@ def run(
     ] = 'lockstep',
     rate: Annotated[float, typer.Option(
         help='Control rate, Hz; 0: 5000 in lock-step, 1000 in real time')] = 0.0,
-    seed: Annotated[int | None, typer.Option(help='Seed of sensor noise and PRBS', min=0)] = None,
+    seed: Annotated[int | None, typer.Option(
+        help='Seed of sensor noise and PRBS', min=0, max=MOST_SEED)] = None,
     actuator: ParameterFile = None,
     controller: ParameterFile = None,
     set_: Settings = None,
     out: Annotated[Path | None, typer.Option(
         help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
+    in_process: Annotated[bool, typer.Option(
+        '--in-process', help='Compute it in one process, without ROS: the same bag, sooner')
+    ] = False,
     experiment: Annotated[Literal['isolation'] | None, typer.Option(
         help='isolation: two runs that show whether a limit cycle is isolated')] = None,
     as_json: Json = False,
 ) -> None:
     """
     Run one experiment over ROS: start the nodes, record a bag, analyse it.
+
+    With --in-process the nodes are not started, and the bag is the same byte for byte.
 
     Order of precedence, lowest first: parameter files, --set, the other options.
     """
@@ -75,13 +84,17 @@ def run(
     planned = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
                                        rate))
     out = running.directory_of(planned, out)
+    run_one = running.run_experiment
+    if in_process:
+        from asi_analysis.loop.in_process import run_in_process
+        run_one = run_in_process
     try:
         with bar() as progress:
             if experiment:
                 from asi_analysis.limit_cycle.detection.experiment import isolation
-                result: Any = isolation(planned, out, progress)
+                result: Any = isolation(planned, out, progress, run_one)
             else:
-                result = running.summary(planned, running.run_experiment(planned, out, progress))
+                result = running.summary(planned, run_one(planned, out, progress))
     except KeyboardInterrupt:
         if (out / 'bag').exists():
             print(f'asi: what was recorded is in {out / "bag"}', file=sys.stderr)
@@ -92,12 +105,15 @@ def run(
 @command('analyze', 'asi analyze runs/demo/lead_lag/bag')
 def analyze(
     bag: Bag,
+    signal: Annotated[str | None, typer.Option(
+        help='Signal to measure, as position; default: the one that the reference controls')
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Measure step response, bandwidth and oscillation of a recorded run."""
+    """Measure step response, bandwidth, delay and oscillation of a recorded run."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.measures.analysis import analyze as analyze_run
-    show(analyze_run(read_bag(bag)), as_json)
+    show(analyze_run(read_bag(bag), signal), as_json)
 
 
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
@@ -110,7 +126,7 @@ def import_(
         help='Signal of a column; once for each signal; none for a file of `asi export`')] = None,
     rate: Annotated[float | None, typer.Option(
         help='Sampling rate, Hz, if no column is the time')] = None,
-    skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0)] = 0,
+    skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0, max=10**9)] = 0,
     delimiter: Annotated[str | None, typer.Option(
         help='Delimiter of the cells; default: detected')] = None,
     columns: Annotated[str | None, typer.Option(

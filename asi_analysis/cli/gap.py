@@ -6,7 +6,17 @@ from typing import Annotated, Any, Literal
 import typer
 import typer.core
 
-from asi_analysis.cli.options import HELP, Dask, Jobs, Json, app, command, directory, show
+from asi_analysis.cli.options import (
+    HELP,
+    MOST_SEED,
+    Dask,
+    Jobs,
+    Json,
+    app,
+    command,
+    directory,
+    show,
+)
 from asi_analysis.terminal import bar
 
 
@@ -67,7 +77,8 @@ def gap_check(
              'new ones are written')] = None,
     cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
     seed: Annotated[int, typer.Option(
-        min=0, help='First seed of the new cases; below 10000: used in development')] = 20000,
+        min=0, max=MOST_SEED,
+        help='First seed of the new cases; below 10000: used in development')] = 20000,
     world: Annotated[Literal['textbook', 'full', 'foreign', 'own'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
              'courses and noise, small effects everywhere; own: the simulator itself, one '
@@ -91,6 +102,7 @@ def gap_check(
     with workers(jobs, dask), bar() as progress:
         if directory is None:
             from asi_examiner.bags import write_cases
+            progress(f'0 of {cases} cases written', 0.0)
             for done in write_cases(out, cases, seed, world, load, signals):
                 progress(f'{done} of {cases} cases written', done / cases)
         result = check(directory or out, progress)

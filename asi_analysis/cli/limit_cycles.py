@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from asi_analysis.cli.options import (
+    MOST_SEED,
     Compensator,
     Dask,
     Gain,
@@ -16,6 +17,7 @@ from asi_analysis.cli.options import (
     Rate,
     Report,
     Settings,
+    checked_step,
     command,
     directory,
     numbers,
@@ -30,11 +32,16 @@ def limit_cycle(
     bags: Annotated[list[Path] | None, typer.Argument(
         help='Bags of the same loop, analysed together')] = None,
     signal: Annotated[str | None, typer.Option(
-        help='Signal to analyse; default: the force, or else the first signal')] = None,
+        help='Signal to analyse, as position or pressure; default: the one that the reference '
+             'controls, or else the force')] = None,
+    undriven: Annotated[bool, typer.Option(
+        '--undriven', help='Nothing drove the recording from outside: for one without a reference')
+    ] = False,
     report: Report = None,
     check: Annotated[int | None, typer.Option(
         min=1, help='Instead of a bag: number of synthetic signals of each class')] = None,
-    seed: Annotated[int, typer.Option(min=0, help='Seed of the signals of --check')] = 1,
+    seed: Annotated[int, typer.Option(
+        min=0, max=MOST_SEED, help='Seed of the signals of --check')] = 1,
     as_json: Json = False,
 ) -> None:
     """Detect limit cycles in each segment of a recording, with a confidence."""
@@ -52,7 +59,7 @@ def limit_cycle(
         progress('reading', None)
         runs = [read_bag(bag) for bag in bags]
         progress('analysing', None)
-        result = detect_limit_cycles(runs, signal)
+        result = detect_limit_cycles(runs, signal, undriven)
         if report:
             result.write_report(report)
     show(result, as_json)
@@ -126,14 +133,15 @@ def quench(
     compensator: Compensator = None,
     gain: Gain = None,
     controller: ParameterFile = None,
-    step: Annotated[float, typer.Option(help='Force at which dither is tried, N')] = 100.0,
+    step: Annotated[float, typer.Option(
+        callback=checked_step, help='Force at which dither is tried, N')] = 100.0,
     conditions: Annotated[int, typer.Option(
         help='Number of conditions that the search for an oscillation tries', min=1)] = 200,
     rates: Annotated[str, typer.Option(
         help='Control rates of the search, Hz; margin and design use the first')] = '5000',
     designs: Annotated[int, typer.Option(
         help='Candidates of the automatic design; 0: none', min=0)] = 0,
-    seed: Annotated[int, typer.Option(help='Seed of search and design', min=0)] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of search and design', min=0, max=MOST_SEED)] = 1,
     replay: Annotated[int, typer.Option(
         help='Number of the worst cases to run over ROS', min=0)] = 0,
     out: Annotated[Path, typer.Option(

@@ -32,6 +32,17 @@ def directory(path: Path | None) -> Path | None:
     return path
 
 
+def checked_step(step_n: float | None) -> float | None:
+    """Return the step of --step; raises InputError if the reference does not take it."""
+    if step_n is not None:
+        from asi_controller.parameters import REFERENCE_PARAMETERS
+        problem = next(each.problem(step_n) for each in REFERENCE_PARAMETERS
+                       if each.name == 'reference.amplitude')
+        if problem:
+            raise InputError(f'--step: {problem}')
+    return step_n
+
+
 Report = Annotated[Path | None, typer.Option(
     callback=directory, help='Directory for an HTML report and its pictures as PNG')]
 Bag = Annotated[Path, typer.Argument(help='A bag: its directory or its .mcap file')]
@@ -41,10 +52,13 @@ Settings = Annotated[list[str] | None, typer.Option(
     help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
 Compensator = Annotated[str | None, typer.Option(help=', '.join(COMPENSATORS))]
 Gain = Annotated[float | None, typer.Option(help='Gain of the compensator; 0: its default')]
-Held = Annotated[float, typer.Option(help='Force reference of the loop, N')]
+Held = Annotated[float, typer.Option(
+    callback=checked_step, help='Force reference of the loop, N')]
 Rate = Annotated[float, typer.Option(help='Control rate, Hz')]
+# Sums of a seed and a number of cases are a seed too, of 31 bits.
+MOST_SEED = 10**9
 Jobs = Annotated[int, typer.Option(
-    '--jobs', min=1, help='Number of processes; the result does not depend on it')]
+    '--jobs', min=1, max=256, help='Number of processes; the result does not depend on it')]
 Dask = Annotated[str | None, typer.Option(
     '--dask', metavar='ADDRESS', help='Scheduler of a Dask cluster to use instead')]
 

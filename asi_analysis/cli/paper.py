@@ -6,7 +6,16 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from asi_analysis.cli.options import Dask, Jobs, Json, ParameterFile, command, directory, show
+from asi_analysis.cli.options import (
+    MOST_SEED,
+    Dask,
+    Jobs,
+    Json,
+    ParameterFile,
+    command,
+    directory,
+    show,
+)
 from asi_analysis.terminal import bar
 
 
@@ -69,7 +78,7 @@ def calibrate(
         help='Largest number of successive linear programs from the best candidate', min=0)] = 20,
     structure: Annotated[Literal['side', 'cylinder', 'locked', 'spring'], typer.Option(
         help='Structure of the model that is fitted')] = 'side',
-    seed: Annotated[int, typer.Option(help='Seed of the search', min=0)] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of the search', min=0, max=MOST_SEED)] = 1,
     spread: Annotated[float, typer.Option(
         help='Initial deviation of the search, share of the range of each parameter')] = 0.1,
     start: Annotated[Path | None, typer.Option(
@@ -105,7 +114,7 @@ def calibrate(
 def ensemble(
     count: Annotated[int, typer.Option(help='Number of members', min=1)] = 20,
     most: Annotated[int, typer.Option(help='Largest number of candidates', min=1)] = 1500,
-    seed: Annotated[int, typer.Option(help='Seed of the draws', min=0)] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of the draws', min=0, max=MOST_SEED)] = 1,
     out: Annotated[Path, typer.Option(
         callback=directory, help='Directory of the members')] = Path('config/ensemble'),
     pictures: Annotated[Path, typer.Option(

@@ -1,11 +1,29 @@
-"""Command of the design of the controller: tune."""
+"""Commands of the design of the controller: tune, compare, sweep."""
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from asi_analysis.cli.options import Json, ParameterFile, Report, command, directory, show
+from asi_analysis.cli.options import (
+    MOST_SEED,
+    Compensator,
+    Dask,
+    Gain,
+    Jobs,
+    Json,
+    ParameterFile,
+    Rate,
+    Report,
+    Settings,
+    checked_step,
+    command,
+    directory,
+    numbers,
+    show,
+)
 from asi_analysis.terminal import bar
 
 
@@ -21,7 +39,7 @@ def tune(
         ] = 800,
     conditions: Annotated[int, typer.Option(
         help='Conditions of the attack on what is found', min=1)] = 300,
-    seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0)] = 1,
+    seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0, max=MOST_SEED)] = 1,
     out: Annotated[Path | None, typer.Option(
         callback=directory, help='Directory for controller.yaml')] = None,
     report: Report = None,
@@ -44,3 +62,89 @@ def tune(
     show(result, as_json)
     if result.sustained_found:
         raise typer.Exit(1)
+
+
+@command('compare', 'asi compare lead4 config/force_control.yaml --report runs/compare')
+def compare(
+    what: Annotated[list[str], typer.Argument(
+        help='Compensators by name, parameter files of controllers (.yaml), and bags')],
+    actuator: ParameterFile = None,
+    set_: Settings = None,
+    rates: Annotated[str, typer.Option(
+        help='Control rates, Hz; noise, plants and springs are at the first')] = '5000,2000,1000',
+    springs: Annotated[str, typer.Option(
+        help="Springs as load, N/m, and a free load; '': none")] = '1e4,1e5,1e6',
+    plants: Annotated[int, typer.Option(
+        help='Actuators with errors of up to 20 %', min=0, max=10_000)] = 12,
+    noise: Annotated[float, typer.Option(
+        help='Noise of the force sensor, N rms; 0: none', min=0.0, max=1e4)] = 1.0,
+    seed: Annotated[int, typer.Option(help='Seed of the plants', min=0, max=MOST_SEED)] = 1,
+    markdown: Annotated[Path | None, typer.Option(
+        help='File for the tables as Markdown')] = None,
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Compare controllers, simulated in many conditions, and recordings.
+
+    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on both cores.
+    """
+    from asi_analysis.experiments.experiment import gather
+    from asi_analysis.tuning.compare import compare_controllers, read_compared
+    values = gather({'actuator': actuator}, set_ or [], {}, 1.0)
+    with bar() as progress:
+        progress('reading', None)
+        controllers, recordings = read_compared(what)
+        result = compare_controllers(
+            {name: {**each, **values['controller']} for name, each in controllers.items()},
+            recordings, values['actuator'], numbers('--rates', rates),
+            numbers('--springs', springs), plants, noise, seed, progress)
+        if report:
+            progress('report', None)
+            result.write_report(report)
+        if markdown:
+            result.write_markdown(markdown, shlex.join(['asi', *sys.argv[1:]]))
+    show(result, as_json)
+
+
+@command('sweep', 'asi sweep --over controller.gain=1:10:10 --step 300 --csv gains.csv')
+def sweep(
+    over: Annotated[list[str], typer.Option(
+        '--over', metavar='NODE.NAME=VALUES',
+        help='Values of a parameter, A,B,C or START:STOP:COUNT; may be repeated, for a grid')],
+    compensator: Compensator = None,
+    gain: Gain = None,
+    step: Annotated[float, typer.Option(
+        callback=checked_step, help='Size of the step in the reference, N')] = 100.0,
+    load: Annotated[str | None, typer.Option(help='locked, spring, free or prescribed')] = None,
+    duration: Annotated[float, typer.Option(help='Length of each run, s')] = 0.5,
+    rate: Rate = 5000.0,
+    actuator: ParameterFile = None,
+    controller: ParameterFile = None,
+    set_: Settings = None,
+    csv: Annotated[Path | None, typer.Option(help='CSV file to write the table to')] = None,
+    bags: Annotated[Path | None, typer.Option(
+        callback=directory, help='Directory for a bag of each run, that of `asi run`')] = None,
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Compute the step figures of a grid of parameters, without ROS.
+
+    The loops are computed on all cores; with --jobs the measuring and writing too.
+    """
+    from asi_analysis.experiments.experiment import gather
+    from asi_analysis.loop.sweep import grid
+    from asi_analysis.loop.sweep import sweep as run_sweep
+    from asi_analysis.parallel import workers
+    values = gather({'actuator': actuator, 'controller': controller}, set_ or [], {
+        'actuator': {'load.type': load},
+        'controller': {'compensator': compensator, 'gain': gain, 'reference.shape': 'step',
+                       'reference.amplitude': step}}, duration)
+    with workers(jobs, dask), bar() as progress:
+        result = run_sweep(grid(over), values['actuator'], values['controller'], duration, rate,
+                           bags=bags, progress=progress)
+        if csv:
+            result.write_csv(csv)
+    show(result, as_json)

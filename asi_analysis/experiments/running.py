@@ -56,9 +56,9 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
     """
     experiment = checked(experiment)
     bag = out / 'bag'
+    progress('starting the nodes', None)
     with (_environment() as environment,
           _nodes(experiment, out, environment) as nodes, _watched(environment) as status):
-        progress('starting the nodes', None)
         while nodes['actuator'].poll() is None:
             _raise_if_ended(nodes, out)
             actuator = status()
@@ -78,13 +78,12 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
     return bag
 
 
-def _prepare(experiment: Experiment, out: Path) -> None:
-    """Write the parameter files of the nodes, and experiment.json."""
+def prepare(experiment: Experiment, out: Path) -> None:
+    """Write the parameter files of the nodes, and experiment.json, into an empty directory."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
-        (out / 'log').mkdir()
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
         node = experiment.node_parameters | {'await_recorder': True}
         write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
@@ -133,7 +132,7 @@ def reserve(name: str) -> socket.socket | None:
     return claim
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Let Linux send SIGINT to this node when the process that started it dies."""
     if sys.platform == 'linux':
         LIBC.prctl(1, signal.SIGINT)  # PR_SET_PDEATHSIG
@@ -143,7 +142,8 @@ def _end_with_parent() -> None:
 def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
            ) -> Iterator[dict[str, subprocess.Popen]]:
     """Start the nodes; at the end, also after an error, end them and wait for that."""
-    _prepare(experiment, out)
+    prepare(experiment, out)
+    (out / 'log').mkdir()
     arguments = {
         'recorder': ['-p', f'output:={out / "bag"}',
                      '-p', f'configuration:={out / "experiment.json"}'],
@@ -158,7 +158,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
                 nodes[name] = subprocess.Popen(
                     [sys.executable, '-m', module, '--ros-args', *arguments[name]],
                     stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                    env=dict(environment), start_new_session=True, preexec_fn=_end_with_parent)
+                    env=dict(environment), start_new_session=True, preexec_fn=end_with_parent)
         yield nodes
     finally:
         _stop(nodes)

@@ -49,7 +49,7 @@ class Bench:
         self.reference['reference_frequency'] = frequency_hz
         self.plant['load_external_force'] = push_n
         out = np.empty((6, math.ceil(duration_s * RATE_HZ - 1e-9)))
-        close_loop(self.state, self.plant, self.compensator, self.reference, 1.0 / RATE_HZ, out)
+        close_loop(self.state, self.plant, self.compensator, self.reference, 1.0 / RATE_HZ, 0, out)
         time = (self.samples + np.arange(out.shape[1])) / RATE_HZ
         self.samples += out.shape[1]
         return LoopRun(time, *out)

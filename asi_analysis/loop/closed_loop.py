@@ -2,7 +2,8 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
@@ -20,6 +21,8 @@ from asi_controller.reference import reference_force
 
 # Blocks of loops for each core: several, so that all cores finish at about the same time.
 BLOCKS_A_CORE: Final = 8
+# Ticks of compiled code after which a block looks whether it is to stop.
+PIECE: Final = 1000
 
 Values = Mapping[str, Value]
 
@@ -57,11 +60,10 @@ class Loops(NamedTuple):
 
 
 @jit
-def _close_last(state, p, c, r, period, ticks, out):
-    """Run a loop for `ticks` control periods; fill `out` with the last of them."""
+def _close_piece(state, p, c, r, period, first, end, skipped, out):
+    """Run a loop for the control periods first to end; fill `out`, which begins at `skipped`."""
     steady = prepare(p, period)
-    skipped = ticks - out.shape[1]
-    for tick in range(ticks):
+    for tick in range(first, end):
         force, valve, position, velocity = measure(state, p)
         reference = reference_force(tick * period, r)
         command = compensate(c, reference, force, velocity)
@@ -77,20 +79,21 @@ def _close_last(state, p, c, r, period, ticks, out):
 
 
 @jit
-def close_loop(state, p, c, r, period, out):
+def close_loop(state, p, c, r, period, first, out):
     """
     Run a loop and fill `out` (6 signals of LoopRun x control periods).
 
     state, p, c, r: records of the actuator, advanced in place, its parameters, compensator and
-    reference; period: s.
+    reference; period: s; first: control periods so far, for the time of the reference.
     """
-    _close_last(state, p, c, r, period, out.shape[1], out)
+    _close_piece(state, p, c, r, period, first, first + out.shape[1], first, out)
 
 
 @jit
-def _close_block(states, plants, compensators, references, period, ticks, out):
+def _close_block(states, plants, compensators, references, period, first, end, skipped, out):
     for i in range(states.size):
-        _close_last(states[i], plants[i], compensators[i], references[i], period, ticks, out[i])
+        _close_piece(states[i], plants[i], compensators[i], references[i], period, first, end,
+                     skipped, out[i])
 
 
 def close_many(loops: Loops, duration_s: float, last_s: float | None = None
@@ -100,7 +103,7 @@ def close_many(loops: Loops, duration_s: float, last_s: float | None = None
 
     last_s: return only this duration at the end (to save memory), by default all. Each row is bit
     for bit what `simulate_loop` returns: threads share no data, and compiled code releases the
-    interpreter's lock.
+    interpreter's lock. Ctrl-C stops all of them.
     """
     check_period(loops.period_s)
     ticks = math.ceil(duration_s / loops.period_s - 1e-9)
@@ -109,14 +112,23 @@ def close_many(loops: Loops, duration_s: float, last_s: float | None = None
 
     cores = len(os.sched_getaffinity(0))
     size = max(1, loops.states.size // (cores * BLOCKS_A_CORE))
+    stopped = threading.Event()
 
     def block(first: int) -> None:
         part = slice(first, first + size)
-        _close_block(loops.states[part], loops.plants[part], loops.compensators[part],
-                     loops.references[part], loops.period_s, ticks, out[part])
+        for begin in range(0, ticks, PIECE):
+            if stopped.is_set():
+                return
+            _close_block(loops.states[part], loops.plants[part], loops.compensators[part],
+                         loops.references[part], loops.period_s, begin,
+                         min(begin + PIECE, ticks), ticks - last, out[part])
 
     with ThreadPoolExecutor(cores) as threads:
-        list(threads.map(block, range(0, loops.states.size, size)))
+        try:
+            list(threads.map(block, range(0, loops.states.size, size)))
+        except KeyboardInterrupt:
+            stopped.set()
+            raise
     return out
 
 
@@ -154,10 +166,19 @@ def simulate_loop(actuator: Values, controller: Values, duration_s: float,
     actuator, controller: parameters by name, the rest at their defaults; the controller's are
     those of compensator and reference. Raises ParameterError for one that is not allowed.
     """
+    ticks = math.ceil(duration_s * rate_hz - 1e-9)
+    return next(loop_pieces(actuator, controller, ticks, rate_hz, ticks))
+
+
+def loop_pieces(actuator: Values, controller: Values, ticks: int, rate_hz: float, length: int
+                ) -> Iterator[LoopRun]:
+    """Yield the run of `simulate_loop` in pieces of up to `length` control periods."""
     check_period(1.0 / rate_hz)
-    out = np.empty((6, math.ceil(duration_s * rate_hz - 1e-9)))
-    close_loop(rest(), *records(actuator, controller, rate_hz), 1.0 / rate_hz, out)
-    return LoopRun(np.arange(out.shape[1]) / rate_hz, *out)
+    state, loop = rest(), records(actuator, controller, rate_hz)
+    for first in range(0, max(ticks, 1), max(length, 1)):
+        out = np.empty((6, min(length, ticks - first)))
+        close_loop(state, *loop, 1.0 / rate_hz, first, out)
+        yield LoopRun((first + np.arange(out.shape[1])) / rate_hz, *out)
 
 
 if __name__ == '__main__':

@@ -41,7 +41,7 @@ class _SampledLoop:
     def run(self, ticks: int) -> npt.NDArray[np.float64]:
         """Advance by control periods; return the measured force."""
         out = np.empty((6, ticks))
-        close_loop(self.state, self.plant, self.compensator, self.reference, self.period_s, out)
+        close_loop(self.state, self.plant, self.compensator, self.reference, self.period_s, 0, out)
         return out[2]
 
     def vector(self) -> npt.NDArray[np.float64]:

@@ -41,13 +41,13 @@ class Analysis(Result):
         rows = self.step.measures()
         rows += [(name, number(self[key] * scale, unit, 3)) for name, key, unit, scale in (
             ('bandwidth', 'bandwidth_hz', 'Hz', 1.0),
-            ('bandwidth of the actuator', 'actuator_bandwidth_hz', 'Hz', 1.0),
+            ('bandwidth from the command', 'actuator_bandwidth_hz', 'Hz', 1.0),
             ('delay, from the phase', 'delay_s', 'ms', 1e3),
             ('delay, by correlation', 'correlation_delay_s', 'ms', 1e3),
             ('tracking error, rms', 'tracking_error_rms_n', self.unit, 1.0),
             ('tracking error, largest', 'tracking_error_peak_n', self.unit, 1.0),
             ('tracking error, of the reference', 'tracking_error_percent', '%', 1.0),
-            ('valve command, rms', 'command_rms_n', 'N', 1.0),
+            ('command, rms', 'command_rms_n', self.run.unit('command'), 1.0),
             ('impedance felt, real part', 'impedance_real', 'N s/m', 1.0))
             if self[key] is not None]
         yield Table(('', ''), [*rows, ('oscillation', in_words(self.oscillation, self.unit))])
@@ -62,12 +62,14 @@ class Analysis(Result):
         return pictures
 
 
-def analyze(run: Run) -> Analysis:
+def analyze(run: Run, signal: str | None = None) -> Analysis:
     """
     Measure step response, bandwidth, delay and oscillation of a run: `asi analyze`.
 
-    run: a recording of n samples, at least 2. Forces in N, or in the unit of `Run.unit('force')`.
-    What cannot be measured is None, and `notes` says why. Raises InputError for one sample.
+    run: a recording of n samples, at least 2; signal: force, position, velocity, pressure or any
+    other that was recorded, by default the one that the reference controls. Figures in its unit,
+    `Run.unit`. What cannot be measured is None, and `notes` says why. Raises InputError for one
+    sample, or for a signal that was not recorded.
 
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
@@ -79,20 +81,24 @@ def analyze(run: Run) -> Analysis:
     """
     if len(run) < 2:
         raise InputError(f'{run.source}: one sample is too little: at least 2 are needed')
-    step, swing, width = step_response(run), measure.oscillation(run), loop_bandwidth(run)
+    name = run.output(signal)
+    step, swing, width = (step_response(run, name), measure.oscillation(run, name),
+                          loop_bandwidth(run, name))
     notes = [f'fault at {change.time_s:.6g} s, the valve command is 0 from there on: '
              f'{change.reason}' for change in run.states if change.state == 'fault']
     notes += step.notes
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
-    figures = _bandwidth(run, width) | tracking(run)._asdict() | {'oscillation': swing.to_dict()}
+    figures = (_bandwidth(run, width, name) | tracking(run, name)._asdict()
+               | {'oscillation': swing.to_dict()})
     reliable = dict(step.reliable)
-    notes += _withhold_doubtful(run, step, findings(run), figures, reliable)
+    notes += _withhold_doubtful(run, name, step, findings(run), figures, reliable)
     return Analysis({
         'source': run.source,
         'samples': len(run),
         'duration_s': run.duration_s,
         'rate_hz': run.rate_hz,
+        'signal': name,
         'unit': step.unit,
         **{key: step[key] for key in HEADLINE},
         **figures,
@@ -115,7 +121,7 @@ class Oscillation(Result):
     run: Run
 
     def parts(self) -> Iterator[str | Table]:
-        yield Table(('', ''), [('oscillation', in_words(self, self.run.unit('force')))])
+        yield Table(('', ''), [('oscillation', in_words(self, self.run.unit(self.signal)))])
         if self.reason:
             yield f'note: {self.reason}'
 
@@ -124,52 +130,56 @@ class Oscillation(Result):
         if not self.frequency_hz:
             raise InputError(self.reason or 'no oscillation to draw')
         reference = self.run.reference_n
+        if reference is None or self.signal != self.run.controlled():
+            reference = np.full(len(self.run), np.nan)
+        words = self.signal.replace('_', ' ')
         return {'oscillation': (figures.oscillation_in_time(
-            self.run.time_s, self.run.signal('force'),
-            np.full(len(self.run), np.nan) if reference is None else reference,
-            8.0 / self.frequency_hz), 'Force over time, and its last cycles')}
+            self.run.time_s, self.run.signal(self.signal), reference, 8.0 / self.frequency_hz,
+            f'{words} ({self.run.unit(self.signal)})'),
+            f'{words.capitalize()} over time, and its last cycles')}
 
 
-def oscillation(run: Run) -> Oscillation:
+def oscillation(run: Run, signal: str | None = None) -> Oscillation:
     """
-    Return whether the force oscillates in the steady part of a run, its frequency and amplitude.
+    Return whether a signal oscillates in the steady part of a run, its frequency and amplitude.
 
-    run: a recording with force. The steady part is the second half of the time after the last
-    jump of the reference; what a periodic reference forces is taken out. Frequency in Hz,
-    amplitude of the fundamental in N.
+    signal: by default the controlled one or the force. The steady part is the second half of the
+    time after the last jump of the reference; what a periodic reference forces is taken out.
+    Frequency in Hz, amplitude of the fundamental in the unit of the signal. Raises InputError for
+    a signal that was not recorded.
 
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)
     >>> print(asi.oscillation(run))
     oscillation  87.5 Hz, 234 N, sustained
     """
-    found = measure.oscillation(run)
-    return Oscillation({**found.to_dict(), 'reason': found.reason}, run=run)
+    name = run.output(signal)
+    found = measure.oscillation(run, name)
+    return Oscillation({**found.to_dict(), 'signal': name, 'reason': found.reason}, run=run)
 
 
-def _bandwidth(run: Run, width: Bandwidth) -> dict[str, Any]:
+def _bandwidth(run: Run, width: Bandwidth, name: str) -> dict[str, Any]:
     # A step excites too few frequencies of the valve command.
-    actuator = actuator_bandwidth(run) if width.method == 'excitation' else None
+    actuator = actuator_bandwidth(run, name) if width.method == 'excitation' else None
     return {'bandwidth_hz': width.bandwidth_hz, 'bandwidth_method': width.method,
             'actuator_bandwidth_hz': actuator, 'delay_s': width.delay_s,
             'correlation_delay_s': width.correlation_delay_s}
 
 
-def _withhold_doubtful(run: Run, step: StepResponse, found: Sequence[Finding],
+def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Sequence[Finding],
                        figures: dict[str, Any], reliable: dict[str, bool]) -> list[str]:
     """Set figures of the run that rest on doubtful samples to None; return the notes."""
     start, end = float(run.time_s[0]), float(run.time_s[-1])
-    output = run.controlled() if run.reference_n is not None else 'force'
     notes: list[str] = []
     by_step = figures['bandwidth_method'] == 'step'
     for name, words, signals in (
-            ('bandwidth_hz', 'bandwidth', ('reference', output)),
-            ('actuator_bandwidth_hz', 'bandwidth of the actuator', ('command', 'force')),
-            ('delay_s', 'delay', ('reference', output)),
-            ('correlation_delay_s', 'delay by correlation', ('reference', output)),
-            ('tracking_error_rms_n', 'tracking error', ('reference', output)),
-            ('tracking_error_peak_n', 'largest tracking error', ('reference', output)),
-            ('tracking_error_percent', 'share of the tracking error', ('reference', output)),
+            ('bandwidth_hz', 'bandwidth', ('reference', measured)),
+            ('actuator_bandwidth_hz', 'bandwidth from the command', ('command', measured)),
+            ('delay_s', 'delay', ('reference', measured)),
+            ('correlation_delay_s', 'delay by correlation', ('reference', measured)),
+            ('tracking_error_rms_n', 'tracking error', ('reference', measured)),
+            ('tracking_error_peak_n', 'largest tracking error', ('reference', measured)),
+            ('tracking_error_percent', 'share of the tracking error', ('reference', measured)),
             ('command_rms_n', 'command', ('command',)),
             ('impedance_real', 'impedance', ('force', 'velocity')),
             ('impedance_imaginary', 'impedance', ('force', 'velocity'))):
@@ -190,7 +200,7 @@ def _withhold_doubtful(run: Run, step: StepResponse, found: Sequence[Finding],
         notes += trusted.note(words)
         if trusted.withheld:
             figures[name] = None
-    trusted = trust(found, run, ('force', 'reference'), 0.5 * (start + end), end, LOST_SHARE)
+    trusted = trust(found, run, (measured, 'reference'), 0.5 * (start + end), end, LOST_SHARE)
     reliable['oscillation'] = trusted.reliable
     notes += trusted.note('oscillation')
     if trusted.withheld:

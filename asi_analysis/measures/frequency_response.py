@@ -191,15 +191,16 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
     """
     Return the bandwidth (Hz) from a step response; None if that does not settle.
 
-    From the spectrum of the differences of the force, from the step to twice the settling time.
+    From the spectrum of the differences of the controlled signal, from the step to twice the
+    settling time.
     """
-    if step.settling_time_2_s is None or run.force_n is None or step.rise_time_s is None:
+    if step.settling_time_2_s is None or step.rise_time_s is None:
         return None
     start = int(np.searchsorted(run.time_s, step.time_s))
     # Twice the settling time covers slow tails; after that there is only noise.
     end = start + int(2.0 * step.settling_time_2_s * run.rate_hz) + 2
-    force = run.force_n[max(start - 1, 0):end]
-    differences = np.diff(force[np.isfinite(force)])
+    output = run.signal(run.controlled())[max(start - 1, 0):end]
+    differences = np.diff(output[np.isfinite(output)])
     # Zero-padded to a hundred lines below the bandwidth of a first-order lag with this rise time.
     padded = int(100.0 * run.rate_hz * step.rise_time_s / 0.35)
     lines = max(8 * differences.size, min(padded, MOST_LINES))
@@ -207,14 +208,15 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
     return bandwidth(np.fft.rfftfreq(lines, run.period_s)[1:].astype(np.float64), gain[1:])
 
 
-def actuator_bandwidth(run: Run) -> float | None:
-    """Return the bandwidth (Hz) from valve command to force; None if it cannot be measured."""
-    if run.command_n is None or run.force_n is None:
+def actuator_bandwidth(run: Run, name: str = 'force') -> float | None:
+    """Return the bandwidth (Hz) from command to a signal; None if it cannot be measured."""
+    output = run.signals().get(name)
+    if run.command_n is None or output is None:
         return None
     driving = run.command_n if run.reference_n is None else run.reference_n
     if is_sine(driving[np.isfinite(driving)]):
         return None
-    response = estimate(run.command_n, run.force_n, run.period_s)
+    response = estimate(run.command_n, output, run.period_s)
     return response.bandwidth_hz if response else None
 
 
@@ -228,12 +230,13 @@ class Bandwidth(NamedTuple):
     reason: str | None
 
 
-def loop_bandwidth(run: Run) -> Bandwidth:
-    """Return bandwidth and delay from the reference of a run to the controlled signal."""
-    output = None if run.reference_n is None else run.signals().get(run.controlled())
+def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
+    """Return bandwidth and delay from the reference of a run to a signal, by default its own."""
+    output = run.followed(name)
     if run.reference_n is None or output is None:
-        missing = 'reference' if run.reference_n is None else run.controlled()
-        return Bandwidth(None, None, None, None, f'the run has no {missing}')
+        missing = ('the run has no reference' if run.reference_n is None else
+                   f'the reference is that of a {run.controlled()}, not of the {run.output(name)}')
+        return Bandwidth(None, None, None, None, missing)
     steps = step_responses(run)
     step = largest_step(steps)
     if step is not None and len(steps) < FEWEST_STEPS:

@@ -193,14 +193,14 @@ def _steady_part(run: Run) -> slice:
     return slice(start + int((1.0 - STEADY_SHARE) * (n - start)), n)
 
 
-def _without_reference(time: Array, force: Array, reference: Array) -> Array | None:
+def _without_reference(time: Array, output: Array, reference: Array) -> Array | None:
     """
-    Return the force without the frequency of a periodic reference and its harmonics.
+    Return a signal without the frequency of a periodic reference and its harmonics.
 
     None if the reference has more than one frequency: any oscillation may be forced.
     """
-    if np.ptp(reference) <= 1e-3 * max(np.ptp(force), 1e-12):
-        return force
+    if np.ptp(reference) <= 1e-3 * max(np.ptp(output), 1e-12):
+        return output
     guess, resolution = dominant_frequency(time, reference, 0.5, 0), 1.0 / (time[-1] - time[0])
     frequency = float(optimize.minimize_scalar(
         lambda f: float(np.sum(fit_sine(time, reference, f)[1]**2)),
@@ -211,41 +211,44 @@ def _without_reference(time: Array, force: Array, reference: Array) -> Array | N
     if np.var(residual) > 0.05 * np.var(reference):
         return None
     for k in range(1, HARMONICS + 1):
-        force = fit_sine(time, force, k * frequency)[1]
-    return force
+        output = fit_sine(time, output, k * frequency)[1]
+    return output
 
 
-def oscillation(run: Run) -> Oscillation:
+def oscillation(run: Run, name: str | None = None) -> Oscillation:
     """
-    Return the self-sustained oscillation of the force in the steady part of a run.
+    Return the self-sustained oscillation of a signal in the steady part of a run.
+
+    name: of the signal, by default the controlled one or the first that was recorded.
 
     The steady part is the second half of the time after the last jump of the reference. The
     response to a periodic reference (its frequency and harmonics) is removed first.
     """
-    if run.force_n is None:
-        return Oscillation(None, reason='the run has no force')
+    whole = run.signals().get(run.output(name))
+    if whole is None:
+        return Oscillation(None, reason='the run has no signal')
     part = _steady_part(run)
-    time, force = run.time_s[part], run.force_n[part]
-    valid = np.isfinite(force)
-    time, force = time[valid], force[valid]
+    time, output = run.time_s[part], whole[part]
+    valid = np.isfinite(output)
+    time, output = time[valid], output[valid]
     if time.size < 50:
         return Oscillation(None, reason='the steady part is shorter than 50 samples')
-    noise_floor = LEAST_SHARE * np.ptp(run.force_n[np.isfinite(run.force_n)])
+    noise_floor = LEAST_SHARE * np.ptp(whole[np.isfinite(whole)])
     if noise_floor == 0.0:
         return Oscillation()
-    force = signal.detrend(force)
+    output = signal.detrend(output)
     if run.reference_n is not None:
         reference = hold_last(run.reference_n)[part][valid]
-        own = _without_reference(time, force, reference - reference.mean())
+        own = _without_reference(time, output, reference - reference.mean())
         if own is None:
             return Oscillation(
                 None, reason='the reference moves at many frequencies until the end of the run')
-        force = own
-    found = fits(time, force, dominant_frequency(time, force, FEWEST_PERIODS), (True,))
+        output = own
+    found = fits(time, output, dominant_frequency(time, output, FEWEST_PERIODS), (True,))
     if not found:
         return Oscillation()
     fit = found[0]
-    explained = 1.0 - np.var(fit_sine(time, force, fit.frequency_hz)[1]) / np.var(force)
+    explained = 1.0 - np.var(fit_sine(time, output, fit.frequency_hz)[1]) / np.var(output)
     if fit.amplitude < noise_floor or explained < LEAST_EXPLAINED:
         return Oscillation()
     return Oscillation(

@@ -133,7 +133,7 @@ def _by_harmonic(factors: Array) -> tuple[ComplexArray, ...]:
 def reduce(time_s: Array, values: Array, frequency_hz: float) -> tuple[Array, Array]:
     """Return means over blocks, at least SAMPLES_A_CYCLE in a cycle of the frequency."""
     period = float(np.median(np.diff(time_s)))
-    size = int(1.0 / (frequency_hz * period * SAMPLES_A_CYCLE))
+    size = min(int(1.0 / (frequency_hz * period * SAMPLES_A_CYCLE)), len(values))
     if size < 2:
         return time_s, values
     whole = len(values) // size * size

@@ -1,8 +1,9 @@
 """
-Response of the force to a step of the reference: rise, overshoot, settling, steady-state error.
+Response of a signal to a step of its reference: rise, overshoot, settling, steady-state error.
 
-Levels are relative to the change from the force before the step to the steady-state force, as in
-MATLAB's stepinfo. The steady-state error is the reference less the steady-state force.
+Levels are relative to the change from the signal before the step to its steady state, as in
+MATLAB's stepinfo. The steady-state error is the reference less the steady state. A step of a
+position, velocity or pressure is measured as one of a force.
 """
 
 import math
@@ -162,26 +163,26 @@ def _smoothed(share: Array, noise: float) -> tuple[Array, float]:
             noise * float(np.sqrt(np.sum(kernel**2))))
 
 
-def _measure(time: Array, reference: Array, force: Array, jump_: _Jump) -> Step:
+def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: str) -> Step:
     begin, before, after, end = jump_
     initial, final = float(reference[before]), float(reference[after])
     notes: list[str] = []
     start = float(time[after])
     nothing = Step(start, initial, final, None, None, None, None, None, None, ())
     before_count = max(1, min(before + 1 - begin, int(STEADY_SHARE * (end - after))))
-    low = float(np.nanmean(force[before + 1 - before_count:before + 1]))
+    low = float(np.nanmean(output[before + 1 - before_count:before + 1]))
     tail = max(1, int(STEADY_SHARE * (end - after)))
-    high = _windowed_mean(force[end - tail:end])
-    earlier = _windowed_mean(force[end - 2 * tail:end - tail])
+    high = _windowed_mean(output[end - tail:end])
+    earlier = _windowed_mean(output[end - 2 * tail:end - tail])
     jump = final - initial
     if abs(high - earlier) > 0.05 * abs(jump):
-        return nothing._replace(notes=('the force has not come to rest before the reference '
+        return nothing._replace(notes=(f'the {words} has not come to rest before the reference '
                                        'changes again or the run ends',))
     error = final - high
     if (high - low) * jump <= 0.0 or abs(high - low) < 0.1 * abs(jump):
         return nothing._replace(steady_state_error_n=error,
-                                notes=('the force does not follow the step',))
-    share = (force[after:end] - low) / (high - low)
+                                notes=(f'the {words} does not follow the step',))
+    share = (output[after:end] - low) / (high - low)
     valid = np.isfinite(share)
     t, share = time[after:end][valid], share[valid]
     noise = noise_level(share)
@@ -197,7 +198,7 @@ def _measure(time: Array, reference: Array, force: Array, jump_: _Jump) -> Step:
         moment = _settling(t, share, band)
         if moment is None:
             reason = ('noise' if NOISE_MARGIN * noise > band else 'an oscillation or a drift')
-            notes.append(f'the force does not stay within {100 * band:.0f} % of the step '
+            notes.append(f'the {words} does not stay within {100 * band:.0f} % of the step '
                          f'({reason})')
         settled.append(None if moment is None else moment - start)
     return Step(start, initial, final, ninety - ten,
@@ -214,17 +215,19 @@ def hold_last(values: Array) -> Array:
     return values[np.maximum(last, np.argmax(known))]
 
 
-def step_responses(run: Run) -> list[Step]:
+def step_responses(run: Run, signal: str | None = None) -> list[Step]:
     """
     Return the response to each step of the reference of a run, in order of time.
 
-    Empty without a step, a reference or a force, and if the reference is no force. A
-    noisy force is smoothed by a cubic Savitzky-Golay filter over a third of the rise.
+    signal: by default the controlled one. Empty without a step, a reference, or if the reference
+    is of another signal. A noisy signal is smoothed by a cubic Savitzky-Golay filter over a third
+    of the rise.
     """
-    if run.reference_n is None or run.force_n is None or run.controlled() != 'force':
+    output = run.followed(signal)
+    if run.reference_n is None or output is None:
         return []
-    reference = hold_last(run.reference_n)
-    return [_measure(run.time_s, reference, run.force_n, jump) for jump in _jumps(reference)]
+    reference, words = hold_last(run.reference_n), run.controlled()
+    return [_measure(run.time_s, reference, output, jump, words) for jump in _jumps(reference)]
 
 
 def largest_step(steps: Sequence[Step]) -> Step | None:
@@ -277,23 +280,26 @@ class StepResponse(Result):
         end = min(later[0] if later else self.run.time_s[-1],
                   step.time_s + 3.0 * (step.settling_time_2_s or np.inf)) - step.time_s
         percent = 100.0 / (step.final_n - step.initial_n)
-        force = percent * (self.run.signal('force') - step.initial_n)
-        command = (np.full_like(force, np.nan) if self.run.command_n is None
-                   else percent * (self.run.command_n - step.initial_n))
+        output = percent * (self.run.signal(self.signal) - step.initial_n)
+        alike = self.run.unit('command') == self.unit
+        command = (percent * (self.run.command_n - step.initial_n)
+                   if self.run.command_n is not None and alike else None)
+        what = self.signal.capitalize()
         return {'step': (figures.step_responses(
-            {self.run.source or 'run': (self.run.time_s - step.time_s, force, command)}, end),
-            f'Force and command after the step of {step.final_n - step.initial_n:g} {self.unit}')}
+            {self.run.source or 'run': (self.run.time_s - step.time_s, output, command)}, end,
+            self.signal), f'{what}{"" if command is None else " and command"} after the step of '
+                          f'{step.final_n - step.initial_n:g} {self.unit}')}
 
 
-def _why_no_step(run: Run) -> str:
+def _why_no_step(run: Run, name: str) -> str:
     if run.reference_n is None:
         return 'step: the run has no reference'
-    if run.controlled() != 'force':
-        return f'step: measured for a force only; this reference is a {run.controlled()}'
+    if name != run.controlled():
+        return f'step: the reference is that of a {run.controlled()}, not of the {name}'
     return 'step: the reference has none'
 
 
-def _with_trust(step: Step, run: Run, found: Sequence[Finding],
+def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
                 reliable: dict[float, dict[str, bool]]) -> Step:
     """Return a step without figures that rest on doubtful samples; fill `reliable`."""
     time, reference = run.time_s, hold_last(run.signal('reference'))
@@ -302,7 +308,7 @@ def _with_trust(step: Step, run: Run, found: Sequence[Finding],
                              > 0.02 * abs(step.final_n - step.initial_n))
     end = float(time[first + changed[0] - 1] if changed.size else time[-1])
     settled = step.settling_time_2_s or step.settling_time_5_s
-    signals = ('force', 'reference')
+    signals = (name, 'reference')
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
                    min(step.time_s + settled, end) if settled else end)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), end, LOST_SHARE)
@@ -322,15 +328,17 @@ def _with_trust(step: Step, run: Run, found: Sequence[Finding],
     return step._replace(notes=(*step.notes, *notes))
 
 
-def step_response(run: Run) -> StepResponse:
+def step_response(run: Run, signal: str | None = None) -> StepResponse:
     """
     Return rise, overshoot, settling and steady-state error after each step of the reference.
 
-    run: a recording with reference and force, in N (or N m, see `Run.unit`). The keys outside
+    run: a recording with a reference and what follows it: a force, position, velocity or pressure,
+    in the unit of `Run.unit`; signal: its name, by default the controlled one. The keys outside
     `steps` are those of the largest step. What cannot be measured is None; `notes` says why.
+    Raises InputError for a signal that was not recorded.
 
-    Rise time and settling time as in MATLAB's stepinfo: from the force before the step to the mean
-    force over the last fifth of the time after it.
+    Rise time and settling time as in MATLAB's stepinfo: from the level before the step to the mean
+    over the last fifth of the time after it.
 
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
@@ -346,14 +354,16 @@ def step_response(run: Run) -> StepResponse:
     """
     found = findings(run)
     reliable: dict[float, dict[str, bool]] = {}
-    steps = [_with_trust(step, run, found, reliable) for step in step_responses(run)]
+    name = run.output(signal)
+    steps = [_with_trust(step, run, name, found, reliable) for step in step_responses(run, name)]
     largest = largest_step(steps)
     return StepResponse({
-        'unit': run.unit('force'),
+        'signal': name,
+        'unit': run.unit(name),
         **{key: getattr(largest, key) if largest else None for key in HEADLINE},
         'steps': [step._asdict() | {'monotone_rise': step.monotone_rise,
                                     'notes': list(step.notes)} for step in steps],
-        'notes': list(largest.notes) if largest else [_why_no_step(run)],
+        'notes': list(largest.notes) if largest else [_why_no_step(run, name)],
         'quality': [each.to_dict() for each in found],
         'reliable': reliable.get(largest.time_s, {}) if largest else {}},
         run=run, measured=steps)

@@ -29,10 +29,10 @@ class Tracking(NamedTuple):
     impedance_imaginary: float | None = None
 
 
-def tracking(run: Run) -> Tracking:
-    """Return how well a run follows its reference, and what that takes."""
+def tracking(run: Run, name: str | None = None) -> Tracking:
+    """Return how well a run follows its reference, and what that takes; name: of the output."""
     command = None if run.command_n is None else float(np.sqrt(np.nanmean(run.command_n ** 2)))
-    output = None if run.reference_n is None else run.signals().get(run.controlled())
+    output = run.followed(name)
     if run.reference_n is None or output is None:
         return Tracking(command_rms_n=command)
     known = np.isfinite(run.reference_n) & np.isfinite(output)

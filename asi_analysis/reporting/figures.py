@@ -9,7 +9,7 @@ import io
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -60,11 +60,13 @@ def svg(figure: Figure, description: str) -> str:
     return element.replace('<svg', f'<svg role="img" aria-label="{html.escape(description)}"', 1)
 
 
-def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], end_s: float) -> Figure:
+def step_responses(runs: Mapping[str, tuple[Array, Array, Array | None]], end_s: float,
+                   name: str = 'force') -> Figure:
     """
-    Draw force and valve command after a step, relative to the size of the step.
+    Draw a signal and the command after a step, relative to the size of the step.
 
-    runs: label -> time since the step (s), force and command (% of the step); drawn to end_s.
+    runs: label -> time since the step (s), signal and command (% of the step; None: not drawn), to
+    end_s; name: of the signal.
     """
     with style():
         figure = _figure(4.6)
@@ -74,9 +76,10 @@ def step_responses(runs: Mapping[str, tuple[Array, Array, Array]], end_s: float)
         for colour, (label, (time, force, command)) in zip(COLOURS, runs.items(), strict=False):
             shown = (time >= -0.01) & (time <= end_s)
             above.plot(1e3 * time[shown], force[shown], color=colour, label=label)
-            below.plot(1e3 * time[shown], command[shown], color=colour, linewidth=1.1)
-        above.set(ylabel='force (% of the step)', xlim=(-10.0, 1e3 * end_s))
-        above.set_title('Force')
+            if command is not None:
+                below.plot(1e3 * time[shown], command[shown], color=colour, linewidth=1.1)
+        above.set(ylabel=f'{name} (% of the step)', xlim=(-10.0, 1e3 * end_s))
+        above.set_title(name.capitalize())
         above.legend(loc='lower right')
         below.set(ylabel='command (% of the step)', xlabel='time after the step (ms)')
         below.set_title('Valve command')
@@ -112,21 +115,22 @@ def bode(frequency: Array, gain: Array, phase: Array, coherence: Array) -> Figur
         return figure
 
 
-def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: float) -> Figure:
-    """Draw a force (N) over time (s): all of it, and the last zoom_s."""
+def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: float,
+                        label: str = 'force (N)') -> Figure:
+    """Draw a signal over time (s), with the label of its axis: all of it, and the last zoom_s."""
     with style():
         figure = _figure(4.2)
         above, below = figure.subplots(2, 1)
         above.plot(time, force, color=BLUE, linewidth=0.6)
-        above.set(ylabel='force (N)', xlabel='time (s)', xlim=(time[0], time[-1]))
+        above.set(ylabel=label, xlabel='time (s)', xlim=(time[0], time[-1]))
         above.set_title('The whole run')
         start = time[-1] - zoom_s
         above.axvspan(start, time[-1], color=ORANGE, alpha=0.18, linewidth=0.0)
         last = time >= start
-        below.plot(1e3 * time[last], force[last], color=BLUE, label='force')
+        below.plot(1e3 * time[last], force[last], color=BLUE, label=label.rpartition(' ')[0])
         below.plot(1e3 * time[last], reference[last], color='black', linestyle='--',
                    linewidth=0.9, label='reference')
-        below.set(ylabel='force (N)', xlabel='time (ms)',
+        below.set(ylabel=label, xlabel='time (ms)',
                   xlim=(1e3 * start, 1e3 * time[-1]))
         below.set_title(f'The last {1e3 * zoom_s:.0f} ms (shaded above)')
         figure.legend(*below.get_legend_handles_labels(), loc='outside lower right', ncols=2)
@@ -210,4 +214,40 @@ def hysteresis_loop(command: Array, valve_position: Array, straight: tuple[float
         axes.set(xlabel='valve command (N)', ylabel='valve position (µm)')
         axes.xaxis.set_major_locator(MaxNLocator(7))
         axes.legend(loc='upper left')
+        return figure
+
+
+class Panel(NamedTuple):
+    """Curves over each other: label -> x and y."""
+
+    title: str
+    x: str
+    y: str
+    lines: Mapping[str, tuple[Array, Array]]
+    logarithmic: bool = False   # x
+
+
+def overlays(panels: Sequence[Panel], columns: int = 1) -> Figure:
+    """Draw panels with one legend; a label has the same line in each, 'reference' a dashed one."""
+    rows = -(-len(panels) // columns)
+    labels = [label for label in dict.fromkeys(label for panel in panels for label in panel.lines)
+              if label != 'reference']
+    with style():
+        figure = _figure(0.6 + 2.3 * rows)
+        for panel, axes in zip(panels, np.ravel(figure.subplots(rows, columns, squeeze=False)),
+                               strict=False):
+            for label, (x, y) in panel.lines.items():
+                if label == 'reference':
+                    axes.plot(x, y, color='black', linewidth=0.9, linestyle='--', label=label)
+                    continue
+                number = labels.index(label)
+                axes.plot(x, y, color=COLOURS[number % len(COLOURS)], linewidth=1.1, label=label,
+                          linestyle=('-', '-.', ':')[number // len(COLOURS) % 3])
+            axes.set(xlabel=panel.x, ylabel=panel.y)
+            axes.set_title(panel.title)
+            if panel.logarithmic:
+                axes.set_xscale('log')
+        handles = {text: handle for axes in figure.axes for handle, text in zip(
+            *axes.get_legend_handles_labels(), strict=True)}
+        figure.legend(list(handles.values()), list(handles), loc='outside upper center', ncols=2)
         return figure

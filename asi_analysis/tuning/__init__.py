@@ -1,1 +1,1 @@
-"""`asi tune`: the settings of the controller for an actuator, searched with the attack inside."""
+"""The force loop of an actuator: its figures, controllers compared by them, and searched."""

@@ -1,4 +1,4 @@
-"""The figures of a force loop that `asi tune` searches by, each with the value to reach."""
+"""The figures of a force loop by which `asi tune` searches and `asi compare` compares."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -65,58 +65,105 @@ def _runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: f
     return np.nan_to_num(np.clip(out, -DIVERGED, DIVERGED), nan=DIVERGED)
 
 
-def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0) -> dict[str, float]:
-    """
-    Return the figures of ROWS.
+class Responses(NamedTuple):
+    """Runs from which the figures follow, each 6 signals of LoopRun x control periods."""
 
-    actuator, controller: parameters by name, the rest at their defaults.
-    """
-    def references(shape: str, **settings: float) -> dict[str, Any]:
-        return {**controller, 'reference.shape': shape, 'reference.start': BEFORE_S,
-                **{f'reference.{name}': value for name, value in settings.items()}}
+    steps: Array                    # of SIZES_N
+    sines: Array                    # 100 N at 10 Hz, and 50 N at each of BAND_HZ
+    motions: Mapping[str, Array]    # the last period of each of MOTIONS, the reference 0
+    impedance: Array                # complex, N s/m: IMPEDANCE_M_S x IMPEDANCE_HZ
 
-    locked = {**actuator, 'load.type': 'locked'}
-    answer = _steps(_runs([locked] * len(SIZES_N),
-                          [references('step', amplitude=size) for size in SIZES_N],
-                          rate_hz, BEFORE_S + STEP_S), rate_hz)
 
-    sines = [references('sine', amplitude=100.0, frequency=10.0)] + [
-        references('sine', amplitude=50.0, frequency=frequency) for frequency in BAND_HZ]
-    found = _runs([locked] * len(sines), sines, rate_hz, 0.5)
-    wanted, force = found[0, [0, 2], -round(0.3 * rate_hz):]
-    gains = [20.0 * np.log10(max(abs(_harmonic(run[2], frequency, rate_hz)), 1e-6) / 50.0)
-             for run, frequency in zip(found[1:], BAND_HZ, strict=True)]
-    answer |= {'sine_error_percent': 100.0 * np.std(wanted - force) / np.std(wanted),
-               'gain_100_hz_db': min(gains), 'peak_db': max(gains)}
+def _references(controller: Values, shape: str, **settings: float) -> dict[str, Any]:
+    return {**controller, 'reference.shape': shape, 'reference.start': BEFORE_S,
+            **{f'reference.{name}': value for name, value in settings.items()}}
 
+
+def held(actuator: Values, controller: Values, rate_hz: float) -> tuple[Array, Array]:
+    """Return the runs `steps` and `sines` of Responses, on the actuator's load."""
+    steps = _runs([actuator] * len(SIZES_N),
+                  [_references(controller, 'step', amplitude=size) for size in SIZES_N],
+                  rate_hz, BEFORE_S + STEP_S)
+    sines = [_references(controller, 'sine', amplitude=100.0, frequency=10.0)] + [
+        _references(controller, 'sine', amplitude=50.0, frequency=frequency)
+        for frequency in BAND_HZ]
+    return steps, _runs([actuator] * len(sines), sines, rate_hz, 0.5)
+
+
+def held_figures(steps: Array, sines: Array, rate_hz: float) -> dict[str, float]:
+    """Return the figures of `held`."""
+    wanted, force = sines[0, [0, 2], -round(0.3 * rate_hz):]
+    gains = gains_db(sines, rate_hz)
+    return {**_steps(steps, rate_hz),
+            'sine_error_percent': float(100.0 * np.std(wanted - force) / np.std(wanted)),
+            'gain_100_hz_db': min(gains), 'peak_db': max(gains)}
+
+
+def gains_db(sines: Array, rate_hz: float) -> list[float]:
+    """Return the gain (dB) at each of BAND_HZ."""
+    return [float(20.0 * np.log10(max(abs(_harmonic(run[2], frequency, rate_hz)), 1e-6) / 50.0))
+            for run, frequency in zip(sines[1:], BAND_HZ, strict=True)]
+
+
+def responses(actuator: Values, controller: Values, rate_hz: float) -> Responses:
+    """Return the runs of a loop: on the locked piston, and moved."""
     def moved(velocity: float, frequency: float) -> dict[str, Any]:
         return {**actuator, 'load.type': 'prescribed', 'load.velocity': velocity,
                 'load.frequency': frequency}
 
-    still = references('step', amplitude=0.0)
-    for name, (velocity, frequency) in MOTIONS.items():
-        force = _runs([moved(velocity, frequency)], [still], rate_hz, 1.5 / frequency)[0, 2]
-        answer[name] = np.abs(force[-round(rate_hz / frequency):]).max()
+    still = _references(controller, 'step', amplitude=0.0)
+    motions = {name: _runs([moved(velocity, frequency)], [still], rate_hz, 1.5 / frequency)[
+        0, :, -round(rate_hz / frequency):] for name, (velocity, frequency) in MOTIONS.items()}
     cases = [(velocity, frequency) for velocity in IMPEDANCE_M_S for frequency in IMPEDANCE_HZ]
     found = _runs([moved(*case) for case in cases], [still] * len(cases), rate_hz, 1.5)
-    answer['least_re_z_n_s_m'] = min(
-        (-_harmonic(run[2], frequency, rate_hz) / _harmonic(run[5], frequency, rate_hz)).real
-        for run, (_, frequency) in zip(found, cases, strict=True))
+    impedance = np.array([
+        -_harmonic(run[2], frequency, rate_hz) / _harmonic(run[5], frequency, rate_hz)
+        for run, (_, frequency) in zip(found, cases, strict=True)])
+    return Responses(*held({**actuator, 'load.type': 'locked'}, controller, rate_hz), motions,
+                     impedance.reshape(len(IMPEDANCE_M_S), -1))
 
-    noisy = _runs([{**locked, 'force_sensor.noise': NOISE_N}],
-                  [references('step', amplitude=100.0)], rate_hz, STEP_S)[0, 1]
-    answer['noise_gain'] = np.std(noisy[len(noisy) // 2:]) / NOISE_N
-    return {name: float(value) for name, value in answer.items()}
+
+def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0,
+            found: Responses | None = None) -> dict[str, float]:
+    """
+    Return the figures of ROWS.
+
+    actuator, controller: parameters by name, the rest at their defaults; found: their responses,
+    if they are known.
+    """
+    found = found or responses(actuator, controller, rate_hz)
+    noisy = _runs([{**actuator, 'load.type': 'locked', 'force_sensor.noise': NOISE_N}],
+                  [_references(controller, 'step', amplitude=100.0)], rate_hz, STEP_S)[0, 1]
+    return {**held_figures(found.steps, found.sines, rate_hz),
+            **{name: float(np.abs(run[2]).max()) for name, run in found.motions.items()},
+            'least_re_z_n_s_m': float(found.impedance.real.min()),
+            'noise_gain': float(np.std(noisy[len(noisy) // 2:]) / NOISE_N)}
+
+
+class Step(NamedTuple):
+    """Figures of a step: until it stays within 2 % of the reference, s, and beyond it, %."""
+
+    size_n: float
+    settling_s: float
+    overshoot_percent: float
+    steady_state_error_n: float
+
+
+def step_figures(steps: Array, rate_hz: float) -> list[Step]:
+    """Return the figures of each step of `held`; one that does not settle takes STEP_S."""
+    found = []
+    for run, size in zip(steps, SIZES_N, strict=True):
+        force = run[2, round(BEFORE_S * rate_hz):]
+        outside = np.flatnonzero(np.abs(force - size) > 0.02 * size)
+        found.append(Step(
+            size, float(outside[-1] + 1) / rate_hz if len(outside) else 0.0,
+            float(100.0 * max(force.max() / size - 1.0, 0.0)),
+            float(abs(size - force[-len(force) // 5:].mean()))))
+    return found
 
 
 def _steps(runs: Array, rate_hz: float) -> dict[str, float]:
-    settling, overshoot, error = [], [], []
-    for run, size in zip(runs, SIZES_N, strict=True):
-        force = run[2, round(BEFORE_S * rate_hz):]
-        outside = np.flatnonzero(np.abs(force - size) > 0.02 * size)
-        settling.append((outside[-1] + 1) / rate_hz if len(outside) else 0.0)
-        overshoot.append(100.0 * max(force.max() / size - 1.0, 0.0))
-        error.append(abs(size - force[-len(force) // 5:].mean()))
+    _, settling, overshoot, error = zip(*step_figures(runs, rate_hz), strict=True)
     return {'settling_median_s': float(np.median(settling)), 'settling_worst_s': max(settling),
             'overshoot_percent': max(overshoot), 'steady_state_error_n': max(error)}
 
@@ -129,7 +176,7 @@ def missed(found: Mapping[str, float], goals: Mapping[str, float] | None = None
     goals: other values to reach, by name.
     """
     answer = {}
-    for row in ROWS:
+    for row in (row for row in ROWS if row.name in found):
         goal = (goals or {}).get(row.name, row.goal)
         value = found[row.name]
         if row.unit == 'dB':

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
@@ -52,6 +53,19 @@ class Unhurried(MutuallyExclusiveCallbackGroup):
     """Of timers that are served like services: when a tick is over, so that none is late."""
 
 
+class Polled(CallbackGroup):
+    """Of subscriptions that a timer polls: waking for each message costs more than taking it."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
 class LoopExecutor(SingleThreadedExecutor):
     """
     An executor for a loop of thousands of messages a second.
@@ -65,8 +79,8 @@ class LoopExecutor(SingleThreadedExecutor):
     ticked, as then the next tick is far.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__(context=context)
         self.stopped = False
         self._awake = GuardCondition(None, None, self.context)
 

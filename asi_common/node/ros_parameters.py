@@ -16,10 +16,11 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from asi_common.node.topics import QOS_OVERRIDES, check_qos_override
 from asi_common.parameter import Parameter, ParameterError, Value, completed
 
-# What rclpy declares by itself on every node.
-OF_EVERY_NODE = ('use_sim_time', 'start_type_description_service')
+# What rclpy declares by itself.
+OF_EVERY_NODE = ('use_sim_time', 'start_type_description_service', QOS_OVERRIDES)
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
@@ -32,12 +33,13 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
         name=parameter.name, description=parameter.description + unit + source,
         additional_constraints=parameter.allowed, read_only=parameter.read_only,
         dynamic_typing=True)
+    # A step of a float would have rclpy refuse all values between.
     if isinstance(parameter.default, float):
         result.floating_point_range = [FloatingPointRange(
             from_value=float(parameter.low), to_value=float(parameter.high))]
     elif isinstance(parameter.default, int) and not isinstance(parameter.default, bool):
         result.integer_range = [IntegerRange(
-            from_value=int(parameter.low), to_value=int(parameter.high))]
+            from_value=int(parameter.low), to_value=int(parameter.high), step=1)]
     return result
 
 
@@ -73,8 +75,14 @@ class RosParameters:
     def _take_overrides(self) -> dict[str, Value]:
         """Return what YAML file and command line gave, and make room to declare it properly."""
         given = {name: self._typed(self._node.get_parameter(name)).value
-                 for name in self._node.get_parameters_by_prefix('')
-                 if name not in OF_EVERY_NODE and not name.startswith('qos_overrides.')}
+                 for name in self._node.get_parameters_by_prefix('')}
+        for name, value in given.items():
+            if name.startswith(QOS_OVERRIDES):
+                check_qos_override(self._node, name, value)
+                # Publisher or subscription declares it anew, as read-only.
+                self._node.undeclare_parameter(name)
+        given = {name: value for name, value in given.items()
+                 if not name.startswith(OF_EVERY_NODE)}
         for name in given:
             self._node.undeclare_parameter(name)
         return given

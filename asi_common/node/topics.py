@@ -1,4 +1,9 @@
-"""Publishers and subscriptions of the topics with their QoS; clocks and time stamps."""
+"""
+Publishers and subscriptions of the topics with their QoS; clocks and time stamps.
+
+The QoS of each can be overridden by parameters, as ROS 2 names them:
+qos_overrides./TOPIC.publisher.depth, or .subscription; history, depth, reliability.
+"""
 
 import time
 from collections.abc import Callable
@@ -9,13 +14,20 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from asi_common.parameter import Parameter, ParameterError
 from asi_common.topics import STREAM_DEPTH, TOPICS
 
 # A loop wants the newest message.
 CONTROL_QOS: Final = QoSProfile(depth=10)
 STREAM_QOS: Final = QoSProfile(depth=STREAM_DEPTH)
+QOS_OVERRIDES: Final = 'qos_overrides.'
+QOS_POLICIES: Final = {policy.name: policy for policy in (
+    Parameter('history', 'keep_last', '', '', choices=('keep_last', 'keep_all')),
+    Parameter('depth', 10, '', '', 1, 1_000_000),
+    Parameter('reliability', 'reliable', '', '', choices=('reliable', 'best_effort')))}
 
 
 class SteadyClock:
@@ -37,13 +49,30 @@ class SteadyClock:
 def create_publisher(node: Node, name: str) -> Publisher:
     """Return a publisher of one of the `TOPICS`, with its type and QoS."""
     topic = TOPICS[name]
-    return node.create_publisher(message_class(topic.type), name, QoSProfile(depth=topic.depth))
+    return node.create_publisher(
+        message_class(topic.type), name, QoSProfile(depth=topic.depth),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
 def create_subscription(node: Node, name: str, callback: Callable[[bytes], None]) -> Subscription:
     """Return a subscription of the loop to one of the `TOPICS`; the callback gets CDR bytes."""
-    return node.create_subscription(message_class(TOPICS[name].type), name, callback,
-                                    CONTROL_QOS, raw=True)
+    return node.create_subscription(
+        message_class(TOPICS[name].type), name, callback, QoSProfile(depth=CONTROL_QOS.depth),
+        raw=True, qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def check_qos_override(node: Node, name: str, value: object) -> None:
+    """Raise ParameterError if a parameter `qos_overrides.…` names nothing, or is not allowed."""
+    topic, _, rest = name.removeprefix(QOS_OVERRIDES).partition('.')
+    kind, _, policy = rest.partition('.')
+    topics = [node.resolve_topic_name(each) for each in TOPICS]
+    for what, given, known in (('topic', topic, topics),
+                               ('end', kind, ('publisher', 'subscription')),
+                               ('policy', policy, tuple(QOS_POLICIES))):
+        if given not in known:
+            raise ParameterError(f'{name}: the {what} {given!r} is not one of {", ".join(known)}')
+    if problem := QOS_POLICIES[policy]._replace(name=name).problem(value):
+        raise ParameterError(problem)
 
 
 def message_class(type_: str) -> Any:

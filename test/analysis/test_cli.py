@@ -207,23 +207,31 @@ def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
 
 
 def messages_of(bag):
-    """Return the messages of a bag but /diagnostics, in its order: topic, time, bytes."""
+    """Return the messages of a bag in its order: topic, type, times, bytes."""
     with Reader(bag) as reader:
-        return [(connection.topic, time_ns, bytes(data))
-                for connection, time_ns, data in reader.messages()
-                if connection.topic != '/diagnostics']
+        return [(connection.topic, connection.msgtype, time_ns, bytes(data))
+                for connection, time_ns, data in reader.messages()]
 
 
-def test_same_command_twice_gives_the_same_bag(ros_environment, tmp_path):
+def test_same_command_gives_the_same_bag_twice_over_ros_and_once_in_one_process(
+        ros_environment, tmp_path):
     bags = []
-    for name in ('first', 'second'):
+    for name, how in (('first', []), ('second', []), ('third', ['--in-process'])):
         result = asi('run', '--compensator', 'lead4', '--step', '100', '--duration', '0.1',
-                     '--set', 'actuator.force_sensor.noise=0.5', '--out', str(tmp_path / name),
-                     '--json')
+                     '--load', 'prescribed', '--set', 'actuator.load.velocity=0.2',
+                     '--set', 'actuator.load.frequency=20', '--set',
+                     'actuator.force_sensor.noise=0.5', '--seed', '3', *how,
+                     '--out', str(tmp_path / name), '--json')
         assert result.returncode == 0, result.stderr
-        bags.append(messages_of(json.loads(result.stdout)['bag']))
-    assert len(bags[0]) == 7 * 500
-    assert bags[0] == bags[1]
+        bags.append(Path(json.loads(result.stdout)['bag']))
+    first, second, third = map(messages_of, bags)
+    assert len(first) == 7 * 500 + 1
+    assert first == second == third
+    # Not only the messages: the same files.
+    for file in ('bag/bag_0.mcap', 'bag/metadata.yaml', 'experiment.json', 'actuator.yaml',
+                 'controller.yaml'):
+        assert (tmp_path / 'first' / file).read_bytes() == (
+            tmp_path / 'third' / file).read_bytes(), file
 
 
 def processes_of(directory):
@@ -290,10 +298,43 @@ def test_dead_node_is_named(recording, tmp_path):
 
 
 def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
-    result = subprocess.run(
-        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(tmp_path / 'run'),
-         '--duration', '0.2', '--set', 'actuator.force_sensor.offset=3000'],
-        env=ros_environment, capture_output=True, text=True)
-    assert result.returncode == 1
-    assert 'limit.force = 2500 N' in result.stderr and 'Traceback' not in result.stderr
-    assert str(tmp_path / 'run' / 'bag') in result.stderr.replace('\n', '')
+    said = []
+    for how in ([], ['--in-process']):
+        out = tmp_path / f'run{len(said)}'
+        result = subprocess.run(
+            [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(out), '--duration',
+             '0.2', '--step', '2400', '--set', 'actuator.valve_characteristic.maximum_force=4000',
+             *how], env=ros_environment, capture_output=True, text=True)
+        assert result.returncode == 1
+        assert 'limit.valve_disagreement = 1e-05 m' in result.stderr
+        assert str(out / 'bag') in result.stderr.replace('\n', '')
+        said.append(result.stderr.replace(str(out), ''))
+    assert said[0] == said[1]
+    over_ros, in_process = (messages_of(tmp_path / name / 'bag') for name in ('run0', 'run1'))
+    # Over ROS it goes on until it is ended.
+    assert in_process == over_ros[:len(in_process)]
+    assert [topic for topic, *_ in in_process].count('/diagnostics') == 2
+
+
+@pytest.mark.parametrize('arguments, said', [
+    (('--mode', 'realtime'), 'realtime'), (('--reference', 'topic'), 'topic'),
+    (('--rate', '20000', '--set', 'actuator.command_limit=1e5'), 'command_limit')])
+def test_what_needs_nodes_is_refused_in_one_process(arguments, said, tmp_path, monkeypatch,
+                                                    capsys):
+    monkeypatch.setattr(sys, 'argv', ['asi', 'run', '--in-process', '--out',
+                                      str(tmp_path / 'out'), *arguments])
+    assert cli.main() == 2
+    message = capsys.readouterr().err
+    assert said in message and len(message.splitlines()) == 1 and not (tmp_path / 'out').exists()
+
+
+def test_ctrl_c_ends_a_compilation(tmp_path):
+    """LLVM compiles the loop for many seconds, in which Python handles no signal."""
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'asi_analysis.cli', 'attribute'], stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT), 'NUMBA_CACHE_DIR': str(tmp_path)})
+    wait_until(lambda: any(tmp_path.rglob('*.nbi')), 'the first compiled function')
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=PATIENCE_S)[1] == 'asi: interrupted\n'
+    assert process.returncode == 130
+    assert not list(tmp_path.rglob('*_close_block*')), 'it went on to compile'

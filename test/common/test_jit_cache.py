@@ -21,12 +21,17 @@ print('loaded' if sum(delay.stats.cache_hits.values()) else 'compiled')
 """
 
 
+def without_cache(folder: Path, **environment: str) -> dict[str, str]:
+    """Return the environment for the packages in a folder, without the caller's cache."""
+    return {name: value for name, value in os.environ.items()
+            if name not in ('NUMBA_CACHE_DIR', 'XDG_CACHE_HOME')} | {
+        'PYTHONPATH': str(folder), **environment}
+
+
 def start(folder: Path, **environment: str) -> tuple[list[str], str]:
     """Run PROBE on the packages in a folder; return its lines and what it complained of."""
-    given = {name: value for name, value in os.environ.items()
-             if name not in ('NUMBA_CACHE_DIR', 'XDG_CACHE_HOME')}
     result = subprocess.run([sys.executable, '-c', PROBE], capture_output=True, text=True,
-                            env={**given, 'PYTHONPATH': str(folder), **environment}, cwd=folder)
+                            env=without_cache(folder, **environment), cwd=folder)
     assert result.returncode == 0, result.stderr
     return result.stdout.splitlines(), result.stderr
 
@@ -65,7 +70,7 @@ def test_module_that_compiles_nothing_leaves_the_key(copy: Path, tmp_path: Path)
 
 def test_folder_in_use_is_not_removed(copy: Path, tmp_path: Path) -> None:
     home = {'HOME': str(tmp_path / 'home')}
-    environment = {**os.environ, **home, 'PYTHONPATH': str(copy)}
+    environment = without_cache(copy, **home)
     with subprocess.Popen([sys.executable, '-c', PROBE + 'input()'], stdin=subprocess.PIPE,
                           stdout=subprocess.PIPE, text=True, env=environment, cwd=copy) as running:
         assert running.stdout is not None
@@ -114,9 +119,7 @@ def test_temporary_folder_of_another_user_is_not_used(copy: Path, tmp_path: Path
 def test_start_where_nothing_can_be_written_compiles_without_a_cache(copy: Path) -> None:
     # Where there is no temporary folder either, Python takes the current one.
     program = ('import tempfile\ntempfile.tempdir = "/proc"\n' + PROBE)
-    environment = {name: value for name, value in os.environ.items()
-                   if name not in ('NUMBA_CACHE_DIR', 'XDG_CACHE_HOME')}
     result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
-                            env={**environment, 'HOME': '/proc', 'PYTHONPATH': str(copy)})
+                            env=without_cache(copy, HOME='/proc'))
     assert result.stdout.splitlines() == ['None', '423.0', 'compiled']
     assert result.stderr.count('set NUMBA_CACHE_DIR') == 1 and 'Traceback' not in result.stderr

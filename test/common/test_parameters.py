@@ -3,14 +3,19 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from conftest import Listener
+from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
 
 from asi_analysis.parameter_tables import NODES, NodeTables, files
+from asi_common.node.ros_parameters import descriptor
 from asi_common.parameter import Parameter, ParameterError, completed, defaults
+from asi_common.topics import STREAM_DEPTH
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 ROOT = Path(__file__).parents[2]
@@ -84,7 +89,36 @@ def test_what_is_typed_is_taken(
     assert value == 8.0 and isinstance(value, float)
 
 
+def test_quality_of_service_is_overridden_by_parameters(
+        start_node: Callable, ros_node: Any, get_parameters: Callable,
+        set_parameters: Callable) -> None:
+    both = {'mode': 'realtime', 'rate_hz': 200.0}
+    reliability = 'qos_overrides./joint_states.{}.reliability'
+    start_node(ACTUATOR, **both, **{reliability.format('publisher'): 'best_effort',
+                                    'qos_overrides./force.publisher.depth': 7})
+    start_node(CONTROLLER, **both, **{reliability.format('subscription'): 'best_effort'})
+    commands = Listener(ros_node, WrenchStamped, 'valve_command')
+    commands.wait(20)   # a reliable subscription would hear no best-effort publisher
+    for topic, expected in (('/joint_states', 'BEST_EFFORT'), ('/force', 'RELIABLE')):
+        publisher, = ros_node.get_publishers_info_by_topic(topic)
+        assert publisher.qos_profile.reliability.name == expected
+    subscription, = ros_node.get_subscriptions_info_by_topic('/joint_states')
+    assert subscription.qos_profile.reliability.name == 'BEST_EFFORT'
+    assert get_parameters('asi_actuator', [
+        'qos_overrides./force.publisher.depth', 'qos_overrides./velocity.publisher.depth']
+        ) == {'qos_overrides./force.publisher.depth': 7,
+              'qos_overrides./velocity.publisher.depth': STREAM_DEPTH}
+    result, = set_parameters('asi_actuator', {'qos_overrides./force.publisher.depth': 8})
+    assert not result.successful and 'read-only' in result.reason
+
+
 @pytest.mark.parametrize(('text', 'words'), [
+    ('asi_controller: {ros__parameters: {qos_overrides: {/force: {publisher: {depth: -1}}}}}',
+     'qos_overrides./force.publisher.depth = -1 is not allowed: it takes a whole number from 1'),
+    ('asi_controller: {ros__parameters: {qos_overrides: {/forces: {publisher: {depth: 1}}}}}',
+     "qos_overrides./forces.publisher.depth: the topic '/forces' is not one of /joint_states"),
+    ('asi_controller: {ros__parameters: {qos_overrides: {/force: {publisher: {deep: 1}}}}}',
+     "the policy 'deep' is not one of history, depth, reliability"),
     ('asi_controller: {ros__parameters: {gain: -1.0}}', 'gain = -1.0 is not allowed'),
     ('asi_controller: {ros__parameters: {lead_leg: {ratio: 2.0}}}', 'did you mean lead_lag.ratio'),
     ('asi_controller: {ros__parameters: {gain: [1.0, 2.0]}}', 'gain = '),
@@ -122,6 +156,16 @@ def test_yaml_file_holds_the_defaults(node: NodeTables) -> None:
     assert read == defaults(table)
     assert {name: type(value) for name, value in read.items()} == {
         p.name: type(p.default) for p in table}
+
+
+def test_a_descriptor_has_the_range_that_rqt_shows() -> None:
+    for parameter in EVERY:
+        described = descriptor(parameter)
+        ranges = [*described.floating_point_range, *described.integer_range]
+        assert [(each.from_value, each.to_value, each.step) for each in ranges] == (
+            [] if isinstance(parameter.default, bool | str) else
+            [(parameter.low, parameter.high, int(isinstance(parameter.default, int)))])
+        assert described.description and described.additional_constraints == parameter.allowed
 
 
 @given(st.sampled_from(EVERY), st.one_of(

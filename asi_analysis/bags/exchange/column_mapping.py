@@ -21,7 +21,7 @@ from asi_analysis.errors import InputError, InputWarning
 UNITS_OF: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
                 'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
-                'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s')}
+                'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s', 'Pa')}
 _UNSIGNED: Final = r'(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _NUMBER: Final = rf'[+-]?{_UNSIGNED}'
 _TERM: Final = re.compile(

@@ -43,7 +43,8 @@ from asi_analysis.bags.nodes.message_order import (
 from asi_analysis.bags.qos import as_dictionary
 from asi_analysis.errors import InputError
 from asi_common.node.diagnostics import STATE
-from asi_common.node.executor import RunError, run_node
+from asi_common.node.executor import Polled, RunError, run_node
+from asi_common.node.ros_parameters import OF_EVERY_NODE
 from asi_common.node.topics import SteadyClock, message_class
 from asi_common.parameter import ParameterError
 from asi_common.topics import TOPICS
@@ -62,19 +63,6 @@ LAST_TICK_S: Final = 1.0
 LONGEST_POLL_S: Final = 2.0 * DRAIN_PERIOD_S
 # History of a subscription: ten seconds of lock-step.
 DEPTH: Final = 50_000
-
-
-class _Polled(CallbackGroup):
-    """Never run by the executor: waking for each message costs more than writing it."""
-
-    def can_execute(self, entity: Any) -> bool:
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        pass
 
 
 class _Recorded:
@@ -151,7 +139,7 @@ class Recorder(Node):
             description='Topics to record', read_only=True)).value
         information = _configuration(configuration) if configuration else {}
         self.failed = False
-        self._group = _Polled()
+        self._group = Polled()
         self._topics: list[_Recorded] = []
         self._unknown: list[str] = []
         for name in names:
@@ -330,7 +318,8 @@ class Recorder(Node):
                 client.list_parameters(callback=partial(self._request_parameters, name, client))
 
     def _request_parameters(self, name: str, client: AsyncParameterClient, listed: Future) -> None:
-        names = listed.result().result.names
+        names = [name for name in listed.result().result.names
+                 if not name.startswith(OF_EVERY_NODE)]
         client.get_parameters(names, callback=partial(self._store_parameters, name, names))
 
     def _store_parameters(self, node: str, names: list[str], values: Future) -> None:

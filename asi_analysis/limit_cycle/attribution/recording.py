@@ -1,6 +1,7 @@
 """`asi attribute BAG`: the cause of a recorded oscillation, by its shape and by its model."""
 
 import json
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
@@ -11,8 +12,9 @@ from asi_analysis.limit_cycle.attribution.ablation import attribute_model
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.limit_cycle.attribution.calibration import SURE, WEIGHTS, probabilities
 from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
-from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, Shape, shape
-from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run, response_of
+from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, MOST_CYCLES, Shape, shape
+from asi_analysis.limit_cycle.detection.agreement import judge_run
+from asi_analysis.limit_cycle.detection.verdict import Segment, response_of
 from asi_analysis.measures.quality import quality_of
 from asi_analysis.terminal import Progress, silent
 
@@ -25,6 +27,10 @@ EMPTY: Final[dict[str, Any]] = dict.fromkeys(
 SPREAD: Final = (0.03, 0.15)
 # Cycles that a record must have beyond FEWEST_CYCLES: its slowest peak may be a slow drift.
 EDGE: Final = 0.25
+# Overlapping parts of the oscillation that are classified beside the whole, and their length: a
+# share of it, of at most MOST_CYCLES.
+PARTS: Final = 5
+PART: Final = 0.8
 # Least share of a record that is analysed alone.
 LEAST_PART: Final = 0.5
 # Prior odds of the causes in oscillating loops: surveys attribute a third of them to the valve,
@@ -67,29 +73,55 @@ def _segment_of(run: Run, signal: str | None) -> Segment:
 
 def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> Shape:
     """Return the shape of the oscillation in the segment of an `attribute_cycle` document."""
-    part = run.between(document['start_s'], document['end_s'] + 0.5 * run.period_s)
-    name, output = response_of(part, signal)
+    part = _part_of(run, document)
+    name, _ = response_of(part, signal)
     if part.command_n is None or name == 'command':
         raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
                          'and output of the loop')
     try:
-        found = shape(part.time_s, part.command_n, output)
+        return _shape(part, name)
     except InputError as error:
         raise InputError(f'{run.source or "the run"}: {error}') from None
+
+
+def _part_of(run: Run, document: dict[str, Any]) -> Run:
+    return run.between(document['start_s'], document['end_s'] + 0.5 * run.period_s)
+
+
+def _shape(part: Run, name: str) -> Shape:
+    assert part.command_n is not None
+    found = shape(part.time_s, part.command_n, part.signal(name))
     if found.cycles < FEWEST_CYCLES + EDGE:
-        raise InputError(f'{run.source or "the run"}: a slow drift, no oscillation: no peak '
-                         f'of the spectrum has {FEWEST_CYCLES:g} cycles or more')
+        raise InputError('a slow drift, no oscillation: no peak of the spectrum has '
+                         f'{FEWEST_CYCLES:g} cycles or more')
     return found
 
 
+def agreed_probabilities(part: Run, name: str, whole: Shape) -> dict[str, float]:
+    """
+    Return the probability of each cause, by shape; the most probable first.
+
+    It is the mean over the whole oscillation, overlapping parts of it, and every second sample of
+    it: one pass depends on where the record happens to begin and end.
+    """
+    passes = [shape_probabilities(whole)]
+    cycles = whole.frequency_hz * part.duration_s
+    length = int(len(part) * min(PART, MOST_CYCLES / cycles))
+    for other in [*(part[start:start + length] for start in np.linspace(
+            0, len(part) - length, PARTS).astype(int)), part[::2]]:
+        with suppress(InputError):   # too few cycles
+            passes.append(shape_probabilities(_shape(other, name)))
+    mean = {cause: sum(each[cause] for each in passes) / len(passes) for cause in PRIOR}
+    return dict(sorted(mean.items(), key=lambda item: -item[1]))
+
+
 def shape_probabilities(found: Shape) -> dict[str, float]:
-    """Return the probability of each cause, by shape; the most probable first."""
+    """Return the probability of each cause, by one shape."""
     trained = json.loads(WEIGHTS.read_text())
     chances = dict(zip(trained['causes'], probabilities(found.features, trained)[0], strict=True))
     weighted = {name: float(chance) * PRIOR[name] for name, chance in chances.items()}
     total = sum(weighted.values())
-    chances = {name: chance / total for name, chance in weighted.items()}
-    return dict(sorted(chances.items(), key=lambda item: -item[1]))
+    return {name: chance / total for name, chance in weighted.items()}
 
 
 def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = silent
@@ -125,7 +157,8 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     progress('shape', 0.3)
     found = shape_of(run, document, signal)
     document['frequency_hz'] = found.frequency_hz
-    chances = shape_probabilities(found)
+    part = _part_of(run, document)
+    chances = agreed_probabilities(part, response_of(part, signal)[0], found)
     causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
                'probability': chance, 'unexplained': _unexplained(found, cause)}
               for cause, chance in chances.items()]

@@ -5,8 +5,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from asi_analysis.bags.run import Run
+from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.isolation import judge
-from asi_analysis.limit_cycle.detection.verdict import Segment, judge_run
+from asi_analysis.limit_cycle.detection.verdict import Segment
 from asi_analysis.measures.quality import quality_of
 from asi_analysis.reporting.result import Pictures, Result, Table, table_of
 
@@ -65,14 +66,16 @@ class LimitCycles(Result):
         return drawn(self.runs, self)
 
 
-def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None) -> LimitCycles:
+def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None,
+                        undriven: bool = False) -> LimitCycles:
     """
     Classify the segments of recordings: limit cycle, forced, decaying, noise, …, with confidence.
 
     runs: one recording, or several of the same loop, which together show whether a cycle is
     isolated (reached from inside and from outside). signal: name of the signal to analyse; by
-    default the force, or the first other that was recorded. Raises InputError if a run lacks the
-    signal or has too few samples.
+    default the one that the reference controls, else the force, or the first other that was
+    recorded. undriven: nothing drove the runs from outside; to be said where no reference is
+    recorded. Raises InputError if a run lacks the signal or has too few samples.
 
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)
@@ -82,6 +85,7 @@ def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None) ->
     limit_cycle 87.5 Hz
     """
     runs = [runs] if isinstance(runs, Run) else list(runs)
-    segments = judge([segment for run in runs for segment in judge_run(run, signal)])
+    segments = judge([segment for run in runs
+                      for segment in judge_run(run, signal, undriven)])
     return LimitCycles({'segments': [segment_as_dict(segment) for segment in segments],
                         'quality': quality_of(runs)}, runs=runs)

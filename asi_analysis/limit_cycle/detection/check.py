@@ -6,6 +6,7 @@ Sines for the accuracy, relative to the Cramér-Rao bound; families of signals f
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,13 +15,18 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 from asi_analysis.bags.run import Run
-from asi_analysis.limit_cycle.detection.verdict import judge_run
+from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.measures.sinusoid import fit
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
+
+# Least confidence of a verdict that must survive changes of the record, and for one of how many
+# signals that is checked.
+SURE: Final = 0.9
+CHANGED: Final = 5
 
 
 def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: float,
@@ -75,6 +81,11 @@ def _noisy(y: Array, random: Random) -> Array:
     return y + size * random.standard_normal(len(y))
 
 
+def undriven(t: Array, force: Array, command: Array | None = None) -> Run:
+    """Return a run of a loop whose reference rests."""
+    return Run(t, np.zeros(len(t)), command, force)
+
+
 def _oscillator(random: Random, mu: float, cubic: float, start: float, settle: float,
                 fewest_cycles: float = 10.0) -> Run:
     """Return a run of x'' = mu (1 - x²) x' - x - cubic x³, up to 100 cycles, from x = `start`."""
@@ -83,7 +94,7 @@ def _oscillator(random: Random, mu: float, cubic: float, start: float, settle: f
     solution = solve_ivp(
         lambda _, x: [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0] - cubic * x[0] ** 3],
         (-settle, t[-1]), [start, 0.0], t_eval=t, rtol=1e-7, atol=1e-8)
-    return Run(t, force_n=_noisy(solution.y[0], random))
+    return undriven(t, _noisy(solution.y[0], random))
 
 
 def van_der_pol(random: Random) -> Run:
@@ -111,7 +122,7 @@ def duffing_decay(random: Random) -> Run:
     t: Array = np.linspace(0.0, 6.0 * cycles, int(cycles * random.uniform(12.0, 60.0)))
     solution = solve_ivp(lambda _, x: [x[1], -2 * damping * x[1] - x[0] - cubic * x[0] ** 3],
                          (0.0, t[-1]), [2.0, 0.0], t_eval=t, rtol=1e-7, atol=1e-8)
-    return Run(t, force_n=_noisy(solution.y[0], random))
+    return undriven(t, _noisy(solution.y[0], random))
 
 
 def third_order_loop(random: Random, drive: Callable[[float, float], float], settle: int) -> Run:
@@ -126,8 +137,7 @@ def third_order_loop(random: Random, drive: Callable[[float, float], float], set
         force[k], command[k] = x[2], u
     every = int(random.integers(1, 20))
     t = np.arange(count, dtype=np.float64)[::every] * step
-    return Run(t, force_n=_noisy(force[settle:], random)[::every],
-               command_n=command[settle:][::every])
+    return undriven(t, _noisy(force[settle:], random)[::every], command[settle:][::every])
 
 
 def relay(random: Random) -> Run:
@@ -221,6 +231,32 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
             'false_limit_cycles': false_cycles, 'verdicts': dict(verdicts)}
 
 
+def changes(run: Run) -> Iterator[Run]:
+    """Yield a run without a tenth at either end, with every second sample, and with an offset."""
+    assert run.force_n is not None
+    tenth = len(run) // 10
+    yield from (run[tenth:], run[:-tenth], run[::2],
+                replace(run, force_n=run.force_n + 10.0 * np.std(run.force_n)))
+
+
+def main_verdict(run: Run) -> tuple[str, float]:
+    """Return verdict and confidence of the longest segment."""
+    longest = max(judge_run(run), key=lambda s: s.end_s - s.start_s)
+    return longest.verdict, longest.confidence
+
+
+def check_robustness(family: str, count: int, seed: int) -> dict[str, Any]:
+    """Return how many verdicts are sure, and how many of these survive all `changes`."""
+    random = np.random.default_rng(seed)
+    runs = [FAMILIES[family][0](random) for _ in range(count)]
+    given = [main_verdict(run) for run in runs]
+    sure = [(run, verdict) for run, (verdict, confidence) in zip(runs, given, strict=True)
+            if confidence >= SURE]
+    survived = sum(all(main_verdict(changed)[0] == verdict for changed in changes(run))
+                   for run, verdict in sure)
+    return {'family': family, 'count': count, 'sure': len(sure), 'survived': survived}
+
+
 class DetectionCheck(Result):
     """Accuracy and verdicts on synthetic signals: the keys of `asi limit-cycle --check --json`."""
 
@@ -237,13 +273,18 @@ class DetectionCheck(Result):
         yield table_of(self.verdicts, {
             'family': '{family}', 'truth': '{truth}', 'right': '{right:d}', 'of': '{count:d}',
             'false limit cycles': '{false_limit_cycles:d}'}, 'verdicts')
+        yield table_of(self.robustness, {
+            'family': '{family}', 'of': '{count:d}', 'sure': '{sure:d}',
+            'survived': '{survived:d}'},
+            f'verdicts of {SURE:g} or more that survive a cut of 10 % at either end, every second '
+            'sample, an offset')
 
 
 def check(count: int, seed: int, report: Progress) -> DetectionCheck:
     """Return accuracy and verdicts, from `count` signals for each row."""
     grid = [(cycles, samples, snr) for cycles in (3.0, 10.0, 100.0, 300.0)
             for samples in (5.0, 12.0, 40.0) for snr in (10.0, 25.0, 40.0)]
-    rows = len(grid) + len(FAMILIES)
+    rows = len(grid) + 2 * len(FAMILIES)
     accuracy = []
     for row, case in enumerate(grid):
         report(f'sines of {case[0]:g} cycles, {case[1]:g} samples a cycle', row / rows)
@@ -252,4 +293,8 @@ def check(count: int, seed: int, report: Progress) -> DetectionCheck:
     for row, family in enumerate(FAMILIES):
         report(family, (len(grid) + row) / rows)
         verdicts.append(check_verdicts(family, count, seed + row))
-    return DetectionCheck({'accuracy': accuracy, 'verdicts': verdicts})
+    robustness = []
+    for row, family in enumerate(FAMILIES):
+        report(f'{family}, changed', (len(grid) + len(FAMILIES) + row) / rows)
+        robustness.append(check_robustness(family, max(count // CHANGED, 1), seed + row))
+    return DetectionCheck({'accuracy': accuracy, 'verdicts': verdicts, 'robustness': robustness})

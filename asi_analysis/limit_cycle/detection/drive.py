@@ -16,6 +16,11 @@ FOLLOWS: Final = 0.5
 # Least share of the time at a limit for the limit to determine the amplitude: a sine clipped for
 # that time keeps 0.96 of its fundamental.
 AT_LIMIT: Final = 0.25
+# Past samples from which the command is predicted, and most samples that are used.
+LAGS: Final = 6
+MOST_SAMPLES: Final = 20_000
+# Share of the command's variance below which nothing in it is new: rounding.
+NOTHING_NEW: Final = 1e-12
 
 
 def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Array] | None:
@@ -115,3 +120,37 @@ def quantisation(values: Array) -> float:
     if not 2 < len(levels) < 0.05 * len(values):
         return 0.0
     return float(np.median(np.diff(levels)))
+
+
+def told_by_output(run: Run, name: str, start_s: float, end_s: float, frequency_hz: float
+                   ) -> float | None:
+    """
+    Return the share of what is new in the command that the output tells: near 1 in a closed loop.
+
+    What is new is the error of a prediction of the command from its own past, the last samples and
+    those one cycle ago; it is told by the output up to the same sample (Granger, Econometrica 37,
+    1969). Without feedback the output tells nothing. None without a command that moves.
+    """
+    inside = run.between(start_s, end_s + 0.5 * run.period_s)
+    if inside.command_n is None or name == 'command':
+        return None
+    valid = np.isfinite(inside.command_n) & np.isfinite(inside.signal(name))
+    pair = [each[valid][-MOST_SAMPLES:] for each in (inside.command_n, inside.signal(name))]
+    cycle = max(round(1.0 / (frequency_hz * run.period_s)) if frequency_hz > 0.0 else 0, LAGS)
+    if len(pair[0]) < cycle + 10 * LAGS or np.ptp(pair[0]) == 0.0:
+        return None
+    past, seen = (np.lib.stride_tricks.sliding_window_view(
+        (each - each.mean()) / max(float(each.std()), 1e-300), LAGS + 1)[:, ::-1]
+        for each in pair)
+    now, own = past[cycle:, 0], [past[cycle:, 1:], np.ones((len(past) - cycle, 1))]
+    if cycle > LAGS:
+        own.append(past[LAGS // 2:LAGS // 2 - cycle])
+
+    def error(columns: list[Array]) -> float:
+        given = np.hstack(columns)
+        left = now - given @ np.linalg.lstsq(given, now, rcond=1e-10)[0]
+        return float(left @ left) / max(len(left) - given.shape[1], 1)
+
+    alone = error(own)
+    # A command that its own past tells entirely has nothing new.
+    return max(1.0 - error([*own, seen[cycle:]]) / alone, 0.0) if alone > NOTHING_NEW else 0.0

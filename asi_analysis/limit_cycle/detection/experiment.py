@@ -6,6 +6,7 @@ force for DRIVEN_S, slower than the cycle, because at the frequency of the cycle
 cannot be driven much beyond its amplitude.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -22,11 +23,12 @@ DRIVEN_HZ: Final = 60.0
 DRIVEN_S: Final = 0.3
 
 
-def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> LimitCycles:
+def isolation(experiment: Experiment, out: Path, report: Progress = silent,
+              run: Callable[[Experiment, Path, Progress], Path] = run_experiment) -> LimitCycles:
     """
     Return the bags of both runs and their segments, analysed together.
 
-    experiment: its reference is a step; both runs hold the force of that step.
+    experiment: its reference is a step; both runs hold the force of that step. run: runs one.
     """
     held = float(experiment.controller.get('reference.amplitude', 100.0))
     sine: dict[str, Value] = {
@@ -35,6 +37,6 @@ def isolation(experiment: Experiment, out: Path, report: Progress = silent) -> L
     runs = {'inside': experiment,
             'outside': replace(experiment, controller={**experiment.controller, **sine},
                                duration_s=experiment.duration_s + DRIVEN_S)}
-    bags = [run_experiment(checked(run), out / name, report) for name, run in runs.items()]
+    bags = [run(checked(each), out / name, report) for name, each in runs.items()]
     found = detect_limit_cycles([read_bag(bag) for bag in bags])
     return LimitCycles({'bags': list(map(str, bags)), **found}, **vars(found))

@@ -14,6 +14,8 @@ from asi_analysis.measures.record import Array, ComplexArray
 from asi_analysis.measures.sinusoid import on_grid
 
 SURROGATES: Final = 200
+FIRST: Final = 40
+CLEARLY_NOISE: Final = 1.5
 # Samples that are compared with surrogates; in a longer record in WINDOWS windows.
 COMPARED: Final = 8192
 WINDOWS: Final = 4
@@ -23,7 +25,7 @@ def steadiness(t: Array, y: Array, frequency: float) -> float:
     """
     Return how much steadier the envelope is than that of the surrogates.
 
-    In standard deviations of the surrogates; 0 if one of them is as steady.
+    In standard deviations of the surrogates. FIRST of them decide where it is clearly noise.
     """
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
@@ -34,8 +36,12 @@ def steadiness(t: Array, y: Array, frequency: float) -> float:
     for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
         # Each at its own highest peak, as the record, where a random burst can be the peak.
         others.append(_evenness(rows, period, _highest_peak(rows, period), skip))
-        if others[-1] >= own:
-            return 0.0
+        if len(others) == FIRST and _deviation(own, others) < CLEARLY_NOISE:
+            break
+    return _deviation(own, others)
+
+
+def _deviation(own: float, others: list[float]) -> float:
     return (own - float(np.mean(others))) / max(float(np.std(others)), 1e-12)
 
 
@@ -64,7 +70,7 @@ def _highest_peak(windows: Array, period: float) -> float:
 
 def analytic_signal(values: Array, period: float, frequency: float) -> ComplexArray:
     """Return the analytic signal of values (along the last axis), band-passed at a frequency."""
-    band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), 1e-3, 0.98)
+    band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), (1e-3, 2e-3), (0.9, 0.98))
     filtered = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
                                   values - values.mean(-1, keepdims=True),
                                   padlen=min(15, values.shape[-1] - 1))

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy import integrate, stats
 
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import OUTPUTS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
@@ -29,7 +29,6 @@ from asi_analysis.measures.sinusoid import (
     valid_samples,
 )
 
-RESPONSES: Final = ('force', 'position', 'velocity', 'valve_position', 'command')
 FEWEST_CYCLES: Final = 3.0
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
@@ -52,8 +51,6 @@ CLAIM: Final = 0.9
 QUANTISED: Final = 0.41
 # Cycles that an orbit must last after its approach to be called settled.
 SETTLED_CYCLES: Final = 8.0
-# Largest confidence in a limit cycle without a recorded reference, which may drive it.
-UNDRIVEN: Final = 0.8
 # Above this THD the oscillation is at another frequency.
 MOST_THD: Final = 3.0
 # Least steadiness of an envelope, in standard deviations of the surrogates.
@@ -108,9 +105,10 @@ class _Piece(NamedTuple):
 
 
 def response_of(run: Run, name: str | None = None) -> tuple[str, Array]:
-    """Return name and values of the signal to analyse, by default the first of RESPONSES."""
+    """Return name and values of the signal to analyse; default: the controlled, or of OUTPUTS."""
     present = run.signals()
-    candidates = [name] if name else [*RESPONSES, 'reference']
+    first = [] if run.reference_n is None else [run.controlled()]
+    candidates = [name] if name else [*first, *OUTPUTS, 'reference']
     for candidate in candidates:
         if candidate in present and np.isfinite(present[candidate]).sum() > 1:
             return candidate, present[candidate]
@@ -118,11 +116,11 @@ def response_of(run: Run, name: str | None = None) -> tuple[str, Array]:
                      + (', '.join(present) or 'none'))
 
 
-def judge_run(run: Run, name: str | None = None) -> list[Segment]:
+def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     """
-    Return the segments of a run, each with its verdict, in chronological order.
+    Return the segments of a run, each with its verdict, in chronological order, by one pass.
 
-    name: signal to analyse, by default the first of RESPONSES. Raises InputError if it is absent.
+    name: signal to analyse, by default as `response_of`. Raises InputError if it is absent.
     """
     chosen, values = response_of(run, name)
     time_s, values = valid_samples(run.time_s, values)
@@ -139,32 +137,21 @@ def judge_run(run: Run, name: str | None = None) -> list[Segment]:
         if part.stop - part.start > 1:
             found += _judge_stretch(run, chosen, time_s, values, part,
                                     frequency if len(edges) == 2 else None)
-    if run.reference_n is None:
-        found = [_unless_driven(segment) for segment in found]
-    return _merge(found)
+    return merged(found)
 
 
-def _unless_driven(segment: Segment) -> Segment:
-    """Return a segment of a run without a reference: an external drive cannot be excluded."""
-    if segment.verdict != 'limit_cycle':
-        return segment
-    return segment._replace(
-        confidence=min(segment.confidence, UNDRIVEN),
-        why=f'{segment.why}; unless something drives it, for no reference is recorded')
-
-
-def _merge(found: list[Segment]) -> list[Segment]:
+def merged(found: list[Segment]) -> list[Segment]:
     """Return the segments with neighbours of one kind joined, under the figures of the longer."""
-    merged: list[Segment] = []
+    joined: list[Segment] = []
     for segment in found:
-        before = merged[-1] if merged else None
+        before = joined[-1] if joined else None
         if before is None or not _one_kind(before, segment):
-            merged.append(segment)
+            joined.append(segment)
             continue
         longer = max(before, segment, key=lambda s: s.end_s - s.start_s)
-        merged[-1] = longer._replace(start_s=before.start_s, end_s=segment.end_s,
+        joined[-1] = longer._replace(start_s=before.start_s, end_s=segment.end_s,
                                      came_from=before.came_from)
-    return merged
+    return joined
 
 
 def _one_kind(a: Segment, b: Segment) -> bool:
@@ -453,7 +440,12 @@ def _judge_noise(t: Array, y: Array, frequency: float
         return verdict, confidence, (
             f'irregular phase, but its envelope is {steadier:.1f} standard '
             'deviations steadier than that of noise with the same spectrum'), figures
-    return 'noise', float(np.clip(1.0 - np.exp(-2.0 * (4.0 - steadier)), 0.5, 0.99)), (
+    chance = float(np.clip(stats.norm.sf(steadier - 3.0), 0.0, 0.99))
+    if chance < 0.5:
+        return 'unsteady', 0.5, (
+            f'between noise and a cycle: its envelope is {steadier:.1f} standard deviations '
+            'steadier than that of noise with the same spectrum'), {}
+    return 'noise', chance, (
         'coloured noise with a resonance has a shorter description than any oscillation'), {}
 
 

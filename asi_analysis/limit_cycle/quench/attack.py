@@ -48,12 +48,7 @@ class Condition(NamedTuple):
     def settings(self, rates_hz: tuple[float, ...]) -> dict[str, Any]:
         """Return parameters of actuator and reference, and the control rate (Hz)."""
         n = self.numbers
-        table = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
-        actuator: dict[str, Value] = {}
-        for name in VARIED:
-            parameter = table[name]
-            value = float(parameter.default) * (0.8 + 0.4 * n[name])
-            actuator[name] = min(max(value, parameter.low), parameter.high)
+        actuator = with_errors({}, n)
         actuator['load.type'] = _choice(LOADS, n['load'])
         if actuator['load.type'] != 'locked':
             actuator['load.mass'] = 0.3 * 30.0 ** n['mass']
@@ -73,6 +68,21 @@ class Condition(NamedTuple):
 
 NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitude', 'offset',
                 'speed', 'push')
+
+
+def with_errors(actuator: Values, numbers: Mapping[str, float]) -> dict[str, Value]:
+    """
+    Return the parameters VARIED of an actuator with errors of up to 20 %.
+
+    numbers: from 0 (20 % less) to 1 (20 % more), by name.
+    """
+    found: dict[str, Value] = {}
+    for parameter in ACTUATOR_PARAMETERS:
+        if parameter.name in VARIED:
+            value = float(actuator.get(parameter.name, parameter.default)) * (
+                0.8 + 0.4 * numbers[parameter.name])
+            found[parameter.name] = min(max(value, parameter.low), parameter.high)
+    return found
 
 
 class Trial(NamedTuple):

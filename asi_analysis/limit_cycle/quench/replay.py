@@ -8,7 +8,7 @@ from typing import Any
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.experiments.running import RunFailedError, run_experiment
-from asi_analysis.limit_cycle.detection.verdict import judge_run
+from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.quench.attack import EXCITED_S, Trial
 from asi_analysis.loop.simulation import Values
 from asi_analysis.terminal import Progress, silent

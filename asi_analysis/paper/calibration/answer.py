@@ -42,7 +42,7 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
         search = load(state)
     else:
         search = new_search(read_best(start) if start else Candidate({}, Conditions()),
-                            STRUCTURES[structure], seed, spread, only)
+                            STRUCTURES[structure], seed, spread, only, report)
     calibrate(search, evaluations, rounds, state, report)
     write_best(result(search), out / 'best.json')
     measured = search.problem.measure(search.best)

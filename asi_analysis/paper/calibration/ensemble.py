@@ -83,6 +83,7 @@ def slopes(problem: Problem, report: Progress = silent) -> Array:
     moved = [np.clip(point + step * unit, 0.0, 1.0)
              for unit in np.eye(point.size) for step in (-SLOPE_STEP, SLOPE_STEP)]
     found: list[Array] = []
+    report('sensitivity', 0.0)
     for measured in each(Problem.measure, ((problem, one) for one in moved)):
         report('sensitivity', len(found) / len(moved))
         found.append(_positions(measured))

@@ -58,6 +58,8 @@ LEAST_REACH: Final = 0.003
 MOST_REACH: Final = 0.25
 SHARES: Final = (2.0, 1.0, 0.4, 0.15)
 STEEPEST: Final = 80.0
+# CMA-ES takes no standard deviation near the resolution of a float.
+LEAST_SPREAD: Final = 1e-6
 
 
 def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
@@ -262,7 +264,7 @@ def _in_block(name: str, block: str) -> bool:
 
 
 def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
-               only: Sequence[str] = ()) -> Search:
+               only: Sequence[str] = (), report: Progress = silent) -> Search:
     """
     Return a search that starts from a candidate.
 
@@ -270,8 +272,8 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     vary, or of their blocks (if empty, all that the structure leaves free). Raises InputError for
     an invalid spread, or a name that is not in FREE.
     """
-    if not 0.0 < spread <= 1.0:
-        raise InputError(f'spread = {spread:g} is not allowed: above 0, at most 1')
+    if not LEAST_SPREAD <= spread <= 1.0:
+        raise InputError(f'spread = {spread:g} is not allowed: from {LEAST_SPREAD:g} to 1')
     names = [free.name for free in FREE]
     for name in (*only, *structure.fixed):
         if name not in names and not (name in only and any(_in_block(each, name)
@@ -290,6 +292,7 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     known = {**quantities(start), **structure.fixed}
     problem = Problem({**start.actuator, **SEARCH}, start.conditions, free,
                       to_vector(FREE, known))
+    report('start', 0.0)
     return Search(problem, seed, spread)
 
 

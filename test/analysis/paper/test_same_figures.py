@@ -3,7 +3,7 @@
 import pytest
 
 from asi_analysis.bags.run import Run
-from asi_analysis.limit_cycle.detection.verdict import judge_run
+from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.prediction.predict import onset_by_step
 from asi_analysis.loop.bench import RATE_HZ, in_process, step_experiment
 from asi_analysis.measures.oscillation import oscillation

@@ -1,0 +1,99 @@
+"""
+The verdict on a recording that its parts agree on.
+
+A single pass over a record (`verdict.py`) depends on where the record happens to begin and end. So
+overlapping parts of it, and every second sample of it, are judged as well. The confidence of a
+segment is the mean of the probabilities that all these give to its verdict, as in bagging
+(Breiman, Machine Learning 24, 1996).
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.limit_cycle.detection import drive
+from asi_analysis.limit_cycle.detection.verdict import Segment, judge_once, merged
+
+# Parts of the record that are judged beside the whole: start and end as shares of its samples.
+PARTS: Final = ((0.0, 0.9), (0.1, 1.0), (0.0, 0.8), (0.2, 1.0), (0.05, 0.95), (0.1, 0.9))
+# Least mean probability at which a verdict stands.
+AGREED: Final = 0.5
+# Least share of what is new in the command that the output tells in a closed loop.
+CLOSED: Final = 0.3
+# Largest confidence in a limit cycle without a recorded reference, which may drive it: if the
+# command answers the output, and if no command is recorded either.
+UNDRIVEN: Final = {True: 0.8, False: 0.5}
+
+
+def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list[Segment]:
+    """
+    Return the segments of a run, each with its verdict, in chronological order.
+
+    name: signal to analyse, by default as `response_of`. undriven: nothing drove the run
+    from outside, although no reference shows it. Raises InputError if the signal is absent.
+    """
+    found = judge_once(run, name)
+    passes = [found]
+    for part in _parts(run):
+        with suppress(InputError):   # too few samples
+            passes.append(judge_once(part, name))
+    found = merged([_agreed(segment, passes) for segment in found])
+    if run.reference_n is not None or undriven:
+        return found
+    return [_unless_driven(run, segment) for segment in found]
+
+
+def _parts(run: Run) -> Iterator[Run]:
+    count = len(run)
+    for start, end in PARTS:
+        yield run[int(start * count):int(np.ceil(end * count))]
+    yield run[::2]
+
+
+def _agreed(segment: Segment, passes: list[list[Segment]]) -> Segment:
+    """Return a segment with the confidence that all passes agree on."""
+    if segment.why == 'the signal does not move':
+        return segment
+    votes = [each for each in (_votes(segment, judged) for judged in passes) if each]
+    mean = {word: sum(vote.get(word, 0.0) for vote in votes) / len(votes)
+            for word in {word for vote in votes for word in vote}}
+    confidence = round(mean[segment.verdict], 4)
+    if confidence >= AGREED or segment.verdict == 'unsteady':
+        return segment._replace(confidence=max(confidence, AGREED))
+    words = sorted(mean, key=lambda word: -mean[word])
+    shares = ', '.join(f'{word.replace("_", " ")} {100 * mean[word]:.0f} %' for word in words)
+    return segment._replace(
+        verdict='unsteady', confidence=AGREED,
+        why=f'parts of the record disagree: {shares}: record a longer or cleaner run')
+
+
+def _votes(segment: Segment, judged: list[Segment]) -> dict[str, float]:
+    """Return the probability of each verdict on a segment's time; empty if none of it is there."""
+    votes: dict[str, float] = {}
+    covered = 0.0
+    for other in judged:
+        shared = min(segment.end_s, other.end_s) - max(segment.start_s, other.start_s)
+        if shared > 0.0:
+            covered += shared
+            votes[other.verdict] = votes.get(other.verdict, 0.0) + shared * other.confidence
+    return {word: vote / covered for word, vote in votes.items()}
+
+
+def _unless_driven(run: Run, segment: Segment) -> Segment:
+    """Return a segment of a run without a reference: an external drive cannot be excluded."""
+    if segment.verdict != 'limit_cycle':
+        return segment
+    share = drive.told_by_output(run, segment.signal, segment.start_s, segment.end_s,
+                                 segment.frequency_hz)
+    ask = 'if nothing drove it from outside, say --undriven'
+    if share is not None and share < CLOSED:
+        return segment._replace(verdict='unsteady', confidence=AGREED, why=(
+            'driven open loop, or a limit cycle: no reference is recorded, and the command does '
+            f'not answer the output, which tells {100 * share:.0f} % of what is new in it; {ask}'))
+    return segment._replace(
+        confidence=min(segment.confidence, UNDRIVEN[share is not None]),
+        why=f'{segment.why}; unless something drives it, for no reference is recorded: {ask}')

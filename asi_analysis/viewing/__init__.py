@@ -1,0 +1,1 @@
+"""What shows a loop: the live page in the browser, and recordings in the Rerun viewer."""

@@ -1,0 +1,367 @@
+"""
+`asi live`: the loop in the browser, with its parameters, questions and effects.
+
+One process serves the page on 127.0.0.1 and hears the loop over DDS; it loads nothing from the
+network.
+"""
+
+import asyncio
+import random
+import socket
+import time
+from collections.abc import Awaitable, Callable, Iterable
+from typing import Any, Final
+
+import numpy as np
+from nicegui import app, ui
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from asi_actuator.model.effects import EFFECT, EFFECTS
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.experiments.running import free_directory
+from asi_analysis.viewing.link import Link, LinkError
+from asi_analysis.viewing.processes import RUNS, NodeProcess, ask
+from asi_analysis.viewing.recent import drawn
+from asi_analysis.viewing.sliders import choices_of, scale_of, typed
+from asi_common.parameter import Value
+
+HOST: Final = '127.0.0.1'
+FRAMES_HZ: Final = 30.0
+REFRESH_S: Final = 0.5
+WINDOWS_S: Final = {0.2: '0.2 s', 1.0: '1 s', 5.0: '5 s', 20.0: '20 s'}
+BINS: Final = 300
+# What a question is asked of: long enough for a slow cycle and for the sweep of a chirp.
+ASKED_S: Final = 10.0
+ACTUATOR, CONTROLLER = 'asi_actuator', 'asi_controller'
+LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
+# A busy machine slows the simulation down, and loses nothing.
+SIMULATED: Final = {'mode': 'lockstep', 'rate_hz': 1000.0}
+# Chart over time -> its curves: name and signal of a `Run`.
+CHARTS: Final = {'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
+                 'valve command (N)': {'command': 'command_n'}}
+LOOP: Final = 'valve position (µm) against valve command (N)'
+COLOURS: Final = ('#0072b2', '#d55e00')
+
+
+class Session:
+    """What the pages share: the link, what runs, the nominal parameters, the effect that is on."""
+
+    def __init__(self, link: Link, namespace: str = '') -> None:
+        self.link = link
+        self.namespace = namespace
+        self.recorder: NodeProcess | None = None
+        self.bag = RUNS
+        self.nominal: dict[str, dict[str, Any]] = {}
+        self._one_at_a_time = asyncio.Lock()
+        self.effect = ''
+        self.hidden = False
+
+    async def read(self, node: str) -> None:
+        """Read a node's parameters; the first time they are what is meant to be."""
+        await self.link.read(node)
+        self.nominal.setdefault(node, dict(self.link.values[node]))
+
+    async def change(self, node: str, name: str, value: Any) -> None:
+        """Set a parameter because the user means it so."""
+        await self.link.set(node, {name: value})
+        self.nominal.setdefault(node, {})[name] = value
+
+    async def inject(self, effect: str, hidden: bool) -> None:
+        """Give the actuator an effect, in place of the last one; '' for none."""
+        async with self._one_at_a_time:
+            if ACTUATOR not in self.nominal:
+                await self.read(ACTUATOR)
+            values: dict[str, Value] = {
+                name: self.nominal[ACTUATOR][name] for name in self.withheld()}
+            await self.link.set(ACTUATOR,
+                                values | (dict(EFFECT[effect].example) if effect else {}))
+            self.effect, self.hidden = effect, hidden
+
+    def withheld(self) -> set[str]:
+        """Return the parameters of the effect that is on."""
+        return set(EFFECT[self.effect].example) if self.effect else set()
+
+    async def step(self, to_n: float) -> None:
+        """Have the reference step from where it is."""
+        run = self.link.recent.run(0.1)
+        known = run.reference_n if run is not None else None
+        from_n = float(known[~np.isnan(known)][-1]) if known is not None else 0.0
+        values = {'reference.shape': 'step', 'reference.offset': from_n,
+                  'reference.amplitude': to_n - from_n}
+        await self.link.set(CONTROLLER, values)
+        self.nominal.setdefault(CONTROLLER, {}).update(values)
+
+    async def record(self) -> str:
+        """Start the recorder, or end it; return what happened."""
+        if self.recorder is None:
+            RUNS.mkdir(exist_ok=True)
+            self.bag = free_directory(RUNS, 'recording')
+            self.recorder = NodeProcess('recorder', self.namespace, output=self.bag)
+            return f'recording to {self.bag}'
+        recorder, self.recorder = self.recorder, None
+        await asyncio.to_thread(recorder.stop)
+        return f'recorded: {self.bag}'
+
+
+def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
+    """
+    Serve the page until Ctrl-C.
+
+    simulate: start an actuator and a controller too. Raises InputError if the port is in use.
+    """
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, port))
+        except OSError as error:
+            raise InputError(f'--port {port} cannot be used: {error.strerror}; '
+                             'name another one') from None
+    nodes = [NodeProcess(name, namespace, **SIMULATED | own) for name, own in (
+        ('controller', {}), ('actuator', {'real_time_factor': 1.0, 'give_up_after': 0.0}),
+        )] if simulate else []
+    session = Session(Link(namespace), namespace)
+    # A name that leads a browser here from a page of elsewhere is refused.
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])
+    print(f'http://{HOST}:{port} (Ctrl-C ends it)')
+    try:
+        ui.run(lambda: page(session), host=HOST, port=port, title='asi live', reload=False,
+               show=show, show_welcome_message=False)
+    except KeyboardInterrupt:
+        pass   # uvicorn has shut down, and raises it again
+    finally:
+        if session.recorder is not None:
+            session.recorder.stop()
+        session.link.close()
+        for node in nodes:
+            node.stop()
+
+
+def page(session: Session) -> None:
+    """Build the page of one browser."""
+    with ui.row().classes('w-full items-center'):
+        ui.label('asi live').classes('text-h6')
+        status = ui.row()
+        rate = ui.label().classes('text-grey')
+    with ui.row().classes('w-full no-wrap items-start'):
+        with ui.column().classes('w-2/3'):
+            _actions(session)
+            _effects(session)
+            _charts(session, rate)
+        with ui.column().classes('w-1/3'):
+            _parameters(session)
+
+    def refresh() -> None:
+        status.clear()
+        with status:
+            for name, (level, text) in sorted(session.link.diagnostics.items()):
+                ui.badge(f'{name}: {text}', color=LEVELS[min(level, 3)])
+            if not session.link.diagnostics:
+                ui.badge('no node is heard: ros2 run asi_actuator actuator, and controller; '
+                         'or asi live --simulate', color='warning')
+
+    ui.timer(REFRESH_S, refresh)
+
+
+def _charts(session: Session, rate: ui.label) -> None:
+    window = ui.toggle(WINDOWS_S, value=1.0).props('dense')
+    charts = {title: ui.echart(_options(title, 's', curves)).classes('w-full h-52').mark(title)
+              for title, curves in CHARTS.items()}
+    loop = ui.echart(_options(LOOP, '', ['valve'])).classes('w-full h-64').mark(LOOP)
+    # In an interval, frames counted and when it began.
+    counted, began_s = 0, time.monotonic()
+
+    def draw() -> None:
+        nonlocal counted, began_s
+        run = session.link.recent.run(window.value)
+        if run is not None:
+            for title, curves in CHARTS.items():
+                _show(charts[title], [_curve(run, field) for field in curves.values()])
+            if run.command_n is not None and run.valve_position_m is not None:
+                every = slice(None, None, -(-len(run) // (2 * BINS)))
+                _show(loop, [np.column_stack([run.command_n[every],
+                                              1e6 * run.valve_position_m[every]])])
+        counted += 1
+        if (passed_s := time.monotonic() - began_s) > 1.0:
+            states_hz, share = session.link.recent.rate()
+            rate.text = (f'{states_hz:.0f} states/s, {share:.2f} s a second, '
+                         f'{session.link.recent.lost} missed here; '
+                         f'{counted / passed_s:.0f} frames/s')
+            counted, began_s = 0, time.monotonic()
+
+    ui.timer(1.0 / FRAMES_HZ, draw)
+
+
+def _curve(run: Run, field: str) -> np.ndarray:
+    values = getattr(run, field)
+    return (np.empty((0, 2)) if values is None
+            else drawn(run.time_s - run.time_s[-1], values, BINS))
+
+
+def _options(title: str, x: str, names: Iterable[str]) -> dict[str, Any]:
+    edge = {'onZero': False}
+    return {'animation': False,
+            'title': {'text': title, 'left': 55, 'textStyle': {'fontSize': 13}},
+            'grid': {'left': 60, 'right': 20, 'top': 35, 'bottom': 35}, 'color': COLOURS,
+            'legend': {'right': 20, 'top': 0},
+            'xAxis': {'type': 'value', 'name': x, 'min': 'dataMin', 'max': 'dataMax',
+                      'axisLine': edge, 'axisLabel': {'showMinLabel': False}},
+            'yAxis': {'type': 'value', 'scale': True, 'axisLine': edge},
+            'series': [{'type': 'line', 'name': name, 'showSymbol': False, 'data': [],
+                        'lineStyle': {'width': 1.5}} for name in names]}
+
+
+def _show(chart: ui.echart, curves: list[np.ndarray]) -> None:
+    for series, points in zip(chart.options['series'], curves, strict=True):
+        series['data'] = np.round(points[~np.isnan(points).any(axis=1)], 4).tolist()
+    chart.update()
+
+
+async def _tried(action: Awaitable[Any], done: str = '') -> bool:
+    """Do something and say how it ended; return whether it was done."""
+    try:
+        said = await action
+    except (LinkError, InputError) as error:
+        ui.notify(str(error), type='negative', timeout=10_000)
+        return False
+    if said or done:
+        ui.notify(said or done, type='positive')
+    return True
+
+
+def _actions(session: Session) -> None:
+    link = session.link
+    with ui.row().classes('items-center'):
+        target = ui.number('step to (N)', value=150.0, format='%g').classes('w-28').mark('target')
+        ui.button('Step', on_click=lambda: _tried(session.step(float(target.value or 0.0))))
+        for label, node, service, data in (
+                ('Pause', ACTUATOR, 'pause', True), ('Go on', ACTUATOR, 'pause', False),
+                ('Reset', ACTUATOR, 'reset', None), ('Enable', ACTUATOR, 'enable', True),
+                ('Disable', ACTUATOR, 'enable', False)):
+            ui.button(label, on_click=lambda node=node, service=service, data=data: _tried(
+                link.serve(node, service, data))).props('outline')
+        record = ui.button('Record', color='red', on_click=lambda: _tried(session.record()))
+        ui.timer(REFRESH_S, lambda: record.set_text(
+            'End recording' if session.recorder else 'Record'))
+    with ui.row().classes('items-center'):
+        for label, question in (('Is it a limit cycle?', 'limit-cycle'),
+                                ('Where is the gap?', 'gap'), ('How well?', 'analyze')):
+            ui.button(label, on_click=lambda question=question: asked(question))
+        busy = ui.spinner()
+        busy.visible = False
+    answer = ui.label().classes('whitespace-pre font-mono text-xs overflow-auto').mark('answer')
+
+    async def asked(question: str) -> None:
+        busy.visible, answer.text = True, f'asking about the last {ASKED_S:g} s …'
+        try:
+            answer.text = await ask(question, link.recent.run(ASKED_S), session.nominal)
+        except InputError as error:
+            answer.text = str(error)
+        busy.visible = False
+
+
+def _effects(session: Session) -> None:
+    names = {effect.name: f'{effect.name}: {effect.description}' for effect in EFFECTS}
+    with ui.row().classes('items-center'):
+        chosen = ui.select(names, label='effect of the plant', value=EFFECTS[0].name
+                           ).classes('w-80')
+        ui.button('Inject', on_click=lambda: _tried(session.inject(chosen.value, False)))
+        ui.button('Hide one', on_click=lambda: _tried(
+            session.inject(random.choice(EFFECTS).name, True), 'one effect is hidden: where is '
+            'the gap?'))
+        ui.button('Reveal and remove', on_click=lambda: reveal()).props('outline')
+        effect = ui.label().mark('effect')
+        ui.timer(REFRESH_S, lambda: effect.set_text(
+            '' if not session.effect else 'one effect is hidden' if session.hidden else
+            f'with {session.effect}'))
+
+    async def reveal() -> None:
+        await _tried(session.inject('', False), f'it was {session.effect}; it is off'
+                     if session.effect else 'there was none')
+
+
+def _parameters(session: Session) -> None:
+    """Show the nodes' parameters, each block when it is opened."""
+    panels = ui.column().classes('w-full')
+    widgets: dict[tuple[str, str], Callable[[Any], None]] = {}
+    shown: set[str] = set()
+
+    async def look() -> None:
+        for node in session.link.nodes():
+            if node not in shown:
+                shown.add(node)
+                try:
+                    await session.read(node)
+                except LinkError:
+                    shown.discard(node)
+                    continue
+                with panels:
+                    _blocks(session, node, widgets)
+        for (node, name), update in widgets.items():
+            if not (session.hidden and node == ACTUATOR and name in session.withheld()):
+                update(session.link.values[node][name])
+
+    ui.timer(REFRESH_S, look)
+
+
+def _blocks(session: Session, node: str, widgets: dict) -> None:
+    ui.label(node).classes('text-subtitle1')
+    blocks: dict[str, list[str]] = {}
+    for name in session.link.descriptors[node]:
+        blocks.setdefault(name.partition('.')[0] if '.' in name else 'general', []).append(name)
+    for block, names in blocks.items():
+        with ui.expansion(block).classes('w-full').props('dense').mark(f'{node} {block}') as part:
+            def fill(event: Any, part: ui.expansion = part, names: list[str] = names) -> None:
+                if event.value and (node, names[0]) not in widgets:
+                    with part:
+                        for name in names:
+                            widgets[node, name] = _widget(session, node, name)
+            part.on_value_change(fill)
+
+
+def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
+    """Show one parameter; return the function that shows another value of it."""
+    descriptor, value = session.link.descriptors[node][name], session.link.values[node][name]
+    shown = session.nominal[node][name] if (
+        session.hidden and node == ACTUATOR and name in session.withheld()) else value
+
+    async def given(new: Any) -> None:
+        if not await _tried(session.change(node, name, new)):
+            show(session.link.values[node][name])
+
+    field: Any
+    slider: ui.slider | None = None
+    choices, scale = choices_of(descriptor), scale_of(descriptor)
+    if isinstance(value, bool):
+        field = ui.switch(name, value=shown)
+        field.on('update:model-value', lambda event: given(event.args))
+    elif choices:
+        field = ui.select(choices, label=name, value=shown)
+        field.on('update:model-value', lambda _: given(field.value))
+    else:
+        field = ui.input(name, value=str(shown))
+        for event in ('keydown.enter', 'blur'):
+            field.on(event, lambda _: given(typed(field.value, value))
+                     if field.value != str(session.link.values[node][name]) else None)
+        if scale is not None:
+            slider = ui.slider(min=0.0, max=1.0, step=0.002, value=scale.place(shown))
+            slider.on('update:model-value', lambda event: given(scale.value(event.args)),
+                      throttle=0.1, leading_events=False)
+    field.classes('w-full').props('dense').mark(name)
+    with field:
+        ui.tooltip(f'{descriptor.description}; {descriptor.additional_constraints}')
+    for each in (field, slider):
+        if each is not None and descriptor.read_only:
+            each.disable()
+
+    last = shown
+
+    def show(new: Any) -> None:
+        nonlocal last
+        last = new
+        field.value = new if choices or isinstance(value, bool) else str(new)
+        if slider is not None and scale is not None:
+            slider.value = scale.place(new)
+
+    # What is being typed stays, until the value changes.
+    return lambda new: show(new) if new != last else None

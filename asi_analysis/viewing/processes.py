@@ -1,0 +1,64 @@
+"""What the live page starts: nodes, the recorder, and commands that answer a question."""
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.experiments.running import MODULES, PATIENCE_S, end_with_parent, free_directory
+
+RUNS: Final = Path('runs')
+# What is asked shares the machine with the loop, and comes second.
+NICE: Final = 10
+
+
+class NodeProcess:
+    """A node of ours in a process; `stop` ends it as Ctrl-C does."""
+
+    def __init__(self, name: str, namespace: str, **parameters: Any):
+        """Start actuator, controller or recorder with parameters."""
+        given = [part for key, value in parameters.items() for part in ('-p', f'{key}:={value}')]
+        space = ['-r', f'__ns:={namespace}', '-r', '/clock:=clock'] if namespace else []
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', MODULES[name], '--ros-args', *given, *space],
+            stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent)
+
+    def stop(self) -> None:
+        """End it and wait for that."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str:
+    """
+    Keep the last seconds as a bag, and return what `asi QUESTION BAG` says of it.
+
+    nominal: parameters by node, as the bag tells them to `asi gap`. Raises InputError without
+    anything to ask about.
+    """
+    if run is None:
+        raise InputError('there is no recording yet: nothing is heard of joint_states')
+    bag = free_directory(RUNS, 'live') / 'bag'
+    bag.parent.mkdir(parents=True)
+    await asyncio.to_thread(write_bag, run, bag, {
+        name.removeprefix('asi_'): dict(values) for name, values in nominal.items()})
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, '-m', 'asi_analysis.cli', question, str(bag), stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=lambda: os.nice(NICE))
+    try:
+        output, _ = await process.communicate()
+    except asyncio.CancelledError:   # the page's server ends
+        process.kill()
+        raise
+    return f'asi {question} {bag}\n\n{output.decode(errors="replace")}'

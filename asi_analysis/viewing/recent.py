@@ -1,0 +1,115 @@
+"""The last seconds of a running loop, as a `Run`, and as few points as a screen can show."""
+
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.bags.bag import Series, assemble, decode
+from asi_analysis.bags.bag_file import Topic
+from asi_analysis.bags.run import Array, Run
+from asi_common.topics import TOPICS
+
+# joint_states holds all but the reference.
+HEARD: Final = ('joint_states', 'force_reference')
+KEEP_S: Final = 30.0
+# The true rate is that of the last so many states.
+RATE_STATES: Final = 2000
+
+
+class Taken(NamedTuple):
+    """A message as it came: its bytes, its number on its topic, when it was published (ns)."""
+
+    data: bytes
+    number: int
+    publish_ns: int
+
+
+class Recent:
+    """The messages of the last KEEP_S of loop time. Filled in one thread, read in others."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._lock = threading.Lock()
+        self._parts: dict[str, list[Series]] = {name: [] for name in HEARD}
+        self._number = 0
+
+    def add(self, name: str, taken: Sequence[Taken]) -> None:
+        """Add messages of a topic; what came before an older stamp is of an earlier run."""
+        topic = Topic(name, TOPICS[name].type)
+        for each in taken:
+            topic.add(0, each.publish_ns, each.data)
+        part = decode(topic)
+        with self._lock:
+            if name == 'joint_states':
+                numbers = np.array([self._number or taken[0].number - 1,
+                                    *(each.number for each in taken)])
+                self.lost += int(np.maximum(np.diff(numbers) - 1, 0).sum())
+                self._number = taken[-1].number
+                known = self._parts[name]
+                if known and part.stamp_ns[0] < known[-1].stamp_ns[-1]:
+                    self._parts = {each: [] for each in HEARD}
+            parts = self._parts[name]
+            parts.append(part)
+            while len(parts) > 1 and (
+                    parts[-1].stamp_ns[-1] - parts[0].stamp_ns[-1]) * 1e-9 > KEEP_S:
+                parts.pop(0)
+
+    def run(self, seconds: float, information: Mapping[str, Any] | None = None) -> Run | None:
+        """Return the last seconds of loop time; None without two states."""
+        with self._lock:
+            parts = {name: list(each) for name, each in self._parts.items() if each}
+        if 'joint_states' not in parts:
+            return None
+        begin_ns = parts['joint_states'][-1].stamp_ns[-1] - seconds * 1e9
+        series = {}
+        for name, each in parts.items():
+            # The reference of before may still hold.
+            first = max(0, sum(part.stamp_ns[-1] < begin_ns for part in each)
+                        - (name != 'joint_states'))
+            series[name] = _joined(each[first:] or each[-1:])
+        run = assemble(series, [], 'live', dict(information or {}))
+        first = np.searchsorted(run.time_s, run.time_s[-1] - seconds)
+        return run[first:] if len(run) > 1 else None
+
+    def rate(self) -> tuple[float, float]:
+        """Return states a second of wall time, and seconds of loop time a second; 0 without."""
+        with self._lock:
+            parts = self._parts['joint_states'][-RATE_STATES:]
+        if not parts:
+            return 0.0, 0.0
+        stamps, published = (np.concatenate([getattr(part, name) for part in parts])[-RATE_STATES:]
+                             for name in ('stamp_ns', 'publish_ns'))
+        wall_s = (published[-1] - published[0]) * 1e-9
+        if wall_s <= 0.0:
+            return 0.0, 0.0
+        return (len(stamps) - 1) / wall_s, (stamps[-1] - stamps[0]) * 1e-9 / wall_s
+
+
+def _joined(parts: Sequence[Series]) -> Series:
+    return Series(np.concatenate([part.stamp_ns for part in parts]),
+                  np.concatenate([part.publish_ns for part in parts]),
+                  {name: np.concatenate([part.values.get(name, np.full(len(part.stamp_ns), np.nan))
+                                         for part in parts]) for name in parts[0].values})
+
+
+def drawn(time_s: Array, values: Array, bins: int) -> npt.NDArray[np.float64]:
+    """
+    Return at most 2 * bins points (time, value), n x 2: of each bin its smallest and largest.
+
+    So an oscillation that is faster than the points keeps its size.
+    """
+    known = ~np.isnan(values)
+    points = np.column_stack([time_s[known], values[known]])
+    size = -(-len(points) // bins)
+    if size < 3:
+        return points
+    whole = len(points) // size * size
+    blocks = points[:whole, 1].reshape(-1, size)
+    starts = np.arange(0, whole, size)
+    kept = np.sort(np.concatenate([starts + blocks.argmin(1), starts + blocks.argmax(1),
+                                   np.arange(whole, len(points))]))
+    shown: npt.NDArray[np.float64] = points[kept]
+    return shown

@@ -1,0 +1,120 @@
+"""`asi view`: a recording in the Rerun viewer, or in a file for it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from scipy import signal
+
+from asi_analysis.bags.run import Array, Run
+from asi_analysis.errors import InputError
+from asi_analysis.measures.analysis import analyze
+
+TIME: Final = 'time'
+BLUE, ORANGE = 0x0072b2ff, 0xd55e00ff
+# Title of a view over time -> its signals of a `Run`, each with factor and colour.
+VIEWS: Final = {'force (N)': {'force': (1.0, BLUE), 'reference': (1.0, ORANGE)},
+                'valve command (N)': {'command': (1.0, BLUE)},
+                'valve position (µm)': {'valve_position': (1e6, BLUE)},
+                'velocity of the piston (m/s)': {'velocity': (1.0, BLUE)}}
+# A loop is drawn this wide and high, in a view whose two scales are the same.
+WIDTH, HEIGHT = 160.0, 100.0
+# Most places of the point that shows where on a loop the time cursor is.
+MARKS: Final = 5000
+MOST_HZ: Final = 250.0
+
+
+def view(run: Run, out: Path | None) -> str:
+    """
+    Open a recording in the viewer, or write it to a .rrd file; return what was done.
+
+    Raises InputError if no signal of the run can be shown.
+    """
+    views: list[Any] = []
+    stream = rr.RecordingStream('asi view')
+    stream.log('summary', rr.TextDocument(_summary(run), media_type='text/markdown'), static=True)
+    for title, curves in VIEWS.items():
+        known = [name for name in curves if name in run.signals()]
+        for name in known:
+            factor, colour = curves[name]
+            _curve(stream, name, run.time_s, factor * run.signal(name), colour)
+        if known:
+            views.append(rrb.TimeSeriesView(contents=[f'/{name}' for name in known], name=title))
+    if not views:
+        raise InputError(f'{run.source}: none of its signals can be shown')
+    views_of_all = [_loop(stream, f'plane/{number}', title, run.time_s, x, y) for number, (
+        title, (x, y)) in enumerate(_planes(run).items())]
+    if run.force_n is not None:
+        views_of_all.append(_spectrum(stream, run.force_n, run.period_s))
+    views_of_all.append(rrb.TextDocumentView(origin='summary', name='asi analyze'))
+    blueprint = rrb.Blueprint(
+        rrb.Horizontal(rrb.Vertical(*views), rrb.Vertical(*views_of_all), column_shares=[3, 2]),
+        rrb.TimePanel(state='collapsed'), rrb.SelectionPanel(state='hidden'),
+        rrb.BlueprintPanel(state='hidden'))
+    if out is None:
+        stream.spawn(default_blueprint=blueprint)
+        return 'shown in the Rerun viewer'
+    stream.save(out, default_blueprint=blueprint)
+    stream.disconnect()
+    return f'written: {out} (rerun {out})'
+
+
+def _summary(run: Run) -> str:
+    try:
+        return f'```\n{analyze(run)}\n```'
+    except InputError as error:
+        return str(error)
+
+
+def _curve(stream: rr.RecordingStream, path: str, time_s: Array, values: Array, colour: int
+           ) -> None:
+    known = ~np.isnan(values)
+    stream.log(path, rr.SeriesLines(colors=[colour], names=[path]), static=True)
+    stream.send_columns(path, indexes=[rr.TimeColumn(TIME, duration=time_s[known])],
+                        columns=rr.Scalars.columns(scalars=values[known]))
+
+
+def _planes(run: Run) -> Mapping[str, tuple[Array, Array]]:
+    """Return the loops that are drawn: their horizontal and vertical signals, by title."""
+    planes = {}
+    if run.command_n is not None and run.valve_position_m is not None:
+        planes['valve position (µm) against valve command (N)'] = (
+            run.command_n, 1e6 * run.valve_position_m)
+    if run.force_n is not None and len(run) > 1:
+        planes['force rate (kN/s) against force (N)'] = (
+            run.force_n, 1e-3 * np.gradient(run.force_n, run.time_s))
+    return planes
+
+
+def _loop(stream: rr.RecordingStream, path: str, title: str, time_s: Array, x: Array, y: Array
+          ) -> Any:
+    """Log a curve in a plane, scaled to one size, and a point that moves on it with the time."""
+    known = ~np.isnan(x + y)
+    ends = [(each[known].min(), each[known].max()) for each in (x, y)]
+    # Down is positive in these views.
+    points = np.column_stack([
+        size * (each[known] - low) / ((high - low) or 1.0)
+        for size, each, (low, high) in zip((WIDTH, -HEIGHT), (x, y), ends, strict=True)])
+    stream.log(f'{path}/curve', rr.LineStrips2D([points], colors=[BLUE], radii=[0.3]), static=True)
+    every = slice(None, None, -(-len(points) // MARKS))
+    stream.send_columns(
+        f'{path}/now', indexes=[rr.TimeColumn(TIME, duration=time_s[known][every])],
+        columns=rr.Points2D.columns(positions=points[every], radii=np.full(
+            len(points[every]), 1.5), colors=[ORANGE] * len(points[every])))
+    texts = [f'{low:.4g}…{high:.4g}' for low, high in ends]
+    return rrb.Spatial2DView(origin=path, name=f'{title}: {texts[1]} against {texts[0]}')
+
+
+def _spectrum(stream: rr.RecordingStream, force_n: Array, period_s: float) -> Any:
+    """Log the amplitude of the force over the frequency, by a flat-top window."""
+    values = np.nan_to_num(force_n - np.nanmean(force_n))
+    window = signal.windows.flattop(len(values))
+    amplitude = 2.0 * np.abs(np.fft.rfft(window * values)) / window.sum()
+    frequency = np.fft.rfftfreq(len(values), period_s)
+    shown = frequency <= MOST_HZ
+    stream.log('spectrum', rr.BarChart(amplitude[shown], abscissa=frequency[shown], color=BLUE),
+               static=True)
+    return rrb.BarChartView(origin='spectrum', name='amplitude of the force (N) over Hz')

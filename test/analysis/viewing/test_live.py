@@ -1,0 +1,175 @@
+"""The live page as a user sees it, over real nodes; by NiceGUI's simulation of a browser."""
+
+import asyncio
+import re
+import socket
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import PATIENCE_S, NodeProcess
+
+pytest.importorskip('nicegui')
+from nicegui import ui
+from nicegui.testing import User
+from nicegui.testing.user_simulation import user_simulation
+
+from asi_actuator.model.effects import EFFECT
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.errors import InputError
+from asi_analysis.viewing import page as live
+from asi_analysis.viewing.link import Link
+from asi_analysis.viewing.recent import drawn
+from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
+from asi_common.node.ros_parameters import descriptor
+from asi_controller.parameters import CONTROLLER_NODE_PARAMETERS, REFERENCE_PARAMETERS
+
+LOOP = {'rate_hz': 500.0}
+
+
+async def seen(condition: Callable[[], Any], what: str) -> Any:
+    """Return condition() once it is true."""
+    end = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < end, f'not within {PATIENCE_S:g} s: {what}'
+        await asyncio.sleep(0.05)
+    return found
+
+
+def one(user: User, marker: str, kind: type = ui.element) -> Any:
+    """Return the only element with a mark."""
+    element, = (each for each in user.find(marker=marker).elements if isinstance(each, kind))
+    return element
+
+
+def use(user_session: Callable[[User, live.Session], Awaitable[None]]) -> None:
+    """Open the page of the loop that runs, and have a user work with it."""
+    async def simulated() -> None:
+        session = live.Session(Link())
+        try:
+            async with user_simulation(root=lambda: live.page(session)) as user:
+                await user.open('/')
+                await seen(lambda: {'asi_actuator', 'asi_controller'} <= set(
+                    session.link.values), 'the parameters of both nodes')
+                await seen(lambda: session.link.recent.rate()[0] > 0.0, 'states')
+                await user_session(user, session)
+        finally:
+            session.link.close()
+
+    asyncio.run(simulated())
+
+
+def test_a_user_turns_a_gain_steps_records_and_asks(
+        start_node: Callable[..., NodeProcess], tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    start_node('asi_actuator.actuator_node', real_time_factor=1.0, **LOOP)
+    controller = start_node('asi_controller.controller_node', **LOOP)
+
+    async def work(user: User, session: live.Session) -> None:
+        html = (await user.http_client.get('/')).text
+        assert re.findall(r'(?:src|href)="(?:https?:)?//', html) == []
+        await seen(lambda: user.find(marker='asi_controller general').elements, 'the panel')
+        one(user, 'asi_controller general', ui.expansion).value = True
+        gain = await seen(lambda: one(user, 'gain', ui.input), 'the gain')
+        gain.value = '8'
+        user.find(marker='gain').trigger('keydown.enter')
+        await asyncio.to_thread(controller.wait_for, 'gain = 8.0')
+        gain.value = '-3'
+        user.find(marker='gain').trigger('keydown.enter')
+        await seen(lambda: user.notify.contains('value: -3.0'), 'the refusal')
+        await seen(lambda: gain.value == '8.0', 'the value that holds')
+        user.find('Step').click()
+        await asyncio.to_thread(controller.wait_for, 'reference.amplitude = 150.0')
+        force = one(user, 'force (N)', ui.echart)
+        await seen(lambda: max((y for _, y in force.options['series'][0]['data']), default=0.0)
+                   > 50.0, 'the step in the chart')
+        assert max(y for _, y in force.options['series'][1]['data']) == 150.0
+        user.find('Record').click()
+        await seen(lambda: session.recorder, 'the recorder')
+        await seen(lambda: sum(file.stat().st_size for file in session.bag.glob('*')) > 100_000,
+                   'messages in the bag')
+        user.find('End recording').click()
+        await seen(lambda: user.notify.contains('recorded'), 'its end')
+        assert len(read_bag(session.bag)) > 0
+        user.find('Is it a limit cycle?').click()
+        answer = one(user, 'answer')
+        await seen(lambda: answer.text.startswith('asi limit-cycle runs/'), 'the answer')
+        assert 'asi: ' not in answer.text
+        asked = read_bag(answer.text.split()[2])
+        assert asked.information['controller']['gain'] == 8.0
+        assert asked.force_n is not None and asked.force_n.max() > 50.0
+
+    use(work)
+
+
+def test_a_hidden_effect_is_on_the_node_and_not_on_the_page(
+        start_node: Callable[..., NodeProcess], monkeypatch: Any) -> None:
+    monkeypatch.setattr(live.random, 'choice', lambda _: EFFECT['stiction'])
+    actuator = start_node('asi_actuator.actuator_node', real_time_factor=1.0, **LOOP)
+    start_node('asi_controller.controller_node', **LOOP)
+
+    async def work(user: User, session: live.Session) -> None:
+        user.find('Inject').click()
+        await asyncio.to_thread(actuator.wait_for, 'command_path.delay = 0.002')
+        user.find('Hide one').click()
+        await seen(lambda: session.hidden, 'the effect')
+        await asyncio.to_thread(actuator.wait_for, 'command_path.delay = 0.0\n')
+        await seen(lambda: one(user, 'effect').text == 'one effect is hidden', 'that it is')
+        name = min(session.withheld())
+        block = name.partition('.')[0]
+        one(user, f'asi_actuator {block}', ui.expansion).value = True
+        field = await seen(lambda: one(user, name), 'the parameter')
+        await asyncio.sleep(1.5)
+        nominal = session.nominal['asi_actuator'][name]
+        assert str(field.value) == str(nominal) != str(session.link.values['asi_actuator'][name])
+        effect = session.effect
+        user.find('Reveal and remove').click()
+        await seen(lambda: user.notify.contains(f'it was {effect}; it is off'), 'the effect')
+        assert session.link.values['asi_actuator'][name] == nominal
+
+    use(work)
+
+
+def test_a_slider_has_the_range_of_the_parameter() -> None:
+    for parameter in CONTROLLER_NODE_PARAMETERS + REFERENCE_PARAMETERS:
+        described = descriptor(parameter)
+        assert choices_of(described) == list(parameter.choices)
+        scale = scale_of(described)
+        assert (scale is None) == isinstance(parameter.default, bool | str)
+        for place in (0.0, 0.3, 1.0) if scale else ():
+            assert scale and parameter.problem(scale.value(place)) is None
+            assert abs(scale.place(scale.value(place)) - place) < 0.01 or scale.whole
+    assert Scale(0.0, 1e4, True, False).value(0.5) == 10.0
+    assert Scale(-1.0, 1.0, False, False).value(0.25) == -0.5
+    assert (typed('8', 1.0), typed('8', 1), typed('fast', 1.0), typed('8', 'a')) == (
+        8.0, 8, 'fast', '8')
+
+
+def test_fewer_points_keep_the_size_of_an_oscillation() -> None:
+    time_s = np.arange(10_000) * 1e-4
+    values = np.sin(2.0 * np.pi * 1234.0 * time_s)
+    values[5000] = 7.0
+    points = drawn(time_s, values, 100)
+    assert len(points) <= 200 and points[:, 1].max() == 7.0
+    assert np.all(np.diff(points[:, 0]) > 0.0)
+    assert points[:, 1].min() == values.min()
+    assert drawn(time_s[:50], values[:50], 100).tolist() == (
+        np.column_stack([time_s, values])[:50].tolist())
+
+
+def test_a_port_in_use_and_a_missing_library_are_said(
+        monkeypatch: Any, capsys: Any) -> None:
+    from asi_analysis.cli import main
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f'--port {port} cannot be used: Address already'):
+            live.serve(port, '', False, False)
+    monkeypatch.setitem(__import__('sys').modules, 'nicegui', None)
+    monkeypatch.setattr('sys.argv', ['asi', 'live'])
+    assert main() == 2
+    assert 'pip install "asi_actuator[live]"' in capsys.readouterr().err
