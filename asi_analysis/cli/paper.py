@@ -26,8 +26,8 @@ def demo(
         help='Directory of the report; an earlier demo there is replaced')] = Path('runs/demo'),
     as_json: Json = False,
 ) -> None:
-    """Run the paper's experiments over ROS and write a report: OUT/report.html."""
-    from asi_analysis.paper.demo import run_demo
+    """Run the paper's experiments over ROS, find a withheld effect; report: OUT/report.html."""
+    from asi_analysis.demo.demo import run_demo
     with bar() as progress:
         result = run_demo(out, progress)
     show(result, as_json)

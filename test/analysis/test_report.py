@@ -6,17 +6,18 @@ from pathlib import Path
 import pytest
 
 from asi_analysis.bags.run import Run
-from asi_analysis.experiments.experiment import Experiment, checked
-from asi_analysis.loop.closed_loop import simulate_loop
-from asi_analysis.measures.analysis import analyze
-from asi_analysis.paper.demo_report import compare, write_demo_report
-from asi_analysis.paper.demo_runs import (
+from asi_analysis.demo.hidden_effect import HIDDEN, find_hidden_effect
+from asi_analysis.demo.report import compare, write_demo_report
+from asi_analysis.demo.runs import (
     RUNS,
     Published,
     Recorded,
     hysteresis_loop,
     limit_cycle,
 )
+from asi_analysis.experiments.experiment import Experiment, checked
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.analysis import analyze
 
 
 def recorded(plan, **changes):
@@ -34,16 +35,33 @@ def demo():
     return {plan.name: recorded(plan) for plan in RUNS}
 
 
-def test_report_is_one_file_with_the_figures_of_the_runs(demo, tmp_path):
-    page = write_demo_report(list(demo.values()), tmp_path).read_text()
+@pytest.fixture(scope='module')
+def hidden(tmp_path_factory):
+    def record(name, experiment):
+        complete = checked(experiment)
+        return Run(*simulate_loop(complete.actuator, complete.controller, complete.duration_s,
+                                  complete.control_rate_hz), source=name,
+                   information={'actuator': dict(complete.actuator)})
+
+    return find_hidden_effect(record, tmp_path_factory.mktemp('gap'))
+
+
+def test_the_withheld_effect_is_found_and_the_gap_shrinks(hidden):
+    assert hidden.gap.verdict == HIDDEN.name
+    assert hidden.shrink > 0.8
+
+
+def test_report_is_one_file_with_the_figures_of_the_runs(demo, hidden, tmp_path):
+    page = write_demo_report(list(demo.values()), hidden, tmp_path).read_text()
     # Nothing is fetched: no address but the names of XML's namespaces.
     addresses = set(re.findall(r'https?://[^"\s<]+', re.sub(r'xmlns[:\w]*="[^"]*"', '', page)))
     assert {a for a in addresses if 'w3.org' not in a and 'purl.org' not in a
             and 'creativecommons' not in a and 'matplotlib.org' not in a} == set()
     assert not re.search(r'<(script|link|iframe)|src=|@import', page)
-    assert page.count('<svg') == 5
+    assert page.count('<svg') == 8
     assert {path.stem for path in tmp_path.glob('*.png')} == {
-        'step_responses', 'limit_cycle', 'phase_plane', 'spectrum', 'hysteresis'}
+        'step_responses', 'limit_cycle', 'phase_plane', 'spectrum', 'hysteresis',
+        'gap_before', 'gap_why', 'gap_after'}
     cells = re.findall(r'<td data-label="rise time[^>]*>\s*(\S+) → <b>([^<]+)</b>', page)
     assert [published for published, _ in cells] == ['40', '10', '7']
     for (_, simulated), name in zip(cells, ('proportional', 'lead_lag', 'lead4'), strict=True):
@@ -51,12 +69,12 @@ def test_report_is_one_file_with_the_figures_of_the_runs(demo, tmp_path):
                                                  rel=0.01)
 
 
-def test_report_says_so_where_there_is_no_cycle(demo, tmp_path):
+def test_report_says_so_where_there_is_no_cycle(demo, hidden, tmp_path):
     plan = demo['limit_cycle'].plan
     runs = demo | {'limit_cycle': recorded(plan, gain=3.0)}
-    page = write_demo_report(list(runs.values()), tmp_path).read_text()
+    page = write_demo_report(list(runs.values()), hidden, tmp_path).read_text()
     assert 'No oscillation was found at Kp = 3' in page
-    assert page.count('<svg') == 2
+    assert page.count('<svg') == 5
 
 
 def test_cycle_and_loop_are_measured(demo):

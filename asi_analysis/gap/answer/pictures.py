@@ -43,6 +43,41 @@ def overlay(time: Array, real: Array, nominal: Array, improved: Array, held_out:
     return figure
 
 
+def compared(time: Array, real: Array, model: Array, name: str, largest: float) -> Figure:
+    """Draw the force (N) of a machine and of one model; largest: of the differences drawn."""
+    colour = ORANGE if name == 'nominal' else BLUE
+    with style():
+        figure = _new(3.0)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        above.plot(time, real, color=GREY, linewidth=2.6, label='machine')
+        above.plot(time, model, color=colour, label=f'{name} model')
+        above.set_ylabel('force (N)')
+        _legend(figure, above)
+        below.plot(time, real - model, color=colour)
+        below.set_ylim(-1.1 * largest, 1.1 * largest)
+        below.set_ylabel('difference (N)')
+        below.set_xlabel('time (s)')
+    return figure
+
+
+def probabilities(chances: Mapping[str, float]) -> Figure:
+    """Draw the probability of each explanation, the first being the most probable."""
+    with style():
+        figure = _new(0.8 + 0.24 * len(chances))
+        axes = figure.subplots()
+        place = np.arange(len(chances))[::-1]
+        axes.barh(place, list(chances.values()), height=0.7,
+                  color=[BLUE, *(GREY for _ in place[1:])])
+        for y, value in zip(place, chances.values(), strict=True):
+            axes.annotate(f'{100.0 * value:.1f} %', (value, y), textcoords='offset points',
+                          xytext=(3, 0), va='center', fontsize=7)
+        axes.set_yticks(place, [name.replace('_', ' ') for name in chances])
+        axes.set_xlim(0.0, 1.12)
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.set_xlabel('probability')
+    return figure
+
+
 def ranking(names: Sequence[str], errors: Sequence[float], verdict: str, nominal: float,
             noise: float) -> Figure:
     """Draw the residual of each hypothesis on the validation set, as a share of the signal."""

@@ -13,6 +13,7 @@ from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.diagnose import Diagnosis, hypothesis_name, sentences
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import BURN_IN_S
@@ -22,8 +23,10 @@ from asi_common.parameter import Value
 from asi_common.parameter_file import write_parameters
 
 STRETCH_S = 2.0     # of the overlay
+EXPLANATIONS = 5    # effects in the picture of the probabilities
 CAPTIONS = {
     'overlay': 'Real, nominal and improved, and the residual of each model',
+    'probabilities': 'Probability of each explanation',
     'ranking': 'Residual of each hypothesis on the validation set',
     'plane': 'Residual before and after, over the quantity that the effect depends on',
     'spectrum': 'Spectrum of the signal and of the residual of each model',
@@ -55,11 +58,19 @@ def drawn(diagnosis: Diagnosis, answer: Mapping[str, Any], run: Run, joint: bool
     name = _output_signal(channel, run, joint)
     label, unit = name.replace('_', ' '), run.unit(name)
     figures = {'overlay': _overlay(diagnosis, weighed, channel, label, unit),
+            'probabilities': pictures.probabilities(chances(answer)),
             'ranking': _ranking(weighed, channel, diagnosis.best(weighed).names, answer),
             'plane': _plane(diagnosis, weighed, channel, run, unit),
             'spectrum': _spectrum(diagnosis, weighed, channel, label, unit),
             'regimes': pictures.regimes(answer['regimes'])}
     return {name: (figure, CAPTIONS[name]) for name, figure in figures.items()}
+
+
+def chances(answer: Mapping[str, Any]) -> dict[str, float]:
+    """Return the probability of the likeliest explanations, `no_gap` and `unknown` among them."""
+    found = {row['effect']: row['probability'] for row in answer['which'][:EXPLANATIONS]}
+    found |= {NO_GAP: answer['no_gap_probability'], UNKNOWN: answer['unknown_probability']}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _output_signal(channel: str, run: Run, joint: bool) -> str:

@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from asi_analysis.bags.run import Run
-from asi_analysis.paper.demo_runs import (
+from asi_analysis.demo.hidden_effect import HIDDEN, SHOWN_S, FoundEffect
+from asi_analysis.demo.runs import (
     Cycle,
     Loop,
     Published,
@@ -15,6 +17,9 @@ from asi_analysis.paper.demo_runs import (
     limit_cycle,
     scaled,
 )
+from asi_analysis.gap.answer import pictures
+from asi_analysis.gap.answer.report import chances
+from asi_analysis.gap.diagnose import sentences
 from asi_analysis.reporting import figures
 from asi_analysis.reporting.report import write_report
 from asi_controller.compensator import OWN_GAIN
@@ -28,7 +33,10 @@ CAPTIONS: Final = {
     'limit_cycle': 'Force of the limit cycle in time: the whole run and its last cycles',
     'phase_plane': 'Phase plane of the limit cycle: force rate against force',
     'spectrum': 'Spectrum of the force in the limit cycle',
-    'hysteresis': 'Loop of valve position against valve command'}
+    'hysteresis': 'Loop of valve position against valve command',
+    'gap_before': 'Force of the machine and of its nominal model, and their difference',
+    'gap_why': 'Probability of each explanation',
+    'gap_after': 'Force of the machine and of the improved model, and their difference'}
 
 
 class Cell(NamedTuple):
@@ -38,7 +46,7 @@ class Cell(NamedTuple):
     similar: bool
 
 
-def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
+def write_demo_report(recorded: list[Recorded], hidden: FoundEffect, out: Path) -> Path:
     """Write report.html and the PNGs into `out`; return the path of report.html."""
     by_name = {each.plan.name: each for each in recorded}
     cycle_run, loop_run = by_name['limit_cycle'], by_name['hysteresis']
@@ -48,6 +56,7 @@ def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
     drawn = {'step_responses': _steps(recorded), 'hysteresis': _hysteresis(loop)}
     if cycle:
         drawn |= _of_cycle(cycle_run.run, cycle)
+    drawn |= _of_gap(hidden)
     steps = [each for each in recorded if each.plan.published]
     return write_report(
         out, 'demo.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
@@ -60,7 +69,22 @@ def write_demo_report(recorded: list[Recorded], out: Path) -> Path:
                 _load(each)) for each in steps],
         cycle=cycle, swing=swing, cycle_run=cycle_run, loop=loop, loop_run=loop_run,
         recorded=recorded, gains={each.plan.name: _gain(each) for each in recorded},
-        delay_ms=_delay_ms(recorded[0]))
+        delay_ms=_delay_ms(recorded[0]), hidden=hidden, effect=HIDDEN,
+        said=sentences(hidden.gap)[0])
+
+
+def _of_gap(hidden: FoundEffect) -> dict[str, Figure]:
+    time_s = hidden.runs['machine'].time_s
+    shown = (time_s >= SHOWN_S[0]) & (time_s < SHOWN_S[1])
+    force = {name: run.signal('force')[shown] for name, run in hidden.runs.items()}
+    largest = max(float(np.abs(force['machine'] - force['nominal']).max()), 1e-9)
+
+    def compared(model: str) -> Figure:
+        return pictures.compared(time_s[shown], force['machine'], force[model], model, largest)
+
+    return {'gap_before': compared('nominal'),
+            'gap_why': pictures.probabilities(chances(hidden.gap)),
+            'gap_after': compared('improved')}
 
 
 def _of_cycle(run: Run, cycle: Cycle) -> dict[str, Figure]:

@@ -1,18 +1,22 @@
-"""`asi demo`: the paper's experiments over ROS, and their report."""
+"""`asi demo`: the paper's experiments over ROS, a withheld effect found, and their report."""
 
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import Run
+from asi_analysis.demo.hidden_effect import HIDDEN, find_hidden_effect
+from asi_analysis.demo.report import write_demo_report
+from asi_analysis.demo.runs import RUNS, Recorded, scaled
 from asi_analysis.errors import InputError
-from asi_analysis.experiments.experiment import checked
+from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.experiments.running import run_experiment
 from asi_analysis.measures.analysis import analyze, in_words
-from asi_analysis.paper.demo_report import write_demo_report
-from asi_analysis.paper.demo_runs import RUNS, Recorded, scaled
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
+
+GAP = 'gap'   # directory of the diagnosis; with the name of a run: of its bag
 
 
 class Demo(Result):
@@ -27,6 +31,10 @@ class Demo(Result):
         for each in self.runs:
             if each['analysis']['oscillation']['sustained']:
                 yield f'{each["name"]}: {in_words(each["analysis"]["oscillation"])}'
+        gap = self.gap
+        yield (f'withheld effect: {gap["withheld"]}; found: {gap["verdict"]} '
+               f'({100.0 * gap["probability"]:.0f} %). Put into the model, the error of the force '
+               f'falls from {gap["nominal_error_n"]:.3g} to {gap["improved_error_n"]:.3g} N (rms)')
         yield f'report: {self.report}'
 
 
@@ -37,18 +45,31 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
     An earlier demo in `out` is replaced; raises InputError if `out` holds anything else.
     """
     _clear(out)
-    recorded = []
-    for number, plan in enumerate(RUNS):
-        def report(text: str, share: float | None, number: int = number,
-                   title: str = plan.title) -> None:
-            progress(f'{title}: {text}', (number + (share or 0.0)) / (len(RUNS) + 1))
+    steps, done = len(RUNS) + 5, 0   # the last five: three runs, the diagnosis, the report
 
-        bag = run_experiment(plan.experiment, out / plan.name, report)
-        run = read_bag(bag)
-        recorded.append(Recorded(plan, checked(plan.experiment), bag, run, analyze(run)))
-    progress('writing the report', len(RUNS) / (len(RUNS) + 1))
+    def run(name: str, title: str, experiment: Experiment) -> tuple[Path, Run]:
+        nonlocal done
+        bag = run_experiment(experiment, out / name, lambda text, share: progress(
+            f'{title}: {text}', (done + (share or 0.0)) / steps))
+        done += 1
+        return bag, read_bag(bag)
+
+    recorded = []
+    for plan in RUNS:
+        bag, found = run(plan.name, plan.title, plan.experiment)
+        recorded.append(Recorded(plan, checked(plan.experiment), bag, found, analyze(found)))
+    hidden = find_hidden_effect(
+        lambda name, experiment: run(f'{GAP}_{name}', f'Sim-to-real gap, {name}', experiment)[1],
+        out / GAP, lambda text, share: progress(f'Sim-to-real gap: {text}',
+                                                (done + (share or 0.0)) / steps))
+    progress('writing the report', 1.0 - 1.0 / steps)
     return Demo({
-        'report': str(write_demo_report(recorded, out)),
+        'report': str(write_demo_report(recorded, hidden, out)),
+        'gap': {'withheld': HIDDEN.name, 'verdict': hidden.gap.verdict,
+                'probability': hidden.gap.probability,
+                'nominal_error_n': hidden.error_n['nominal'],
+                'improved_error_n': hidden.error_n['improved'], 'shrink': hidden.shrink,
+                'report': str(out / GAP / 'report.html')},
         'runs': [{'name': each.plan.name, 'bag': str(each.bag), 'analysis': each.analysis}
                  for each in recorded],
         'table_1': [{'compensator': each.plan.name, 'quantity': entry.quantity,
@@ -60,7 +81,8 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
 
 def _clear(out: Path) -> None:
     """Remove an earlier demo. Raises InputError if the directory holds anything else."""
-    names = {plan.name for plan in RUNS}
+    names = {plan.name for plan in RUNS} | {
+        GAP, *(f'{GAP}_{name}' for name in ('machine', 'nominal', 'improved'))}
     if out.exists():
         foreign = [path.name for path in out.iterdir() if path.name not in names
                    and path.name != 'report.html' and path.suffix != '.png']

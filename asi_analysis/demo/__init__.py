@@ -1,0 +1,1 @@
+"""The demonstration: the paper's experiments over ROS, a withheld effect found, the report."""
