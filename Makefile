@@ -48,6 +48,7 @@ setup: $(VENV)/installed
 	  echo 'make: $(VENV) was made with another version than $(PYTHON): run make clean first' >&2; \
 	  exit 1; }
 
+# LOCKED=1: the versions and hashes of requirements.lock; else the newest that setup.py allows.
 # Python 3.11 to 3.13: the one that is named, else the first that can make virtual environments. An
 # interpreter is tried, not only looked for: a pyenv shim exists for versions that it refuses to run.
 $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
@@ -59,6 +60,8 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 	done; \
 	echo "Setting up $(VENV) with $$($$python --version); about a minute" && \
 	$$python -m venv --clear $(VENV)
+	@test -z '$(LOCKED)' || $(BIN)/pip install -qq --disable-pip-version-check --require-hashes \
+	  -r requirements.lock
 	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.loop.closed_loop
 	@touch $@

@@ -1,6 +1,8 @@
 """Build the ament_python package; the same file serves pip and colcon."""
 
+import xml.etree.ElementTree as ElementTree
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -8,7 +10,7 @@ package_name = 'asi_actuator'
 
 setup(
     name=package_name,
-    version='0.1.0',
+    version=ElementTree.parse('package.xml').findtext('version'),
     packages=find_packages(include=['asi_common*', 'asi_actuator*', 'asi_controller*',
                                     'asi_analysis*', 'asi_examiner*']),
     package_data={'asi_common': ['py.typed', 'node/fastdds.xml', 'node/fastdds_localhost.xml'],
@@ -64,7 +66,21 @@ setup(
     maintainer_email='maintainers@example.com',
     description='Run, control, record and understand a force-controlled hydraulic joint '
                 'actuator under ROS 2.',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     license='Apache-2.0',
+    keywords=['ros2', 'robotics', 'hydraulics', 'force control', 'limit cycle', 'sim-to-real'],
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Environment :: Console',
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3.11',
+        'Programming Language :: Python :: 3.12',
+        'Programming Language :: Python :: 3.13',
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
     entry_points={
         'console_scripts': [
             'actuator = asi_actuator.executables:actuator',

@@ -13,16 +13,19 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import read_parameters
+from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
+from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.analysis import analyze
 from asi_common.parameter import ParameterError
 from torture.rig import Rig, Tally
@@ -45,6 +48,24 @@ def recording() -> Run:
     force = 100.0 * (1.0 - np.exp(-50.0 * t) * (np.cos(120.0 * t) + 0.4 * np.sin(120.0 * t)))
     force += 0.05 * np.random.default_rng(1).normal(size=SAMPLES)
     return Run(time_s, np.where(time_s < 0.5, 0.0, 100.0), None, force)
+
+
+def cycle() -> Run:
+    """Return a loop that a step of n samples leaves in a limit cycle of 80 Hz, with noise."""
+    time_s = np.arange(SAMPLES) / 1000.0
+    t = np.maximum(time_s - 0.3, 0.0)
+    swing = 40.0 * (1.0 - np.exp(-12.0 * t))
+    phase = 2.0 * np.pi * 80.0 * t
+    force = np.where(t > 0.0, 100.0, 0.0) + swing * (np.sin(phase) + 0.1 * np.sin(3.0 * phase))
+    force += 0.2 * np.random.default_rng(2).normal(size=SAMPLES)
+    return Run(time_s, np.where(t > 0.0, 100.0, 0.0), None, force)
+
+
+def with_a_gap() -> Run:
+    """Return the simulator's run with twice the mass that `of_gap` expects."""
+    return Run(*simulate_loop({'load.type': 'spring', 'load.mass': 0.6}, {
+        'compensator': 'lead_lag', 'reference.shape': 'multisine',
+        'reference.amplitude': 150.0}, 1.5, 1000.0))
 
 
 def corpus(folder: Path) -> list[Path]:
@@ -141,7 +162,7 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
     elif kind == 'every nth empty':
         force[::random.randint(2, 5)] = np.nan
     elif kind == 'clipped':
-        force = np.minimum(force, random.uniform(60.0, 110.0))
+        force = np.minimum(force, force.min() + random.uniform(0.6, 0.95) * np.ptp(force))
     elif kind == 'spike':
         force[place] = random.choice((-1.0, 1.0)) * 10.0**random.uniform(2.5, 9.0)
     elif kind == 'early':
@@ -154,34 +175,82 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
         time_s[place:] += random.choice((60.0, 3600.0))
     else:
         force = np.round(force / 10.0) * 10.0
-    assert run.reference_n is not None
-    return kind, Run(time_s[kept], run.reference_n[kept], None, force[kept])
+    signals: dict[str, Any] = {signal.field: getattr(run, signal.field) for signal in SIGNALS}
+    signals['force_n'] = force
+    return kind, Run(time_s[kept], **{name: values if values is None else values[kept]
+                                      for name, values in signals.items()})
 
 
-def figure_problem(run: Run, random: Random) -> str:
+class Answer(NamedTuple):
+    """Figures and verdicts of an analysis, which of them it calls reliable, and its notes."""
+
+    figures: dict[str, float | str | None]
+    reliable: dict[str, bool]
+    said: bool
+
+
+def of_step(run: Run) -> Answer:
+    """Return the answer of `asi analyze`."""
+    found = analyze(run)
+    return Answer({name: found[name] for name in FIGURES}, found['reliable'],
+                  bool(found['quality']))
+
+
+def of_cycle(run: Run) -> Answer:
+    """Return the answer of `asi limit-cycle` for the last segment."""
+    found = detect_limit_cycles(run)
+    last = found['segments'][-1]
+    figures = {name: last[name] for name in ('verdict', 'frequency_hz', 'amplitude_n')}
+    return Answer(figures, dict.fromkeys(figures, last['reliable']), bool(found['quality']))
+
+
+def of_gap(run: Run) -> Answer:
+    """Return the answer of `asi gap`."""
+    found = diagnose([run], {'load.type': 'spring', 'load.mass': 0.3})
+    figures = {'verdict': found['verdict'],
+               **{name: value for row in found['which'] if row['probability'] > 0.5
+                  for name, value in row['parameters'].items()}}
+    return Answer(figures, dict.fromkeys(figures, found['reliable']), bool(found['quality']))
+
+
+def figure_problem(run: Run, random: Random, analysis: Callable[[Run], Answer] = of_step) -> str:
     """Return which figure of a spoilt recording differs though nothing is said, '' if none."""
     kind, worse = spoilt(run, random)
-    right, found = analyze(run), analyze(worse)
-    for figure in FIGURES:
-        value = found[figure]
-        if value is not None and not found['quality'] and not math.isclose(
-                value, right[figure], rel_tol=0.02, abs_tol=0.1):
-            return f'{kind}: {figure} is {value} for {right[figure]}, and nothing says why'
-        if value is not None and found['reliable'].get(figure) and not math.isclose(
-                value, right[figure], rel_tol=0.1, abs_tol=0.5):
-            return f'{kind}: {figure} is {value} for {right[figure]}, and said to be reliable'
+    right = analysis(run)
+    try:
+        found = analysis(worse)
+    except InputError:
+        return ''
+    for name, value in found.figures.items():
+        if not found.said and _differ(value, right.figures.get(name), 0.02, 0.1):
+            return f'{kind}: {name} is {value} for {right.figures}, and nothing says why'
+        if found.reliable.get(name) and _differ(value, right.figures.get(name), 0.1, 0.5):
+            return f'{kind}: {name} is {value} for {right.figures}, and said to be reliable'
     return ''
+
+
+def _differ(value: float | str | None, right: float | str | None, share: float, least: float
+            ) -> bool:
+    if value is None:
+        return False
+    if isinstance(value, float) and isinstance(right, float):
+        return not math.isclose(value, right, rel_tol=share, abs_tol=least)
+    return value != right
 
 
 def inputs(rig: Rig, tally: Tally, end: float) -> None:
     """Damage files and samples: ten thousand files, or until the time is over."""
     folder = rig.folder / 'corpus'
     folder.mkdir()
-    files, run = corpus(folder), recording()
+    files = corpus(folder)
+    # After so many files, samples of a recording: a limit cycle and a gap take longer.
+    analyses = ((4, recording(), of_step), (100, cycle(), of_cycle), (500, with_a_gap(), of_gap))
     for number in range(FILES):
         if time.monotonic() > end:
             return
         good = files[number % len(files)]
         tally.count(f'{good.name} damaged', file_problem(good, rig.folder / 'bad', rig.random))
-        if number % 4 == 0:
-            tally.count('samples spoilt', figure_problem(run, rig.random))
+        for every, run, analysis in analyses:
+            if number % every == every - 1:
+                tally.count(f'samples spoilt, {analysis.__name__}',
+                            figure_problem(run, rig.random, analysis))

@@ -118,9 +118,11 @@ def analyze(
 
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
 def import_(
-    file: Annotated[Path, typer.Argument(
-        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet, or a rosbag2')],
-    out: Annotated[Path, typer.Option(help='The bag to write')],
+    files: Annotated[list[Path], typer.Argument(
+        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet, a rosbag2 or ROS 1 .bag; or '
+             'several tables, each with its time, of which the first gives the samples')],
+    out: Annotated[Path | None, typer.Option(
+        help='The bag to write; without it and without --map: a preview')] = None,
     map_: Annotated[list[str] | None, typer.Option(
         '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',
         help='Signal of a column; once for each signal; none for a file of `asi export`')] = None,
@@ -138,17 +140,25 @@ def import_(
     """
     Convert a recording of another system to a bag, for every analysis.
 
+    `asi import FILE` alone previews it: columns, units, rate, gaps, and a command to copy.
     Signals: time, reference, command, force, valve_position, position, velocity. A column of a
     rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/how_to/importing.md.
     """
     from asi_analysis.bags.exchange.importing import import_recording
-    from asi_analysis.bags.exchange.summary import Imported
+    from asi_analysis.bags.exchange.preview import preview
+    from asi_analysis.bags.exchange.summary import Imported, Previews
+    reading: dict[str, Any] = {'skip_lines': skip_lines, 'delimiter': delimiter,
+                               'columns': columns.split(',') if columns else None}
+    if out is None and map_:
+        raise InputError('--map goes with --out BAG, the bag to write')
     with bar() as progress:
-        progress(f'reading {file}', None)
-        run = import_recording(
-            file, map_ or [], rate, skip_lines=skip_lines, delimiter=delimiter,
-            columns=columns.split(',') if columns else None, zero_s=zero, out=out)
-    show(Imported.of(run, out), as_json)
+        progress(f'reading {", ".join(map(str, files))}', None)
+        if out is None:
+            shown: Any = Previews.of([preview(file, rate, **reading) for file in files])
+        else:
+            run = import_recording(files, map_ or [], rate, **reading, zero_s=zero, out=out)
+            shown = Imported.of(run, out)
+    show(shown, as_json)
 
 
 @command('export', 'asi export runs/demo/lead_lag/bag --out lead_lag.csv')

@@ -78,7 +78,10 @@ def compare(
         help='Actuators with errors of up to 20 %', min=0, max=10_000)] = 12,
     noise: Annotated[float, typer.Option(
         help='Noise of the force sensor, N rms; 0: none', min=0.0, max=1e4)] = 1.0,
-    seed: Annotated[int, typer.Option(help='Seed of the plants', min=0, max=MOST_SEED)] = 1,
+    conditions: Annotated[int, typer.Option(
+        help='Conditions of the attack of `asi quench`; 0: none', min=0)] = 300,
+    seed: Annotated[int, typer.Option(
+        help='Seed of plants and attack', min=0, max=MOST_SEED)] = 1,
     markdown: Annotated[Path | None, typer.Option(
         help='File for the tables as Markdown')] = None,
     report: Report = None,
@@ -98,7 +101,7 @@ def compare(
         result = compare_controllers(
             {name: {**each, **values['controller']} for name, each in controllers.items()},
             recordings, values['actuator'], numbers('--rates', rates),
-            numbers('--springs', springs), plants, noise, seed, progress)
+            numbers('--springs', springs), plants, noise, conditions, seed, progress)
         if report:
             progress('report', None)
             result.write_report(report)

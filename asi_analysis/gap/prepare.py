@@ -11,6 +11,7 @@ from scipy.signal import coherence, resample_poly, welch
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.measures.quality import check_time
 
 Array = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
@@ -163,6 +164,7 @@ def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if back.size:
         raise InputError(f'{run.source}: time does not rise at sample {int(back[0]) + 2}')
+    check_time(time, run.source)
     steps = round((time[-1] - time[0]) / run.period_s)
     period = float((time[-1] - time[0]) / steps)
     even = time[0] + period * np.arange(steps + 1)
@@ -458,6 +460,10 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             noise={name: noise_of(values) for name, values in moving.items()},
             fit=fit, held_out=held, report=report,
             number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
+    if not all(any(part(each).any() for each in recordings)
+               for part in (lambda r: r.fit, lambda r: r.held_out)):
+        raise InputError(f'{", ".join(each.source for each in recordings)}: too few samples are '
+                         'left: the others are lost or clipped, or next to such ones')
     return _with_repeats(recordings)
 
 

@@ -1,5 +1,6 @@
 """An experiment computed in one process, instead of over ROS: the same samples, the same bag."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -68,24 +69,43 @@ def run_in_process(experiment: Experiment, out: Path, progress: Progress = silen
     safety = _safety(experiment)
     prepare(experiment, out)
     writer = BagWriter(out / 'bag')
+    recorder = _Recorder(writer, safety, experiment.control_rate_hz)
     try:
         writer.add_information(information(experiment))
-        recorder = _Recorder(writer, safety, experiment.control_rate_hz)
-        for piece in loop_pieces(experiment.actuator, experiment.controller, experiment.ticks,
-                                 experiment.control_rate_hz, PIECE):
-            recorder.write(piece)
-            progress(f'in process: {recorder.ticks} of {experiment.ticks} ticks',
-                     recorder.ticks / experiment.ticks)
-            if safety.state is State.FAULT:
-                break
+        _record(experiment, recorder, progress)
         writer.close()
+    except KeyboardInterrupt:
+        writer.close()
+        raise
     except BaseException:
         writer.abandon()
         raise
-    if safety.state is State.FAULT:
+    if recorder.ended:
         raise RunFailedError('the actuator ended in a fault, the valve command is 0: '
                              f'{safety.reason}; the bag so far: {out / "bag"}')
     return out / 'bag'
+
+
+def _record(experiment: Experiment, recorder: '_Recorder', progress: Progress) -> None:
+    """
+    Compute an experiment piece by piece, to its end or to a fault.
+
+    Another thread writes a piece while the next is computed; Ctrl-C does not interrupt it.
+    """
+    pieces = loop_pieces(experiment.actuator, experiment.controller, experiment.ticks,
+                         experiment.control_rate_hz, PIECE)
+    with ThreadPoolExecutor(1) as thread:
+        writing = None
+        for piece in pieces:
+            if writing is not None:
+                writing.result()
+            if recorder.ended:
+                return
+            progress(f'in process: {recorder.ticks} of {experiment.ticks} ticks',
+                     recorder.ticks / experiment.ticks)
+            writing = thread.submit(recorder.write, piece)
+        if writing is not None:
+            writing.result()
 
 
 def _safety(experiment: Experiment) -> Safety:
@@ -114,6 +134,11 @@ class _Recorder:
         self._states = self.ticks = 0
         self._command_n = self._valve_m = 0.0
 
+    @property
+    def ended(self) -> bool:
+        """Whether the safety logic has tripped."""
+        return self._safety.state is State.FAULT
+
     def write(self, piece: LoopRun) -> None:
         """Write the messages of the next ticks; up to a fault, after which none may follow."""
         applied_n = self._applied(piece)
@@ -132,7 +157,7 @@ class _Recorder:
         self._command_n = float(piece.command_n[-1])
         self._valve_m = float(piece.valve_position_m[-1])
         self.ticks += len(stamps)
-        if self._safety.state is State.FAULT and self.ticks > 1:
+        if self.ended and self.ticks > 1:
             self._write_state(int(stamps[-1]), State.FAULT, self._safety.reason)
 
     def _applied(self, piece: LoopRun) -> Array:
@@ -155,7 +180,7 @@ class _Recorder:
             self._writer.write_many({self._channels[name]: (stamps[:1], table[:1])})
         self._channels[DIAGNOSTICS] = self._writer.add_topic(
             DIAGNOSTICS, TOPICS[DIAGNOSTICS].type)
-        faulty = len(stamps) == 1 and self._safety.state is State.FAULT
+        faulty = len(stamps) == 1 and self.ended
         self._write_state(int(stamps[0]), State.FAULT if faulty else State.ENABLED,
                           self._safety.reason if faulty else '')
         return {name: (stamps[1:], table[1:]) for name, (stamps, table) in messages.items()

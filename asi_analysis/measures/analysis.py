@@ -14,7 +14,7 @@ from asi_analysis.measures.frequency_response import (
     frequency_response,
     loop_bandwidth,
 )
-from asi_analysis.measures.quality import Finding, findings, trust
+from asi_analysis.measures.quality import Finding, check_rate, findings, trust
 from asi_analysis.measures.step_response import HEADLINE, StepResponse, step_response
 from asi_analysis.measures.tracking import tracking
 from asi_analysis.reporting.result import Pictures, Result, Table, number
@@ -69,7 +69,7 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
     run: a recording of n samples, at least 2; signal: force, position, velocity, pressure or any
     other that was recorded, by default the one that the reference controls. Figures in its unit,
     `Run.unit`. What cannot be measured is None, and `notes` says why. Raises InputError for one
-    sample, or for a signal that was not recorded.
+    sample, samples in bursts, or a signal that was not recorded.
 
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
@@ -81,6 +81,7 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
     """
     if len(run) < 2:
         raise InputError(f'{run.source}: one sample is too little: at least 2 are needed')
+    check_rate(run.time_s, run.source)
     name = run.output(signal)
     step, swing, width = (step_response(run, name), measure.oscillation(run, name),
                           loop_bandwidth(run, name))

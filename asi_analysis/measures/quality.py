@@ -13,6 +13,8 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from asi_analysis.bags.run import CONTROLLED, Run
+from asi_analysis.errors import InputError
+from asi_analysis.measures.correlation import correlation_delay
 
 Array = npt.NDArray[np.float64]
 Interval = tuple[float, float]
@@ -28,6 +30,8 @@ CLOCK_PERIODS: Final = 1000
 CLOCK_S: Final = 10.0
 # Consecutive samples at the largest or smallest value that count as clipped.
 CLIPPED_SAMPLES: Final = 4
+# Share of different values among the others from which on no sample repeats one by chance.
+CONTINUOUS: Final = 0.9
 # Deviation of a spike from the median of five samples: this many times the 90 % quantile of that
 # deviation, and this share of the range of the medians.
 SPIKE: Final = 20.0
@@ -40,8 +44,14 @@ FEWEST_LEVELS: Final = 25
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED.
 UNIT_FACTOR: Final = 100.0
 CORRELATED: Final = 0.7
+# Samples by which an output that comes before its reference does so clearly, if without the shift
+# their correlation is below this share of that with it.
+EARLY_SAMPLES: Final = 3
+CLEARLY: Final = 0.8
 # Largest share of its change that an output may make before the reference changes.
 BEFORE: Final = 0.3
+# Samples of an even grid for each recorded one, beyond which a run comes in bursts.
+MOST_FILLED: Final = 10.0
 LOSSES: Final = frozenset(('gap', 'missing'))
 # Intervals listed in JSON for one finding.
 LISTED: Final = 20
@@ -66,7 +76,7 @@ class Finding(NamedTuple):
 
 def findings(run: Run) -> list[Finding]:
     """Return the defects of the samples of a run (at least 2), doubtful ones first."""
-    found = [*_of_time(run)]
+    found = [*_of_time(run.time_s)]
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
     found += _of_reference(run)
@@ -113,8 +123,32 @@ def trust(found: Sequence[Finding], run: Run, signals: Sequence[str], start_s: f
                  '; '.join(each.text for each in relevant))
 
 
-def _of_time(run: Run) -> Iterator[Finding]:
-    time = run.time_s
+def check_rate(time_s: Array, source: str) -> None:
+    """Raise InputError if samples (at least 2) come in bursts: no rate is that of all of them."""
+    steps = np.diff(time_s)
+    period_s = float(np.median(steps))
+    without_pauses_s = float(np.sort(steps)[:-(len(steps) // 100) - 1].sum())
+    if not period_s > 0.0 or without_pauses_s > MOST_FILLED * len(time_s) * period_s:
+        raise InputError(f'{source or "the run"}: the samples come in bursts: half of them are no '
+                         f'more than {period_s:.3g} s after the one before, {len(time_s)} in '
+                         f'{time_s[-1] - time_s[0]:.6g} s')
+
+
+def check_time(time_s: Array, source: str) -> None:
+    """Raise InputError if no even grid spans the samples: bursts, or a step of the clock."""
+    check_rate(time_s, source)
+    for each in _of_time(time_s):
+        if each.kind == 'clock_step':
+            raise InputError(f'{source or "the run"}: {each.text}; analyse the parts on their own')
+
+
+def doubts(runs: Sequence[Run]) -> list[str]:
+    """Return what makes answers from whole runs doubtful: all that is, but lost samples."""
+    return [f'{run.source}: {each.text}' for run in runs if len(run) > 1
+            for each in findings(run) if each.severity == DOUBTFUL and each.kind not in LOSSES]
+
+
+def _of_time(time: Array) -> Iterator[Finding]:
     steps = np.diff(time)
     period = float(np.median(steps))
     if (wrong := _intervals(time, steps <= 0.0)):
@@ -210,6 +244,24 @@ def _of_reference(run: Run) -> Iterator[Finding]:
         yield Finding('order', name, DOUBTFUL, early,
                       f'the {_words(name)} changes before its reference does {_where(early)}: '
                       'their times do not belong together')
+        return
+    lead = _lead(reference, values)
+    if lead:
+        yield Finding('order', name, DOUBTFUL, whole,
+                      f'the {_words(name)} fits its reference best if it is '
+                      f'{1e3 * lead * run.period_s:.4g} ms later: their times do not belong '
+                      'together')
+
+
+def _lead(reference: Array, values: Array) -> int:
+    """Return by how many samples a signal clearly comes before its reference, 0 if it does not."""
+    lag = correlation_delay(reference, values, 1.0)
+    lead = 0 if lag is None else round(-lag)
+    if lead < EARLY_SAMPLES:
+        return 0
+    now = np.corrcoef(reference, values)[0, 1]
+    shifted = np.corrcoef(reference[lead:], values[:-lead])[0, 1]
+    return lead if now < CLEARLY * shifted else 0
 
 
 def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
@@ -253,22 +305,27 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
     Return which samples are clipped at the smallest, and at the largest value.
 
     A clipped signal stays at the value after reaching it in a large step; one that settles, or is
-    quantised or held, reaches it in its smallest steps.
+    quantised or held, reaches it in its smallest steps. Where no other value comes twice, a few
+    samples at exactly that one suffice.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     lengths = np.diff(begins, append=len(values))
     jumps = np.abs(np.diff(values))
     moving = jumps[jumps > 0.0]
+    others = values[(values > values.min()) & (values < values.max())]
+    continuous = len(np.unique(others)) > CONTINUOUS * len(others)
     found = []
     for limit in _ends(values):
         clipped = np.zeros(len(values), bool)
         if len(moving):
             least = max(10.0 * float(np.quantile(moving, 0.02)), 1e-3 * float(np.ptp(values)))
             usual = float(np.quantile(lengths, 0.9))
-            for begin, length in zip(begins, lengths, strict=True):
-                if (values[begin] == limit and begin > 0
-                        and length >= max(CLIPPED_SAMPLES, 3.0 * usual)
-                        and jumps[max(begin - 2, 0):begin].max() > least):
+            reached = [(begin, length) for begin, length in zip(begins, lengths, strict=True)
+                       if values[begin] == limit and begin > 0
+                       and jumps[max(begin - 2, 0):begin].max() > least]
+            often = continuous and sum(length for _, length in reached) >= CLIPPED_SAMPLES
+            for begin, length in reached:
+                if often or length >= max(CLIPPED_SAMPLES, 3.0 * usual):
                     clipped[begin:begin + length] = True
         found.append(clipped)
     return found

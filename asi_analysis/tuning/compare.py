@@ -10,7 +10,7 @@ from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import read_parameters, stepping
-from asi_analysis.limit_cycle.quench.attack import VARIED, with_errors
+from asi_analysis.limit_cycle.quench.attack import VARIED, Trial, search, with_errors
 from asi_analysis.loop.closed_loop import Values
 from asi_analysis.measures.analysis import analyze, in_words
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, number
@@ -128,18 +128,20 @@ def compare_controllers(
         controllers: Mapping[str, Values], recordings: Mapping[str, Run] | None = None,
         actuator: Values | None = None, rates_hz: Sequence[float] = (5000.0, 2000.0, 1000.0),
         springs_n_m: Sequence[float] = (1e4, 1e5, 1e6), plants: int = 12, noise_n: float = 1.0,
-        seed: int = 1, progress: Progress = silent) -> Comparison:
+        attacks: int = 300, seed: int = 1, progress: Progress = silent) -> Comparison:
     """
     Return the figures of controllers on an actuator, and those of recordings.
 
     controllers: parameters by the controller's name; actuator: parameters by name, the rest at
     their defaults. Each controller is simulated at each of the rates (Hz), and at the first of
     them with sensor noise (N rms; 0: not), on `plants` actuators whose parameters have errors of
-    up to 20 %, on springs (N/m) and free. Raises InputError for parameters that are not allowed.
+    up to 20 %, on springs (N/m) and free; and attacked as by `asi quench`, under so many
+    conditions at all the rates. Raises InputError for parameters that are not allowed.
 
     >>> import asi_analysis as asi
     >>> found = asi.compare_controllers({'P': {'gain': 3.0}, 'lead4': {'compensator': 'lead4'}},
-    ...                                 rates_hz=[5000.0], springs_n_m=[], plants=0, noise_n=0.0)
+    ...                                 rates_hz=[5000.0], springs_n_m=[], plants=0, noise_n=0.0,
+    ...                                 attacks=0)
     >>> [f"{each['controller']} {each['value']:.0f} %" for each in found.figures
     ...  if each['name'] == 'sine_error_percent']
     ['P 27 %', 'lead4 35 %']
@@ -166,6 +168,11 @@ def compare_controllers(
                 nominal.setdefault(name, runs)
                 found.append(figures(plant, controller, condition.rate_hz, runs))
             rows += [row | {'controller': name} for row in _rows(condition, found)]
+        if attacks:
+            share = done / total
+            trials = search(actuator, controller, tuple(rates_hz), attacks, seed,
+                            lambda text, _: progress(f'{name}, {text}', share))   # noqa: B023
+            rows.append(_attacked(trials, rates_hz) | {'controller': name})
     runs_ = recordings or {}
     return Comparison({
         'controllers': list(controllers), 'rates_hz': list(rates_hz), 'plants': plants,
@@ -216,6 +223,15 @@ def _rows(condition: Condition, found: Sequence[Mapping[str, float]]) -> list[di
              'goal': None if condition.held else row.goal, 'value': values[row.name],
              'met': None if condition.held else bool(missed(values)[row.name] <= 0.0)}
             for name, values in statistics.items() for row in rows]
+
+
+def _attacked(trials: Sequence[Trial], rates_hz: Sequence[float]) -> dict[str, Any]:
+    """Return the row of the attack of `asi quench`."""
+    found = sum(trial.sustained for trial in trials)
+    rates = ', '.join(f'{rate:g}' for rate in rates_hz)
+    return {'condition': f'{len(trials)} attacks at {rates} Hz', 'name': 'sustained_found',
+            'text': 'sustained oscillations', 'unit': '', 'goal': 0.0, 'value': float(found),
+            'met': found == 0}
 
 
 def _recording(name: str, run: Run) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A rosbag2 of any robot as columns by name: TOPIC/FIELD; of joint states TOPIC/JOINT/FIELD."""
+"""A bag of any robot as columns by name: TOPIC/FIELD; of joint states TOPIC/JOINT/FIELD."""
 
 import warnings
 from collections.abc import Sequence
@@ -13,13 +13,14 @@ from asi_analysis.bags import cdr
 from asi_analysis.bags.bag import Series, align, decode, time_base
 from asi_analysis.bags.bag_file import BROKEN, Topic, read_contents
 from asi_analysis.bags.bag_writer import typestore
+from asi_analysis.bags.exchange.ros1_bag import read_ros1_table
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 
 
 def is_bag(path: Path) -> bool:
     """Tell whether a path is that of a bag, by its name."""
-    return path.is_dir() or path.suffix in ('.mcap', '.db3')
+    return path.is_dir() or path.suffix in ('.mcap', '.db3', '.bag')
 
 
 def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
@@ -29,6 +30,8 @@ def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
     The time base is the topic of the first column; numbers of other topics are held until their
     next message. Raises InputError.
     """
+    if path.suffix == '.bag':
+        return read_ros1_table(path, columns)
     present: dict[str, None] = {}
 
     def selected(topic: str) -> bool:

@@ -69,17 +69,26 @@ def own_mapping(table: Table) -> list[str]:
     return [names[column].format(column) for column in table if column in names]
 
 
-def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:
-    """Return the values of a mapping in SI units, and the unit. Raises InputError."""
+def column_of(mapping: Assignment, table: Table) -> str | None:
+    """Return the name of the column of a mapping; None if the table has none such."""
     whole = mapping.text.partition('=')[2].strip()
     # The header may contain the unit: `torque [Nm]`.
-    term, scale, offset = whole if whole in table else mapping.term, 1.0, 0.0
-    if term not in table:
-        found = _TERM.fullmatch(term)
-        if found is None or found['column'].strip() not in table:
-            raise InputError(f'{path}: {mapping.text!r} names no column; there are '
-                             + ', '.join(table))
-        term = found['column'].strip()
+    term = whole if whole in table else mapping.term
+    if term in table:
+        return term
+    found = _TERM.fullmatch(term)
+    column = found['column'].strip() if found else ''
+    return column if column in table else None
+
+
+def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:
+    """Return the values of a mapping in SI units, and the unit. Raises InputError."""
+    term, scale, offset = column_of(mapping, table), 1.0, 0.0
+    if term is None:
+        raise InputError(f'{path}: {mapping.text!r} names no column; there are '
+                         + ', '.join(table))
+    found = _TERM.fullmatch(mapping.term)
+    if found and term not in (mapping.term, mapping.text.partition('=')[2].strip()):
         scale = _scale(found['scale'], table, mapping, path)
         offset = float(found['offset'] or 0.0)
     unit, factor = conversion(mapping.unit) or ('', 1.0)
@@ -89,7 +98,7 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
             raise InputError(f'{path}: {mapping.text!r}: {term} holds dates or durations, which '
                              'have their unit: leave scale and unit out')
         return seconds, 's'
-    values = _numbers(term, table[term], path)
+    values = numbers_of(term, table[term], path)
     if scale != 1.0 or offset != 0.0:
         values = values * scale + offset
     return (values if factor == 1.0 else values * factor), unit
@@ -102,7 +111,7 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
         if np.size(table[text]) != 1:
             raise InputError(f'{path}: {mapping.text!r}: {text} holds {np.size(table[text])} '
                              'values, a scale is one')
-        return float(_numbers(text, table[text], path)[0])
+        return float(numbers_of(text, table[text], path)[0])
     try:
         scale = float(text)
         if math.isfinite(scale):
@@ -113,7 +122,7 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
                          'one of ' + ', '.join(table)) from None
 
 
-def _numbers(name: str, column: npt.NDArray, path: Path) -> Array:
+def numbers_of(name: str, column: npt.NDArray, path: Path) -> Array:
     """Return a column as numbers, NaN where a cell is empty."""
     if np.issubdtype(column.dtype, np.number):
         values = np.ravel(column).astype(float)

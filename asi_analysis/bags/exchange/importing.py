@@ -15,6 +15,7 @@ from asi_analysis.bags.exchange.column_mapping import (
     own_mapping,
     parse_mapping,
 )
+from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.run import SIGNALS, Array, Run
 from asi_analysis.errors import InputError, InputWarning
@@ -24,14 +25,16 @@ MOST_RATE_HZ: Final = 1e8
 LONGEST_S: Final = 1e9
 
 
-def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
+def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[str],
+                     rate_hz: float | None = None, *,
                      skip_lines: int = 0, delimiter: str | None = None,
                      columns: Sequence[str] | None = None, zero_s: float = 0.0,
                      out: str | Path | None = None) -> Run:
     r"""
     Return a recording of another system as a run; also written as the bag `out`, if given.
 
-    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet or a bag; mapping: texts
+    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet, a rosbag2, or a .bag of ROS 1;
+    or several tables, each with its time, of which the first gives the samples; mapping: texts
     `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for a file of `asi export`; rate_hz: sampling
     rate, if no column is mapped to time (a bag has its own times); skip_lines: lines before the
     header; columns: names for a file without a header; zero_s: subtract from each signal its mean
@@ -45,18 +48,27 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     >>> run.force_n.tolist()
     [0.0, 500.0, 1000.0]
     """
-    path = Path(path)
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
     if not zero_s >= 0.0:
         raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
-    if is_bag(path):
-        mappings = [parse_mapping(text) for text in mapping]
+    path, texts = paths[0], list(mapping)
+    if len(paths) > 1:
+        if rate_hz is not None or any(is_bag(each) for each in paths):
+            raise InputError('several files are tables with a time each: import bags, and files '
+                             'with a rate, one by one')
+        signals = read_several({each: read_table(each, skip_lines, delimiter, columns)
+                                for each in paths}, texts)
+    elif is_bag(path):
+        texts += ['time=time'] * (rate_hz is None and not any(
+            parse_mapping(text).signal == 'time' for text in texts))
+        mappings = [parse_mapping(text) for text in texts]
         table = read_bag_table(path, [each.term for each in mappings if each.signal != 'time'])
-        if rate_hz is None and all(each.signal != 'time' for each in mappings):
-            mappings.append(parse_mapping('time=time'))
+        signals = _evaluated(mappings, table, path)
     else:
         table = read_table(path, skip_lines, delimiter, columns)
-        mappings = [parse_mapping(text) for text in mapping or own_mapping(table)]
-    signals = _evaluated(mappings, table, path)
+        texts = texts or own_mapping(table)
+        signals = _evaluated([parse_mapping(text) for text in texts], table, path)
+    _check_reference(signals, texts, path)
     length = len(next(iter(signals.values()))[0])
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
     valid = np.isfinite(time_s)
@@ -74,7 +86,7 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     values = {name: column[valid] - _start_mean(column[valid], time_s, zero_s, name, path)
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
-        'file': path.name, 'mapping': [each.text for each in mappings], 'zero_s': zero_s}}
+        'file': ', '.join(each.name for each in paths), 'mapping': texts, 'zero_s': zero_s}}
     usual = {signal.name: signal.unit for signal in SIGNALS}
     unusual = {name: unit for name, unit in units.items() if unit != usual[name]}
     if unusual:
@@ -86,8 +98,18 @@ def import_recording(path: str | Path, mapping: Sequence[str], rate_hz: float | 
     return run
 
 
+def _check_reference(signals: Signals, texts: Sequence[str], path: Path) -> None:
+    """Raise InputError for a reference without a unit that need not be a force."""
+    text = next((each for each in texts if each.partition('=')[0].strip() == 'reference'), '')
+    others = [name for name in ('position', 'velocity', 'pressure') if name in signals]
+    if text and not text.rstrip().endswith(']') and others and 'force' not in signals:
+        unit = signals[others[0]][1]
+        raise InputError(f'{path}: {text!r} has no unit, and would be a force in N, which is not '
+                         f'mapped: write {text}[{unit}] if it is that of the {others[0]}')
+
+
 def _evaluated(mappings: Sequence[Assignment], table: Table, path: Path
-               ) -> dict[str, tuple[Array, str]]:
+               ) -> Signals:
     """Return values and unit of each signal, all of one length. Raises InputError."""
     signals = {each.signal: evaluate(each, table, path) for each in mappings}
     if not signals.keys() - {'time'}:

@@ -1,8 +1,9 @@
 """The results of `asi import` and `asi export`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from asi_analysis.bags.exchange.preview import command
 from asi_analysis.bags.run import Run
 from asi_analysis.reporting.result import Result, Table
 
@@ -20,6 +21,30 @@ class Imported(Result):
     def parts(self) -> Iterator[str | Table]:
         yield from self.run.parts()
         yield f'bag: {self.bag}'
+
+
+class Previews(Result):
+    """What the files hold that `asi import` was called with alone, by the keys of its --json."""
+
+    rows = 'files'
+
+    @classmethod
+    def of(cls, previews: Sequence[Result]) -> 'Previews':
+        paths = [Path(each.file) for each in previews]
+        joined: dict[str, str] = {}      # by signal, that of the time by file; the first counts
+        for path, each in zip(paths, previews, strict=True):
+            for text in each.mapping:
+                signal, _, term = text.partition('=')
+                key = f'{path} {signal}' if signal == 'time' else signal
+                joined.setdefault(key, f'{signal}={path.stem}/{term}')
+        return cls({'files': [each.to_dict() for each in previews],
+                    'command': previews[0].command if len(previews) == 1 else
+                    command(paths, list(joined.values()), {})}, previews=previews)
+
+    def parts(self) -> Iterator[str | Table]:
+        for each in self.previews:
+            yield from each.parts()
+        yield f'to import: {self.command}'
 
 
 class Exported(Result):

@@ -16,7 +16,7 @@ from asi_analysis.gap.diagnose import document, plain
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_analysis.gap.model.model_file import DIRECT
-from asi_analysis.measures.quality import quality_of
+from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import ParameterError, Value, completed
 
@@ -139,7 +139,9 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
                              [False] * len(runs) + [True] * len(held_out), drive, progress)
     answer = plain(document(diagnosis))
-    answer['notes'] = [*notes, *answer['notes']]
+    doubtful = doubts(everything)
+    answer['notes'] = [*(f'doubtful, because {each}' for each in doubtful), *notes,
+                       *answer['notes']]
     if plant == 'actuator':
         from asi_analysis.gap.answer.consequences import consequences
         progress('in the loop', None)
@@ -149,6 +151,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         if isinstance(model, str | Path) and following and following['command']:
             for key in ('command', 'advice'):
                 following[key] += f' --actuator {model}'
-    return Gap(answer | {'report': None, 'quality': quality_of(everything)},
+    return Gap(answer | {'report': None, 'quality': quality_of(everything),
+                         'reliable': not doubtful},
                runs=everything, diagnosis=diagnosis,
                model=values if plant == 'actuator' else None)

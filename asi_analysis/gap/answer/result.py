@@ -25,6 +25,8 @@ class Gap(Result):
     model: Mapping[str, Value] | None
 
     def parts(self) -> Iterator[str | Table]:
+        if not self.reliable:
+            yield 'The recordings are doubtful, and so is this answer: see the notes.'
         yield from sentences(self)
         where = [row for row in self.where if row['share'] > 0.005]
         if where:

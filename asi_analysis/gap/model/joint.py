@@ -2,9 +2,10 @@
 A rigid joint or drive as nominal model, in the block language of the actuator.
 
 Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
-friction and a constant offset, identified from the recording where no values are given. Commanded
-by its position: an ideal servo. Where command and force are both measured, the drive between them
-is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
+friction, a constant offset and, if it turns, gravity, identified from the recording where no
+values are given. Commanded by its position: an ideal servo. Where command and force are both
+measured, the drive between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in
+place of m, N, kg.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant
 from asi_analysis.gap.model.group import Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.prepare import Array, Recording, prepare
+from asi_analysis.gap.prepare import Array, Recording, judged, prepare
 from asi_common.parameter import Value
 
 OFF = {f'{block}.model': 'off' for block in (
@@ -39,6 +40,11 @@ BIASED = 0.5        # of the standard deviation of a force: a larger mean is rem
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
+# Gravity: share of the power left without it, below which it is taken off; speed, in standard
+# deviations, from which friction is full; least singular value that is told from rounding.
+LEFT_WITHOUT = 0.7
+CREEP = 0.05
+LIKE = 1e-6
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play in series.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
@@ -80,7 +86,9 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     """Return the groups of channels that a joint has, and notes."""
     if drive != 'force':
         return [_servo(prepare(runs, drive, held_out), tolerance, drive == 'drive')], []
-    recordings, notes = _without_bias(prepare(runs, drive, held_out))
+    recordings, notes = without_gravity(prepare(runs, drive, held_out), runs)
+    recordings, more = _without_bias(recordings)
+    notes = [*notes, *more]
     groups = []
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
@@ -211,6 +219,76 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
             Variant((Free(field, period, 0.1, (0.002, 0.006, 0.02), '', 's'),), ('load',)),))
             for name, field in (('transport_delay', 'drive_delay'), ('valve_lag', 'drive_lag'))]
     return tuple(effects)
+
+
+def without_gravity(recordings: list[Recording], runs: Sequence[Run]
+                     ) -> tuple[list[Recording], list[str]]:
+    """
+    Return recordings of a joint that turns without its gravity, and notes.
+
+    Gravity is a sin q + b cos q, linear in a and b, which are identified together with inertia,
+    damping, friction and offset, by least squares on the fitted parts. It is taken off if the
+    held-out parts need it: they then have less than LEFT_WITHOUT of their residual power.
+    """
+    if any(run.position_m is None or run.unit('position') != 'rad' or r.force_judged is None
+           or r.motion is None for run, r in zip(runs, recordings, strict=True)):
+        return recordings, []
+    shapes = [_shapes(r, float(np.nanmean(run.signal('position'))))
+              for run, r in zip(runs, recordings, strict=True)]
+
+    def stacked(part: str, count: int) -> tuple[Array, Array]:
+        return (np.vstack([s[getattr(r, part), :count] for s, r in
+                           zip(shapes, recordings, strict=True)]),
+                np.concatenate([r.force_judged[getattr(r, part)] for r in recordings
+                                if r.force_judged is not None]))
+
+    left, found = [], np.zeros(0)
+    for count in (5, 7):       # without gravity and with it
+        columns, force = stacked('fit', count)
+        size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
+        found = np.linalg.lstsq(columns / size, force, rcond=LIKE)[0] / size
+        columns, force = stacked('held_out', count)
+        left.append(float(np.mean((force - columns @ found) ** 2)) if len(force) else np.nan)
+    if not left[1] < LEFT_WITHOUT * left[0]:
+        return recordings, []
+    most, zero = float(np.hypot(*found[5:])), float(np.degrees(np.arctan2(-found[6], found[5])))
+    taken = []
+    for run, r in zip(runs, recordings, strict=True):
+        assert r.motion is not None and r.force is not None and r.force_judged is not None
+        angle = _angle(r, float(np.nanmean(run.signal('position'))))
+        torque = (found[5] * np.sin(angle) + found[6] * np.cos(angle))[_inner(r)]
+        taken.append(replace(r, force=r.force - torque,
+                             force_judged=r.force_judged - judged(torque, r.motion)))
+    return taken, [f'gravity is taken off: {most:.4g} Nm times the sine of the position less '
+                   f'{zero:.3g} degrees; it leaves {100.0 * left[1] / left[0]:.2g} % of what '
+                   'inertia, damping and friction leave']
+
+
+def _inner(recording: Recording) -> slice:
+    """Return the samples of a recording within those of its motion."""
+    assert recording.motion is not None
+    return slice(recording.motion.pad, recording.motion.pad + recording.fit.size)
+
+
+def _angle(recording: Recording, middle: float) -> Array:
+    """Return the position (rad) that was measured, smoothed; its middle was the origin."""
+    assert recording.motion is not None
+    return recording.motion.position + middle
+
+
+def _shapes(recording: Recording, middle: float) -> Array:
+    """
+    Return rate of the force, acceleration, velocity, direction of motion, 1, sine and cosine.
+
+    The rate of the force makes a short delay or lag of it, which would else bias the gravity.
+    """
+    motion, inner = recording.motion, _inner(recording)
+    assert motion is not None and recording.force_judged is not None
+    angle, slow = _angle(recording, middle), CREEP * float(motion.velocity.std()) + 1e-30
+    columns = (motion.acceleration, motion.velocity, np.tanh(motion.velocity / slow),
+               np.ones_like(angle), np.sin(angle), np.cos(angle))
+    rate = np.gradient(recording.force_judged, recording.period_s)
+    return np.column_stack([rate, *(judged(each[inner], motion) for each in columns)])
 
 
 def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[str]]:

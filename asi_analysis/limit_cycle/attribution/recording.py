@@ -15,7 +15,7 @@ from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, MOST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.verdict import Segment, response_of
-from asi_analysis.measures.quality import quality_of
+from asi_analysis.measures.quality import Trust, findings, quality_of, trust
 from asi_analysis.terminal import Progress, silent
 
 # Keys of a cause that only one of the two methods fills; null by the other.
@@ -148,12 +148,15 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
         'source': run.source, 'start_s': segment.start_s, 'end_s': segment.end_s,
         'oscillation': segment.verdict, 'frequency_hz': None, 'amplitude_n': None,
         'quality': quality_of([run])}
+    samples = trust(findings(run), run, (segment.signal, 'command', 'reference'),
+                    segment.start_s, segment.end_s)
+    document['reliable'] = samples.reliable
     if np.isfinite(segment.frequency_hz):
         document |= {'frequency_hz': segment.frequency_hz, 'amplitude_n': segment.amplitude}
     configuration = run.information
     if 'actuator' in configuration and 'controller' in configuration and (
             segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
-        return Attribution(document | _by_model(run, segment, progress), run=run, signal=signal)
+        return _marked(document | _by_model(run, segment, progress), samples, run, signal)
     progress('shape', 0.3)
     found = shape_of(run, document, signal)
     document['frequency_hz'] = found.frequency_hz
@@ -162,9 +165,16 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
                'probability': chance, 'unexplained': _unexplained(found, cause)}
               for cause, chance in chances.items()]
-    return Attribution(document | {'causes': [EMPTY | cause for cause in causes],
-                                   'verdict': _shape_verdict(chances, found, segment)},
-                       run=run, signal=signal)
+    return _marked(document | {'causes': [EMPTY | cause for cause in causes],
+                               'verdict': _shape_verdict(chances, found, segment)},
+                   samples, run, signal)
+
+
+def _marked(document: dict[str, Any], samples: Trust, run: Run, signal: str | None) -> Attribution:
+    """Return the answer; one that rests on doubtful samples says so."""
+    if not samples.reliable:
+        document['verdict'] += f'; doubtful, because {samples.reason}'
+    return Attribution(document, run=run, signal=signal)
 
 
 def _unexplained(found: Shape, cause: str) -> float | None:

@@ -2,14 +2,17 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Final
 
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.isolation import judge
 from asi_analysis.limit_cycle.detection.verdict import Segment
-from asi_analysis.measures.quality import quality_of
+from asi_analysis.measures.quality import findings, quality_of, trust
 from asi_analysis.reporting.result import Pictures, Result, Table, table_of
+
+# Largest confidence in a verdict that rests on doubtful samples.
+DOUBTFUL_CONFIDENCE: Final = 0.5
 
 
 def _number(value: float) -> float | None:
@@ -39,7 +42,19 @@ def segment_as_dict(segment: Segment) -> dict[str, Any]:
         'return_map_slope': _number(segment.return_map_slope),
         'orbit_closure': _number(segment.orbit_closure),
         'came_from': segment.came_from, 'isolated': segment.isolated,
+        'reliable': segment.reliable,
     }
+
+
+def trusted(run: Run, signal: str | None = None, undriven: bool = False) -> list[Segment]:
+    """Return the segments of a run; those that rest on doubtful samples are marked."""
+    segments, found, marked = judge_run(run, signal, undriven), findings(run), []
+    for segment in segments:
+        samples = trust(found, run, (segment.signal, 'reference'), segment.start_s, segment.end_s)
+        marked.append(segment if samples.reliable else segment._replace(
+            reliable=False, confidence=min(segment.confidence, DOUBTFUL_CONFIDENCE),
+            why=f'{segment.why}; doubtful, because {samples.reason}'))
+    return marked
 
 
 class LimitCycles(Result):
@@ -57,7 +72,8 @@ class LimitCycles(Result):
         yield table_of(self.segments, {
             'from s': '{start_s:.4g}', 'to s': '{end_s:.4g}', 'verdict': '{verdict}',
             'confidence': '{confidence:.0%}', 'Hz': '{frequency_hz:.5g}',
-            'amplitude': '{amplitude_n:.4g}', 'unit': '{unit}', 'THD': '{thd:.1%}'})
+            'amplitude': '{amplitude_n:.4g}', 'unit': '{unit}', 'THD': '{thd:.1%}',
+            'reliable': '{reliable}'})
         yield from (f'{s["start_s"]:.4g} to {s["end_s"]:.4g} s: {s["why"]}'
                     for s in self.segments)
 
@@ -86,6 +102,6 @@ def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None,
     """
     runs = [runs] if isinstance(runs, Run) else list(runs)
     segments = judge([segment for run in runs
-                      for segment in judge_run(run, signal, undriven)])
+                      for segment in trusted(run, signal, undriven)])
     return LimitCycles({'segments': [segment_as_dict(segment) for segment in segments],
                         'quality': quality_of(runs)}, runs=runs)

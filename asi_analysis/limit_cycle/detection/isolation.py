@@ -41,11 +41,12 @@ def judge(segments: Sequence[Segment]) -> list[Segment]:
     """
     judged = []
     for segment in segments:
-        if segment.verdict != 'limit_cycle':
+        if segment.verdict != 'limit_cycle' or not segment.reliable:
             judged.append(segment._replace(isolated=False))
             continue
         family = [other for other in segments
-                  if other.verdict == 'limit_cycle' and same_orbit(segment, other)]
+                  if other.verdict == 'limit_cycle' and other.reliable
+                  and same_orbit(segment, other)]
         evidence = _evidence(segments, family)
         judged.append(segment._replace(
             isolated=bool(evidence),

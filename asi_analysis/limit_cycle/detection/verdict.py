@@ -19,6 +19,7 @@ from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
 from asi_analysis.limit_cycle.detection.steadiness import analytic_signal, steadiness
 from asi_analysis.measures.noise import Autoregression, autoregression
+from asi_analysis.measures.quality import check_time
 from asi_analysis.measures.record import Array, reduce
 from asi_analysis.measures.sinusoid import (
     HarmonicFit,
@@ -66,7 +67,8 @@ class Segment(NamedTuple):
 
     Frequency, amplitude and envelope rate come with intervals at 95 %; the amplitude is that of
     the fundamental, in `unit`. `came_from`: 'inside', 'outside' or '' — how the orbit was
-    reached; `isolated`: None until `isolation.judge` has looked at all segments.
+    reached; `isolated`: None until `isolation.judge` has looked at all segments; `reliable`:
+    whether its samples can be trusted.
     """
 
     start_s: float
@@ -91,6 +93,7 @@ class Segment(NamedTuple):
     came_from: str = ''
     isolated: bool | None = None
     source: str = ''
+    reliable: bool = True
 
 
 class _Piece(NamedTuple):
@@ -120,13 +123,15 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     """
     Return the segments of a run, each with its verdict, in chronological order, by one pass.
 
-    name: signal to analyse, by default as `response_of`. Raises InputError if it is absent.
+    name: signal to analyse, by default as `response_of`. Raises InputError if it is absent,
+    or if the time jumps.
     """
     chosen, values = response_of(run, name)
     time_s, values = valid_samples(run.time_s, values)
     if len(values) < 9:
         raise InputError(f'{run.source or "the run"}: {chosen} has {len(values)} samples, '
                          'at least 9 are needed')
+    check_time(time_s, run.source)
     frequency = dominant_frequency(time_s, values)
     cycle = 1.0 / frequency if np.isfinite(frequency) else time_s[-1] - time_s[0]
     cuts = seg.reference_cuts(run.time_s, run.reference_n, cycle)

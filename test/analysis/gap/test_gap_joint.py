@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numba
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from scipy.signal import lfilter
 
 from asi_analysis.bags.run import Run
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer import report
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
+from asi_analysis.gap.model.joint import without_gravity
+from asi_analysis.gap.prepare import prepare
 
 RATE_HZ, SUB_STEPS = 500.0, 40
 INERTIA, DAMPING = 0.02, 0.05       # kg m2, N m s/rad
@@ -21,7 +24,7 @@ PENDULUM = {'signals': {'position': 'rad', 'command': 'Nm'}}
 
 
 @numba.njit(cache=True)
-def _joint(reference, friction, breakaway, uneven, late, gravity, offset, out):
+def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, offset, out):
     """Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n)."""
     step = 1.0 / RATE_HZ / SUB_STEPS
     angle, speed, bristle, before, rate = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -41,7 +44,7 @@ def _joint(reference, friction, breakaway, uneven, late, gravity, offset, out):
                 bristle += step * slope
             friction_torque = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
             speed += step / INERTIA * (torque - DAMPING * speed - friction_torque
-                                       - gravity * np.sin(angle) - offset)
+                                       - gravity * np.sin(teeth * angle) - offset)
             angle += step * speed
 
 
@@ -52,12 +55,12 @@ TWO_WAVES = 0.6 * np.sin(2.0 * np.pi * 0.4 * TIME_S) + 0.2 * np.sin(2.0 * np.pi 
 
 
 def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
-          gravity: float = 0.0, uneven: float = 0.0, offset: float = 0.0,
+          gravity: float = 0.0, teeth: float = 1.0, uneven: float = 0.0, offset: float = 0.0,
           course: np.ndarray = WITH_RESTS) -> Run:
     """Return 16 s of the joint on a smooth course, read by a 14 bit encoder."""
     out = np.empty((2, course.size))
     _joint(course, friction, breakaway, uneven, round(late_s * RATE_HZ * SUB_STEPS), gravity,
-           offset, out)
+           teeth, offset, out)
     count = 2.0 * np.pi / 2 ** 14
     return Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
                source='joint', information=PENDULUM)
@@ -106,10 +109,35 @@ def test_late_command_of_a_joint():
 
 
 def test_what_no_effect_explains_is_described():
-    """Gravity is in no effect of the vocabulary: what is left is a function of the position."""
-    answer = document(diagnose([joint(gravity=1.0)], {}, 'joint'))
+    """Teeth are in no effect of the vocabulary: what is left is a function of the position."""
+    answer = document(diagnose([joint(gravity=0.3, teeth=9.0)], {}, 'joint'))
     assert answer['unknown_probability'] > 0.5
     assert 'a function of the position' in answer['unexplained']
+
+
+@pytest.mark.parametrize(('friction', 'turned'), [(0.0, 0.0), (0.15, 0.6)])
+def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(friction, turned):
+    run = joint(gravity=1.0, friction=friction)
+    if turned:    # the encoder's zero is anywhere
+        run = dataclasses.replace(run, position_m=run.position_m + turned)
+    with pytest.warns(InputWarning, match='gravity is taken off') as remarks:
+        answer = document(diagnose([run], {}, 'joint'))
+    text = next(str(each.message) for each in remarks if 'gravity' in str(each.message))
+    size, zero = (float(each) for each in re.findall(r'off: (\S+) Nm .* less (\S+) deg', text)[0])
+    assert size == pytest.approx(1.0, rel=0.01)
+    assert zero == pytest.approx(math.degrees(turned), abs=1.0)
+    assert answer['verdict'] == ('coulomb_friction' if friction else 'no_gap')
+    assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
+    if friction:
+        assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
+
+
+@pytest.mark.parametrize('changed', [{}, {'friction': 0.15, 'uneven': 0.3}, {'late_s': 0.012}])
+@pytest.mark.parametrize('course', [WITH_RESTS, TWO_WAVES])
+def test_no_gravity_is_found_where_there_is_none(changed, course):
+    run = joint(**changed, course=course)
+    recordings = prepare([run], 'force')
+    assert without_gravity(recordings, [run]) == (recordings, [])
 
 
 @pytest.mark.parametrize(('changed', 'perhaps'), [

@@ -11,9 +11,9 @@ from scipy import optimize, signal
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.correlation import correlation_delay
 from asi_analysis.measures.frequency_response import (
     actuator_bandwidth,
-    correlation_delay,
     estimate,
     loop_bandwidth,
 )

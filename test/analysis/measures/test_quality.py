@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.prepare import prepare
+from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
+from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.measures.analysis import analyze
-from asi_analysis.measures.quality import findings
+from asi_analysis.measures.quality import doubts, findings
+from torture.inputs import cycle
 
 STEP = 500      # sample of the jump of the reference
 
@@ -107,3 +112,63 @@ def test_a_gap_far_from_the_step_leaves_its_figures() -> None:
 def test_what_is_only_unusual_is_not_accused(change: Callable[[np.ndarray], np.ndarray]) -> None:
     assert [each for each in findings(with_force(a_run(), change))
             if each.severity == 'doubtful'] == []
+
+
+@pytest.mark.parametrize('kind, change', [
+    ('clipping', lambda f: np.minimum(f, 130.0)),      # three samples of each cycle
+    ('spike', lambda f: put(f, 900, 6.6e5)),
+    ('unit', lambda f: 1e-3 * f),
+    ('missing', lambda f: put(f, slice(900, 980), np.nan))])
+def test_a_limit_cycle_of_doubtful_samples_is_marked(
+        kind: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    answer = detect_limit_cycles(with_force(cycle(), change))
+    last = answer.segments[-1]
+    assert kind in {each['kind'] for each in answer.quality}
+    assert not last['reliable'] and last['confidence'] <= 0.5 and not last['isolated']
+    assert 'doubtful, because' in last['why'] and 'doubtful, because' in str(answer)
+
+
+def test_a_limit_cycle_before_the_damage_is_reliable() -> None:
+    run = cycle()
+    run = replace(run, reference_n=np.where(run.time_s > 1.0, 50.0, run.signal('reference')))
+    answer = detect_limit_cycles(with_force(run, lambda f: put(f, slice(1300, 1310), np.nan)))
+    assert [each['reliable'] for each in answer.segments][-2:] == [True, False]
+
+
+@pytest.mark.parametrize('analysis', [judge_once, lambda run: prepare([run])])
+def test_a_step_of_the_clock_is_refused_where_an_even_grid_is_needed(
+        analysis: Callable[[Run], object]) -> None:
+    run = cycle()
+    later = replace(run, time_s=run.time_s + 1.7e9 * (run.time_s > 1.0), command_n=run.force_n)
+    with pytest.raises(InputError, match='the time jumps ahead .* the parts on their own'):
+        analysis(later)
+
+
+@pytest.mark.parametrize('analysis, apart_s', [
+    (analyze, 0.0), (analyze, 1e-9), (judge_once, 1e-9)])
+def test_samples_in_bursts_are_refused(analysis: Callable[[Run], object], apart_s: float) -> None:
+    """They had no rate, or one whose grid took 9 GB."""
+    time_s = np.repeat(np.arange(750) / 500.0, 2) + np.tile([0.0, apart_s], 750)
+    with pytest.raises(InputError, match='come in bursts'):
+        analysis(replace(cycle(), time_s=time_s))
+
+
+def test_a_gap_of_recordings_of_which_nothing_is_left_is_refused() -> None:
+    force = np.random.default_rng(1).normal(size=200)
+    time_s = np.arange(200) / 1000.0 + 1.2 * (np.arange(200) > 100)
+    with pytest.raises(InputError, match='too few samples are left'):
+        prepare([Run(time_s, None, force, force ** 3)])
+
+
+def test_an_output_that_comes_before_any_reference_is_found() -> None:
+    reference = np.convolve(np.random.default_rng(1).normal(size=2000), np.ones(20), 'same')
+    late, early = (Run(np.arange(2000) / 1000.0, reference, None, np.roll(reference, shift))
+                   for shift in (30, -30))
+    assert findings(late) == []
+    assert [each.kind for each in findings(early)] == ['order']
+
+
+def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:
+    assert doubts([a_run(), DAMAGED['gap'](a_run())]) == []
+    doubt, = doubts([a_run(), replace(DAMAGED['unit'](a_run()), source='mine')])
+    assert doubt.startswith('mine: the force moves 1.01e+03 times')

@@ -12,7 +12,7 @@ import asi_analysis as asi
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis import cli
 from asi_analysis.errors import InputError
-from asi_analysis.limit_cycle.quench.attack import VARIED, with_errors
+from asi_analysis.limit_cycle.quench.attack import VARIED, search, with_errors
 from asi_analysis.tuning import figures as module
 from asi_analysis.tuning.compare import Comparison, compare_controllers, read_compared
 from asi_analysis.tuning.figures import ROWS, figures
@@ -20,7 +20,8 @@ from asi_common.parameter import defaults
 
 CONTROLLERS = {'P': {'gain': 3.0}, 'lead4': {'compensator': 'lead4'}}
 # Also of what was recorded.
-SHORT = {'rates_hz': [2000.0], 'springs_n_m': [1e5], 'plants': 2, 'noise_n': 0.0}
+SHORT = {'rates_hz': [2000.0], 'springs_n_m': [1e5], 'plants': 2, 'noise_n': 0.0,
+         'attacks': 40}
 
 
 @pytest.fixture(scope='module')
@@ -55,6 +56,13 @@ def test_errors_of_a_plant_are_about_its_own_parameters() -> None:
     least = with_errors(mine, dict.fromkeys(VARIED, 0.0))
     assert set(least) == set(VARIED) and least['friction.coulomb'] == pytest.approx(24.0)
     assert least['force_sensor.delay'] == pytest.approx(0.8 * table['force_sensor.delay'])
+
+
+def test_attack_is_that_of_quench(compared: Comparison) -> None:
+    for name, controller in CONTROLLERS.items():
+        trials = search({'load.mass': 2.0}, controller, (2000.0,), 40, 1)
+        assert values(compared, '40 attacks at 2000 Hz', name) == {
+            'sustained_found': sum(trial.sustained for trial in trials)}
 
 
 def test_loads_that_give_way_have_no_value_to_reach(compared: Comparison) -> None:
@@ -92,7 +100,7 @@ def test_command_reads_names_files_and_bags(
     asi.simulate({}, {}, 0.1, out='run')
     monkeypatch.setattr(sys, 'argv', [
         'asi', 'compare', 'mine.yaml', 'run/bag', '--rates', '2000', '--plants', '0',
-        '--springs', '', '--noise', '0', '--json', '--markdown', 'page.md'])
+        '--springs', '', '--noise', '0', '--conditions', '0', '--json', '--markdown', 'page.md'])
     assert cli.main() == 0
     document = json.loads(capsys.readouterr().out)
     assert document['controllers'] == ['mine']

@@ -1,0 +1,290 @@
+"""What a file holds, before it is imported: columns, units, times, and a mapping to check."""
+
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.typesys import Stores, get_typestore
+
+from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
+from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
+from asi_analysis.bags.exchange.dates import since_first
+from asi_analysis.bags.exchange.table_file import BROKEN, Table, read_table
+from asi_analysis.bags.exchange.units import UNITS, conversion
+from asi_analysis.bags.run import Array
+from asi_analysis.errors import InputError
+from asi_analysis.reporting.result import Result, table_of
+from asi_analysis.reporting.result import Table as Printed
+
+# Words in the name of a column that speak for a signal, the more telling signal first.
+WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for signal, words in {
+    'time': 't time timestamp stamp clock sec secs seconds zeit elapsed ms',
+    'reference': 'ref reference des desired set setpoint sp target goal soll wanted commanded '
+                 'demand',
+    'command': 'command cmd commands u control voltage volt volts current pwm duty op drive',
+    'force': 'force torque load effort tau f fx loadcell moment thrust',
+    'velocity': 'vel velocity speed dq qd qdot omega rpm',
+    'pressure': 'pressure press p',
+    'position': 'pos position angle q qm x displacement disp stroke encoder enc theta '
+                'extension'}.items()}
+# A unit that was not told, for each signal.
+ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
+                  'pressure': 'Pa', 'position': 'm'}
+# Words that speak for a joint that turns.
+TURNS: Final = frozenset('angle q theta joint torque tau moment'.split())
+# Message types of which a preview is made; the columns of any other can be mapped too.
+PREVIEWED: Final = ('sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
+                    'std_msgs/msg/Float64', 'std_msgs/msg/Float32',
+                    'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/FluidPressure')
+# Of a joint state without units in its name: REP 103.
+ROS_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
+# Times since 1970 in whole units of s, ms, us and ns are above these.
+EPOCH: Final = ((1e17, 'ns'), (1e14, 'us'), (1e11, 'ms'))
+# A step between samples so many times the usual one is a gap.
+GAP: Final = 1.5
+
+
+class _Guess(NamedTuple):
+    signal: str
+    unit: str
+    why: str
+
+
+class Preview(Result):
+    """The result of `preview`, by the keys of `asi import --json` without a mapping."""
+
+    rows = 'columns'
+
+    def parts(self) -> Iterator[str | Printed]:
+        yield f'{self.file}: {self.samples} rows'
+        yield table_of(self.columns, {
+            'column': '{name}', 'from': '{smallest:.5g}', 'to': '{largest:.5g}',
+            'missing': '{missing:d}', 'unit': '{unit}', 'signal': '{signal}', 'why': '{why}'})
+        if self.rate_hz:
+            yield (f'time: {self.duration_s:.6g} s, {self.rate_hz:.6g} Hz, {self.gaps} gaps'
+                   + (f', the longest {self.longest_gap_s:.4g} s' if self.gaps else ''))
+        yield from (f'to check: {note}' for note in self.notes)
+
+
+def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int = 0,
+            delimiter: str | None = None, columns: Sequence[str] | None = None) -> Preview:
+    r"""
+    Return what a file holds, and a guess of its mapping with the reasons; nothing is imported.
+
+    Arguments as of `import_recording`. `command` is the call of `asi import` to copy, `notes` say
+    what was assumed. Raises InputError for a file that cannot be read.
+
+    >>> import pathlib, tempfile
+    >>> from asi_analysis.bags.exchange.preview import preview
+    >>> file = pathlib.Path(tempfile.mkdtemp(), 'log.csv')
+    >>> _ = file.write_text('time_ms,angle_deg\n0,0.0\n1,0.5\n2,1.0\n')
+    >>> preview(file).mapping
+    ['time=time_ms[ms]', 'position=angle_deg[deg]']
+    """
+    path = Path(path)
+    table = (_bag_columns(path) if is_bag(path) else
+             read_table(path, skip_lines, delimiter, columns))
+    values = {name: known for name in table if (known := _values(name, table, path)) is not None}
+    if not values:
+        raise InputError(f'{path} has no column of numbers; it has ' + ', '.join(table))
+    dates = {name for name in values if not np.issubdtype(table[name].dtype, np.number)
+             and since_first(name, table[name], path) is not None}
+    longest = max(map(len, values.values()))
+    guesses = {name: _guess(name) for name, column in values.items() if len(column) == longest}
+    notes: list[str] = []
+    time: str | None = None
+    time_s: Array | None = None
+    if is_bag(path):    # it has its own times
+        time_s = values.pop('time')
+        guesses.pop('time')
+    else:
+        time = _time(values, dates, guesses, notes)
+        time_s = _seconds(values, time, guesses)
+    chosen = _chosen(guesses, notes, time)
+    mapping = [f'{guess.signal}={name}' + ('' if name in dates else f'[{guess.unit}]')
+               for name, guess in chosen.items()]
+    if time_s is None and rate_hz is None:
+        notes.append('no column is a time: give --rate HZ')
+    if not set(chosen) - {time}:
+        notes.append('no name speaks for a signal: say which column is what')
+        mapping.append(f'SIGNAL={next(name for name in values if name != time)}[UNIT]')
+    return Preview({
+        'file': str(path), 'samples': longest,
+        'columns': [_column(name, column, guesses.get(name), name in chosen)
+                    for name, column in values.items()],
+        **_times(time_s, rate_hz, longest), 'mapping': mapping, 'notes': notes,
+        'command': command([path], mapping, {
+            'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
+            'skip-lines': skip_lines, 'columns': ','.join(columns or ())})})
+
+
+def _values(name: str, table: Table, path: Path) -> Array | None:
+    """Return a column as numbers, a date as seconds; None for a text."""
+    try:
+        seconds = since_first(name, table[name], path)
+        return numbers_of(name, table[name], path) if seconds is None else seconds
+    except InputError:
+        return None
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name: jointPos_cmd[deg] is joint, pos, cmd, deg."""
+    apart = re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', name)
+    return [word.lower() for word in re.split(r'[^A-Za-z]+', apart) if word]
+
+
+def _unit(name: str) -> str:
+    """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' if none is."""
+    found = re.search(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$', name)
+    candidates = [found[1]] if found else []
+    head, _, last = name.rpartition('_')
+    candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
+    candidates += [last] if head else []
+    by_case = {unit.lower(): unit for unit in UNITS}
+    for each in candidates:
+        if found and conversion(each):
+            return each
+        if each.lower() in by_case and not each.isdigit():
+            return by_case[each.lower()]
+    return ''
+
+
+def _guess(name: str) -> _Guess | None:
+    """Return the signal that the name of a column speaks for; None if it speaks for none."""
+    field, unit = name.rpartition('/')[2], _unit(name)
+    if name.startswith('/') and not unit:
+        unit = ROS_UNITS.get(field, '')
+    words = _words(name.rpartition('/')[2] if field in ROS_UNITS else name)
+    told = [signal for signal, known in WORDS.items() if known & set(words)]
+    motion = [signal for signal in told if signal in ('position', 'velocity', 'pressure')]
+    if 'command' in told and motion:          # a commanded motion is a reference
+        told = ['reference', *motion]
+    si = (conversion(unit) or ('',))[0]
+    if unit and told and not any(si in UNITS_OF[signal] for signal in told):
+        told = []
+    if told:
+        signal = next(each for each in told if not unit or si in UNITS_OF[each])
+        seen = next((word for word in words if word in WORDS[signal]), words[0])
+        return _Guess(signal, unit, f'named {seen}' + (f', in {unit}' if unit else ''))
+    by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
+               if si in UNITS_OF[signal]]
+    return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None
+
+
+def _rises(column: Array) -> bool:
+    steps = np.diff(column[np.isfinite(column)])
+    return bool(len(steps) and (steps >= 0.0).all() and np.median(steps) > 0.0)
+
+
+def _time(values: dict[str, Array], dates: set[str], guesses: dict[str, _Guess | None],
+          notes: list[str]) -> str | None:
+    """Return the column of the time, and complete its guess; None if none rises."""
+    named = [name for name, guess in guesses.items() if guess and guess.signal == 'time']
+    for name in named:
+        if not _rises(values[name]):
+            notes.append(f'{name} is named as a time but does not rise')
+            guesses[name] = None
+    named = [name for name in named if guesses[name]]
+    even = [name for name, guess in guesses.items() if guess is None and _rises(values[name])
+            and np.ptp(np.diff(values[name])) < 0.1 * float(np.median(np.diff(values[name])))]
+    found = next(iter(named or even), None)
+    if found is None:
+        notes += [f'{name} rises, but not evenly: is it the time?'
+                  for name, guess in guesses.items() if guess is None and _rises(values[name])]
+        return None
+    name, guess = found, guesses[found] or _Guess('time', '', 'rises evenly')
+    if not guess.unit and name not in dates:
+        size = float(np.nanmax(np.abs(values[name])))
+        unit = next((unit for least, unit in EPOCH if size > least), 's')
+        guess = guess._replace(unit=unit)
+        step = float(np.median(np.diff(values[name][np.isfinite(values[name])])))
+        notes.append(f'{name} has no unit: with {unit} a step is {step * UNITS[unit][1]:.4g} s')
+    guesses[name] = guess
+    return name
+
+
+def _seconds(values: dict[str, Array], name: str | None, guesses: dict[str, _Guess | None]
+             ) -> Array | None:
+    guess = guesses.get(name or '')
+    if name is None or guess is None:
+        return None
+    return values[name] * (conversion(guess.unit) or ('s', 1.0))[1]
+
+
+def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | None
+            ) -> dict[str, _Guess]:
+    """Return the first column of each signal with its unit; the notes tell of the others."""
+    chosen: dict[str, _Guess] = {}
+    for name, guess in guesses.items():
+        if guess is None or (guess.signal == 'time') != (name == time):
+            continue
+        taken = next((other for other, each in chosen.items() if each.signal == guess.signal), '')
+        if taken:
+            notes.append(f'{name} may be the {guess.signal} as well as {taken}')
+            continue
+        chosen[name] = guess
+    kinds = [(conversion(each.unit) or ('',))[0] for each in chosen.values() if each.unit]
+    rotary = bool({'rad', 'rad/s', 'Nm'} & set(kinds)) or (
+        not {'m', 'm/s', 'N'} & set(kinds) and any(TURNS & set(_words(name)) for name in chosen))
+    for name, guess in chosen.items():
+        if guess.unit or guess.signal == 'time':
+            continue
+        unit = ASSUMED[guess.signal]
+        if rotary:
+            unit = {'m': 'rad', 'm/s': 'rad/s', 'N': 'Nm'}.get(unit, unit)
+        if guess.signal == 'reference':
+            unit = next((chosen[other].unit or ASSUMED[chosen[other].signal] for other in chosen
+                         if chosen[other].signal in ('position', 'velocity', 'pressure', 'force')),
+                        'N')
+        notes.append(f'{name} has no unit: {unit} is assumed')
+        chosen[name] = guess._replace(unit=unit)
+    return chosen
+
+
+def _column(name: str, values: Array, guess: _Guess | None, chosen: bool) -> dict[str, Any]:
+    known = values[np.isfinite(values)]
+    return {'name': name, 'missing': len(values) - len(known),
+            'smallest': float(known.min()) if len(known) else None,
+            'largest': float(known.max()) if len(known) else None,
+            'unit': guess.unit if guess else '',
+            'signal': guess.signal if guess and chosen else '', 'why': guess.why if guess else ''}
+
+
+def _times(time_s: Array | None, rate_hz: float | None, samples: int) -> dict[str, Any]:
+    """Return rate, duration and gaps."""
+    if time_s is None:
+        return {'rate_hz': rate_hz, 'duration_s': samples / rate_hz if rate_hz else None,
+                'gaps': 0, 'longest_gap_s': None}
+    steps = np.diff(time_s[np.isfinite(time_s)])
+    usual = float(np.median(steps))
+    gaps = steps[steps > GAP * usual]
+    return {'rate_hz': 1.0 / usual if usual > 0.0 else None, 'duration_s': float(steps.sum()),
+            'gaps': len(gaps), 'longest_gap_s': float(gaps.max()) if len(gaps) else None}
+
+
+def command(paths: Sequence[Path], mapping: Sequence[str], options: Mapping[str, Any]) -> str:
+    """Return the call of `asi import` for a mapping; options that are empty are left out."""
+    parts = ['asi', 'import', *map(str, paths)]
+    parts += [part for each in mapping for part in ('--map', each)]
+    parts += [part for name, value in options.items() if value
+              for part in (f'--{name}', f'{value:g}' if isinstance(value, float) else str(value))]
+    return shlex.join([*parts, '--out', paths[0].name.partition('.')[0] + '_bag'])
+
+
+def _bag_columns(path: Path) -> Table:
+    """Return the columns of the topics of PREVIEWED types; the first joint state is the base."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            types = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
+    except (AnyReaderError, *BROKEN) as error:
+        raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
+    topics = sorted((topic for topic, type_ in types.items() if type_ in PREVIEWED),
+                    key=lambda topic: PREVIEWED.index(types[topic]))
+    if not topics:
+        raise InputError(f'{path}: no topic of the types {", ".join(PREVIEWED)}; it has '
+                         + ', '.join(f'{topic} ({type_})' for topic, type_ in types.items()))
+    return read_bag_table(path, [f'{topic}/' for topic in topics])

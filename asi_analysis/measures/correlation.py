@@ -1,0 +1,66 @@
+"""Delay of one signal behind another, by their correlation."""
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+Array = npt.NDArray[np.float64]
+
+# Correlation below which there is no delay; coefficients that are equal.
+LEAST_CORRELATION: Final = 0.3
+EQUAL_CORRELATION: Final = 0.01
+
+
+def correlation_delay(input_: Array, output: Array, period_s: float) -> float | None:
+    """
+    Return the lag (s) of the output behind the input by their correlation; None if they have none.
+
+    The lag with the largest correlation coefficient of the samples that overlap, up to half of the
+    run, interpolated between samples; of equal ones, as those of a periodic input, the shortest in
+    which the output follows. The differences are correlated where that is clearer than of the
+    signals, as for a staircase.
+    """
+    found = [_largest_correlation(a, b) for a, b in (
+        (input_, output), (np.diff(input_), np.diff(output)))]
+    coefficient, lag = max(found)
+    return lag * period_s if coefficient > LEAST_CORRELATION else None
+
+
+def _largest_correlation(a: Array, b: Array) -> tuple[float, float]:
+    """Return the largest correlation coefficient over the lags of `b`, and its lag in samples."""
+    most = a.size // 2
+    lags = np.arange(-most, most + 1)
+    products = signal.correlate(b, a, method='fft')[a.size - 1 - most:a.size + most]
+
+    def over(values: Array, first: Any, last: Any) -> Array:
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(sums[last] - sums[first])
+
+    begin_a, end_a = np.maximum(-lags, 0), a.size - np.maximum(lags, 0)
+    begin_b, end_b = begin_a + lags, end_a + lags
+    count = end_a - begin_a
+    sum_a, sum_b = over(a, begin_a, end_a), over(b, begin_b, end_b)
+    spread = [np.maximum(over(each ** 2, first, last) - total ** 2 / count, 0.0)
+              for each, first, last, total in ((a, begin_a, end_a, sum_a),
+                                               (b, begin_b, end_b, sum_b))]
+    # Where one of the signals rests there is no correlation.
+    least = [1e-3 * count / a.size * float(np.sum((each - each.mean()) ** 2)) for each in (a, b)]
+    known = (spread[0] > least[0]) & (spread[1] > least[1])
+    coefficient = np.where(known, (products - sum_a * sum_b / count)
+                           / np.sqrt(np.maximum(spread[0] * spread[1], 1e-300)), -1.0)
+    best = float(coefficient.max())
+    near = np.flatnonzero(coefficient > best - EQUAL_CORRELATION)
+    following = near[lags[near] >= 0]
+    near = following if following.size else near
+    k = int(near[np.argmin(np.abs(lags[near]))])
+    while 0 < k < coefficient.size - 1 and coefficient[k] < max(coefficient[k - 1],
+                                                                coefficient[k + 1]):
+        k += 1 if coefficient[k + 1] > coefficient[k - 1] else -1   # to the top of that peak
+    lag = float(lags[k])
+    if 0 < k < coefficient.size - 1:
+        left, middle, right = coefficient[k - 1:k + 2]
+        bend = left - 2.0 * middle + right
+        lag += float(0.5 * (left - right) / bend) if bend < 0.0 else 0.0
+    return best, lag

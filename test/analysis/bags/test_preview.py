@@ -1,0 +1,147 @@
+"""A preview of a file, logs in several files, and ROS 1 bags."""
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documented import problems
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+from typer.testing import CliRunner
+
+from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.preview import preview
+from asi_analysis.bags.exchange.summary import Previews
+from asi_analysis.cli import app
+from asi_analysis.errors import InputError, InputWarning
+
+T = np.arange(200) * 0.01
+
+
+def table(path: Path, header: str, *columns: np.ndarray) -> Path:
+    rows = [','.join(f'{cell:.9g}' for cell in row) for row in zip(*columns, strict=True)]
+    path.write_text('\n'.join([header, *rows]) + '\n')
+    return path
+
+
+@pytest.mark.parametrize('header, mapping', [
+    ('time_ms,angle_deg,angleCmd_deg,torque (Nm)',
+     ['time=time_ms[ms]', 'position=angle_deg[deg]', 'reference=angleCmd_deg[deg]',
+      'force=torque (Nm)[Nm]']),
+    ('t,q,q_des,tau', ['time=t[s]', 'position=q[rad]', 'reference=q_des[rad]', 'force=tau[Nm]']),
+    ('clock,supply_bar,p_set_bar,valve_V',
+     ['time=clock[s]', 'pressure=supply_bar[bar]', 'reference=p_set_bar[bar]']),
+])
+def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):
+    found = preview(table(tmp_path / 'log.csv', header, T, np.sin(T), np.cos(T), np.ones(200)))
+    assert found.mapping == mapping
+    assert [each['name'] for each in found.columns if each['signal']] == [
+        each.partition('=')[2].rpartition('[')[0] for each in mapping]
+
+
+def test_what_is_assumed_is_said_and_gaps_are_counted(tmp_path):
+    found = preview(table(tmp_path / 'log.csv', 't,q1,q2', np.delete(T, [50, 51]),
+                          *np.ones((2, 198))))
+    assert found.gaps == 1 and found.longest_gap_s == pytest.approx(0.03)
+    assert found.rate_hz == pytest.approx(100.0) and found.duration_s == pytest.approx(1.99)
+    assert found.notes == ['t has no unit: with s a step is 0.01 s',
+                           'q2 may be the position as well as q1',
+                           'q1 has no unit: rad is assumed']
+
+
+def test_the_printed_command_imports_the_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    table(tmp_path / 'log.csv', 'time_ms,angle_deg', 1e3 * T, 90.0 * T)
+    printed = CliRunner().invoke(app, ['import', 'log.csv'])
+    assert printed.exit_code == 0
+    command = shlex.split(printed.output.splitlines()[-1].removeprefix('to import: '))
+    assert command[:3] == ['asi', 'import', 'log.csv']
+    assert CliRunner().invoke(app, command[1:]).exit_code == 0
+    assert read_bag('log_bag').position_m == pytest.approx(0.5 * np.pi * T)
+    assert problems(Previews.of([preview('log.csv')]).to_dict(), 'asi import FILE') == []
+
+
+def test_columns_that_say_nothing_are_left_to_the_user(tmp_path):
+    found = preview(table(tmp_path / 'log.csv', 'a,b', np.cos(T), np.sin(T)))
+    assert 'SIGNAL=a[UNIT]' in found.command and '--rate HZ' in found.command
+    assert len(found.notes) == 2
+
+
+def two_files(folder: Path, offset: float = 0.0) -> list[Path]:
+    return [table(folder / 'state.csv', 't,angle', T, 90.0 * T),
+            table(folder / 'command.csv', 't,u', offset + T[::10], np.arange(20.0))]
+
+
+def test_a_log_in_two_files_is_joined_at_the_times_of_the_first(tmp_path):
+    files = two_files(tmp_path, 0.055)
+    with pytest.warns(InputWarning, match=r'begins \+0.055 s after the first file'):
+        run = import_recording(files, ['time=t', 'position=angle[deg]', 'command=u[Nm]'])
+    assert run.position_m == pytest.approx(0.5 * np.pi * T)
+    assert np.isnan(run.command_n[:6]).all()
+    assert run.command_n[6:].tolist() == np.repeat(np.arange(20.0), 10)[:194].tolist()
+    own = ['time=state/t', 'time=command/t-0.055', 'position=angle[deg]', 'command=u[Nm]']
+    with pytest.warns(InputWarning, match=r'begins \+0 s after'):
+        shifted = import_recording(files, own)
+    assert shifted.command_n.tolist() == np.repeat(np.arange(20.0), 10).tolist()
+
+
+@pytest.mark.parametrize('mapping, words', [
+    (['time=t', 'position=angle[deg]', 'command=t'], 'write command=state/'),
+    (['time=t', 'position=angle[deg]'], 'command.csv: no signal of it is mapped'),
+    (['time=state/t', 'position=angle', 'command=u'], 'command.csv: 0 columns are mapped to time'),
+    (['time=t', 'position=angle', 'command=v'], 'names no column'),
+    (['time=state/t', 'time=command/t+99', 'position=angle', 'command=u'], 'do not overlap')])
+def test_what_is_open_in_several_files_is_asked(tmp_path, mapping, words):
+    with pytest.raises(InputError, match=words):
+        import_recording(two_files(tmp_path), mapping)
+
+
+def test_dates_of_two_files_are_of_one_clock(tmp_path):
+    for name, first in (('a', 0), ('b', 2)):
+        (tmp_path / f'{name}.csv').write_text('when,' + name + '\n' + ''.join(
+            f'2024-05-01 10:00:{k + first:02d},{k}\n' for k in range(10)))
+    with pytest.warns(InputWarning, match=r'begins \+2 s'):
+        run = import_recording([tmp_path / 'a.csv', tmp_path / 'b.csv'],
+                               ['time=when', 'position=a', 'command=b'])
+    assert run.command_n[2:].tolist() == list(range(8))
+
+
+def test_a_reference_without_a_unit_is_asked_for(tmp_path):
+    file = table(tmp_path / 'log.csv', 't,q,r', T, T, T)
+    with pytest.raises(InputError, match=r'write reference=r\[rad\] if it is that of the posi'):
+        import_recording(file, ['time=t', 'position=q[rad]', 'reference=r'])
+
+
+def test_a_ros_1_bag_is_read_as_a_rosbag2(tmp_path):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    state, header, time, number = (store.types[name] for name in (
+        'sensor_msgs/msg/JointState', 'std_msgs/msg/Header', 'builtin_interfaces/msg/Time',
+        'std_msgs/msg/Float64'))
+    file = tmp_path / 'robot.bag'
+    with Writer(file) as writer:
+        states, commands = (writer.add_connection(topic, of.__msgtype__, typestore=store)
+                            for topic, of in (('/joint_states', state), ('/u', number)))
+        for k in range(50):
+            stamp = 10**11 + k * 10**7
+            message = state(header(k, time(100, k * 10**7), ''), ['hip', 'knee'],
+                            np.array([1.0, 0.1 * k]), np.array([0.0, 1.0]), np.array([]))
+            writer.write(states, stamp, store.serialize_ros1(message, state.__msgtype__))
+            if k % 5 == 0:
+                writer.write(commands, stamp, store.serialize_ros1(number(float(k)),
+                                                                   number.__msgtype__))
+    found = preview(file)
+    assert found.mapping[0] == 'position=/joint_states/hip/position[rad]'
+    assert '/joint_states/knee/position' in [each['name'] for each in found.columns]
+    with pytest.warns(InputWarning, match='/u has no stamps'):
+        run = import_recording(file, ['position=/joint_states/knee/position[rad]',
+                                      'command=/u/data[Nm]'])
+    assert run.time_s == pytest.approx(0.01 * np.arange(50))
+    assert run.position_m == pytest.approx(0.1 * np.arange(50))
+    assert run.command_n.tolist() == np.repeat(np.arange(0.0, 50.0, 5.0), 5).tolist()
+    with pytest.raises(InputError, match='it has /joint_states, /u'):
+        import_recording(file, ['position=/nothing/x'])
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(InputError, match='cannot be read'):
+        preview(file)

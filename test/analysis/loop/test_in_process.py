@@ -1,0 +1,40 @@
+"""A run without nodes: in pieces and as a whole the same, and complete after Ctrl-C."""
+
+import warnings
+from pathlib import Path
+
+import pytest
+
+import asi_analysis as asi
+from asi_analysis.experiments.experiment import planned
+from asi_analysis.loop import in_process
+
+NOISY = {'force_sensor.noise': 1.0, 'load.type': 'prescribed', 'load.velocity': 0.1,
+         'load.frequency': 5.0}
+SINE = {'reference.shape': 'sine', 'reference.amplitude': 80.0}
+
+
+def test_pieces_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = asi.simulate(NOISY, SINE, 0.2, out=tmp_path / 'whole')
+    monkeypatch.setattr(in_process, 'PIECE', 137)
+    asi.simulate(NOISY, SINE, 0.2, out=tmp_path / 'pieces')
+    for file in ('bag_0.mcap', 'metadata.yaml'):
+        assert (tmp_path / 'whole/bag' / file).read_bytes() == (
+            tmp_path / 'pieces/bag' / file).read_bytes()
+    assert (whole.force_n == asi.simulate(NOISY, SINE, 0.2).force_n).all()
+
+
+def test_after_ctrl_c_the_bag_so_far_is_complete(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(in_process, 'PIECE', 100)
+
+    def interrupt(text: str, share: float | None) -> None:
+        if share is not None and share > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        in_process.run_in_process(planned({}, {}, 0.2, 'lockstep', 5000.0), tmp_path / 'run',
+                                  interrupt)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        assert len(asi.read_bag(tmp_path / 'run/bag')) == 400

@@ -1,0 +1,58 @@
+"""What is shipped for an installation fits setup.py: the lock file, pixi.toml, the container."""
+
+import json
+import re
+import tomllib
+from importlib.metadata import requires, version
+from pathlib import Path
+from xml.etree import ElementTree
+
+from conftest import ROOT
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+
+def needed(*extras: str) -> dict[str, Requirement]:
+    """Return the requirements of the installed package, by name, with those of extras."""
+    known = map(Requirement, requires('asi_actuator') or ())
+    return {canonicalize_name(each.name): each for each in known
+            if each.marker is None or any(each.marker.evaluate({'extra': one})
+                                          for one in extras)}
+
+
+def locked() -> dict[str, list[tuple[str, int]]]:
+    """Return version and number of hashes of each package of the lock file."""
+    found: dict[str, list[tuple[str, int]]] = {}
+    for block in re.split(r'\n(?=[a-z0-9])', (ROOT / 'requirements.lock').read_text()):
+        if match := re.match(r'([a-z0-9][\w.-]*)(?:\[\w+\])?==([^\s;]+)', block):
+            found.setdefault(canonicalize_name(match[1]), []).append(
+                (match[2], block.count('--hash=sha256:')))
+    return found
+
+
+def test_the_lock_file_has_what_the_two_commands_need_with_hashes() -> None:
+    lock = locked()
+    for name, wanted in needed('test').items():
+        assert name in lock, f'{name}: write requirements.lock anew (doc/how_to/security.md)'
+        assert all(wanted.specifier.contains(number) for number, _ in lock[name]), name
+    assert all(hashes for each in lock.values() for _, hashes in each)
+
+
+def test_pixi_has_every_requirement() -> None:
+    pixi = tomllib.loads((ROOT / 'pixi.toml').read_text())
+    given = {canonicalize_name(name.removesuffix('-base'))
+             for table in ('dependencies', 'pypi-dependencies') for name in pixi[table]}
+    of_ros = {name for name in needed() if name.startswith('ros-jazzy-')}
+    assert set(needed()) - of_ros <= given and 'ros-jazzy-ros' in given
+
+
+def test_the_version_is_that_of_package_xml() -> None:
+    assert version('asi_actuator') == ElementTree.parse(ROOT / 'package.xml').findtext('version')
+
+
+def test_the_container_installs_what_the_readme_says() -> None:
+    container = json.loads((ROOT / '.devcontainer/devcontainer.json').read_text())
+    readme = Path(ROOT / 'README.md').read_text()
+    pip, = re.findall(r'^pip install (mcap .+)$', readme, re.M)
+    assert f'pip install {pip}' in container['onCreateCommand']
+    assert 'colcon build --packages-select asi_actuator' in container['postCreateCommand']
