@@ -19,7 +19,7 @@ TIMES = (0.0005, 0.002, 0.008)
 
 
 def _scaled(field: str, low: float = 0.0, high: float = 5.0,
-            starts: tuple[float, ...] = (0.4, 1.7)) -> Free:
+            starts: tuple[float, ...] = (1.7, 0.4)) -> Free:
     """Return a nominal parameter, free in multiples of itself."""
     return Free(field, low, high, starts, 'nominal')
 
@@ -39,7 +39,7 @@ _CENTRE = Free('backlash_centre', -0.5, 0.5, (0.0,), 'position', 'm')
 FORMS: dict[str, tuple[Variant, ...]] = {
     'transport_delay': (
         _form(VALVE, Free('command_path_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's')),
-        _form(VALVE, _scaled('valve_flexure_delay', 0.0, 20.0, (0.4, 2.0, 5.0)),
+        _form(VALVE, _scaled('valve_flexure_delay', 0.0, 20.0, (2.0, 0.4, 5.0)),
               needs=('valve_flexure_model',)),
     ),
     'command_quantisation': tuple(
@@ -101,7 +101,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
               Free('fluid_dynamics_air_force', 0.03, 30.0, (0.5,), 'force', 'N')),
     ),
     'coulomb_friction': (
-        _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (0.4, 2.0, 6.0)),
+        _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (2.0, 0.4, 6.0)),
               needs=('friction_model',)),
     ),
     'stiction': (
@@ -110,7 +110,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
               _scaled('friction_stiction_pull', 0.0, 8.0), needs=('friction_model',)),
         _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0),
               _scaled('friction_stiction_pull', 0.0, 8.0),
-              _scaled('friction_stribeck_velocity', 0.1, 30.0, (1.0, 5.0)),
+              _scaled('friction_stribeck_velocity', 0.1, 30.0, (5.0, 1.0)),
               needs=('friction_model',)),
     ),
     'friction_asymmetry': (
