@@ -16,8 +16,11 @@ from random import Random
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from scipy.io import savemat
 
 from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.run import SIGNALS, Run
@@ -80,10 +83,28 @@ def corpus(folder: Path) -> list[Path]:
     (folder / 'good.csv.gz').write_bytes(gzip.compress(text.encode()))
     np.savez_compressed(folder / 'good.npz', **columns)  # type: ignore[arg-type]
     write_bag(run, folder / 'bag')
+    as_sqlite(folder / 'bag', folder / 'sqlite')
+    shutil.move(next((folder / 'sqlite').glob('*.db3')), folder / 'good.db3')
+    savemat(folder / 'good.mat', columns, do_compression=True)
     (folder / 'good.yaml').write_text(
         'asi_actuator:\n  ros__parameters:\n    load:\n      type: spring\n      mass: 5e-1\n')
-    return [path for path in sorted(folder.iterdir()) if path.is_file()] + [
-        next((folder / 'bag').glob('*.mcap')), folder / 'bag/metadata.yaml']
+    return [path for path in sorted(folder.iterdir()) if path.is_file() and path.suffix != '.mat'
+            ] + [next((folder / 'bag').glob('*.mcap')), folder / 'bag/metadata.yaml',
+                 folder / 'good.mat']
+
+
+def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE
+              ) -> None:
+    """Write a bag again, as one of sqlite3 that may be compressed."""
+    store = typestore()
+    with Reader(bag) as reader:
+        writer = Writer(out, version=9, storage_plugin=StoragePlugin.SQLITE3)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            to = {each.topic: writer.add_connection(each.topic, each.msgtype, typestore=store)
+                  for each in reader.connections}
+            for connection, time_ns, data in reader.messages():
+                writer.write(to[connection.topic], time_ns, data)
 
 
 def damaged(data: bytes, random: Random) -> bytes:
@@ -118,7 +139,7 @@ def read(path: Path) -> None:
         read_parameters(path, 'actuator')
         return
     run = (read_bag(path.parent if path.name == 'metadata.yaml' else path)
-           if path.suffix == '.mcap' or path.name == 'metadata.yaml'
+           if path.suffix in ('.mcap', '.db3') or path.name == 'metadata.yaml'
            else import_recording(path, MAP))
     if len(run) > 1:
         str(analyze(run).to_dict())

@@ -2,14 +2,14 @@
 
 import json
 import os
-import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
+import apsw
 import lz4.frame
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from numpy.lib.stride_tricks import sliding_window_view
-from rosbags.interfaces import ConnectionExtRosbag2
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9
 
@@ -32,7 +32,7 @@ from asi_analysis.errors import InputError
 BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError,
                  RuntimeError, KeyError, IndexError, TypeError, AssertionError, MemoryError,
                  OverflowError, EOFError, AttributeError, RecursionError, yaml.YAMLError,
-                 sqlite3.Error)
+                 apsw.Error)
 _RECORD: Final = struct.Struct('<BQ')
 _MESSAGE: Final = struct.Struct('<HIQQ')
 _INDEX: Final = struct.Struct('<HI')
@@ -43,6 +43,8 @@ BATCH_BYTES: Final = 2**20
 MOST_UNPACKED: Final = 256_000_000
 MOST_RATIO: Final = 30
 MOST_METADATA: Final = 2**24
+TOO_MUCH: Final = ('it unpacks to more than is allowed for a file of this size; write it '
+                   'uncompressed if that is meant')
 
 
 class _Index(NamedTuple):
@@ -202,7 +204,7 @@ def _number(file: Path) -> tuple[int, str]:
 
 def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) -> None:
     size = file.stat().st_size
-    decoder = _McapDecoder(select, contents, max(MOST_UNPACKED, MOST_RATIO * size))
+    decoder = _McapDecoder(select, contents, _most_unpacked(file))
     expected = None
     with file.open('rb') as stream:
         try:
@@ -340,8 +342,7 @@ def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
     if not chunk.compression:
         return chunk.data
     if size > most_bytes:
-        raise ValueError('its chunks unpack to more than is allowed for a file of this size; '
-                         'write them uncompressed if that is meant')
+        raise ValueError(TOO_MUCH)
     if chunk.compression == 'zstd':
         with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
             data = stream.read(size + 1)
@@ -412,6 +413,10 @@ def _extract(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
 
 def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Contents) -> None:
     """Read sqlite3 and compressed files, which have no times of publication."""
+    left = _most_unpacked(path)
+    for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
+        with file.open('rb') as packed:
+            left -= len(_unzipped(packed, left))
     with Reader(path) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
@@ -419,6 +424,35 @@ def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Conten
                                                Topic(connection.topic, connection.msgtype))
             assert isinstance(connection.ext, ConnectionExtRosbag2)
             topic.offered = [dict(qos) for qos in dump_qos_v9(connection.ext.offered_qos_profiles)]
-        if connections:
-            for connection, time_ns, data in reader.messages(connections):
-                contents.topics[connection.topic].add(time_ns, time_ns, bytes(data))
+        if not connections:
+            return
+        by_message = reader.compression_mode == 'message'
+        for connection, time_ns, data in (_packed(reader, select) if by_message else
+                                          reader.messages(connections)):
+            plain = _unzipped(BytesIO(data), left) if by_message else bytes(data)
+            left -= len(plain)
+            contents.topics[connection.topic].add(time_ns, time_ns, plain)
+
+
+def _packed(reader: Reader, select: Callable[[str], bool]
+            ) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield messages that rosbags would unpack without a limit, with their times (ns)."""
+    for storage in reader.storage.storages:     # type: ignore[attr-defined]
+        selected = [each for each in storage.connections if select(each.topic)]
+        if selected:
+            yield from storage.messages(selected)
+
+
+def _most_unpacked(path: Path) -> int:
+    """Return the limit of what a file, or the files of a bag, may unpack to, bytes."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return max(MOST_UNPACKED, MOST_RATIO * sum(file.stat().st_size for file in files))
+
+
+def _unzipped(packed: IO[bytes], most_bytes: int) -> bytes:
+    """Return what zstd data unpack to. Raises ValueError if it is too much."""
+    with zstandard.ZstdDecompressor().stream_reader(packed) as stream:
+        found = stream.read(most_bytes + 1)
+    if len(found) > most_bytes:
+        raise ValueError(TOO_MUCH)
+    return found

@@ -4,6 +4,7 @@
 `running.py` runs it.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,7 +53,7 @@ class Experiment:
     @property
     def ticks(self) -> int:
         """Number of states that the actuator publishes."""
-        return round(self.duration_s * self.control_rate_hz)
+        return math.ceil(self.duration_s * self.control_rate_hz - 1e-9)
 
 
 def checked(experiment: Experiment) -> Experiment:
@@ -67,7 +68,7 @@ def checked(experiment: Experiment) -> Experiment:
                               experiment.duration_s, experiment.mode, experiment.rate_hz)
     except ParameterError as error:
         raise InputError(str(error)) from None
-    if complete.ticks < 1:
+    if complete.duration_s * complete.control_rate_hz < 1.0 - 1e-9:
         raise InputError(f'duration = {complete.duration_s:g} s is not allowed: it takes at least '
                          f'a period of {1.0 / complete.control_rate_hz:g} s')
     return complete

@@ -17,7 +17,7 @@ from asi_analysis.loop.closed_loop import Values, close_many, loops_of
 from asi_analysis.loop.in_process import run_in_process
 from asi_analysis.measures.step_response import step_response
 from asi_analysis.parallel import each
-from asi_analysis.reporting.result import Result, Table, frame, table_of
+from asi_analysis.reporting.result import Result, Table, frame, number
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import replacing
 from asi_common.parameter import Value
@@ -26,6 +26,10 @@ from asi_common.parameter import Value
 PIECE: Final = 16
 MOST_RUNS: Final = 100_000
 FIGURES: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'steady_state_error_n')
+# Of the printed table: heading -> key.
+COLUMNS: Final = dict(zip(('rise (s)', 'overshoot (%)', 'settling to 2 % (s)',
+                           'steady-state error (N)', 'ripple (N)'), (*FIGURES, 'ripple_n'),
+                          strict=True))
 
 
 class Sweep(Result):
@@ -37,14 +41,10 @@ class Sweep(Result):
     def parts(self) -> Iterator[str | Table]:
         yield f'{len(self.runs)} runs of {self.duration_s:g} s at {self.rate_hz:g} Hz'
         names = list(self.runs[0]['values'])
-        rows = [{**run, **{f'value{k}': run['values'][name] for k, name in enumerate(names)}}
-                for run in self.runs]
-        yield table_of(rows, {
-            **{name: f'{{value{k}}}' for k, name in enumerate(names)},
-            'rise (s)': '{rise_time_s:.3g}', 'overshoot (%)': '{overshoot_percent:.3g}',
-            'settling to 2 % (s)': '{settling_time_2_s:.3g}',
-            'steady-state error (N)': '{steady_state_error_n:.3g}',
-            'ripple (N)': '{ripple_n:.3g}'})
+        yield Table([*names, *COLUMNS], [
+            [*map(str, run['values'].values()),
+             *(number(run[key], '', 3) for key in COLUMNS.values())] for run in self.runs],
+            right=list(COLUMNS))
         yield from (f'note: {run["bag"]}: {run["fault"]}' for run in self.runs if run['fault'])
 
     def to_frame(self) -> Any:

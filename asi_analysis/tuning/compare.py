@@ -146,41 +146,57 @@ def compare_controllers(
     ...  if each['name'] == 'sine_error_percent']
     ['P 27 %', 'lead4 35 %']
     """
+    if not rates_hz:
+        raise InputError('rates: at least one control rate is needed')
     actuator = actuator or {}
     for values in controllers.values():
         stepping(actuator, values, *rates_hz)
     chosen = conditions(actuator, rates_hz, springs_n_m, plants, noise_n, seed)
     rows: list[dict[str, Any]] = []
     nominal: dict[str, Responses] = {}
-    total = len(controllers) * sum(len(each.actuators) for each in chosen)
-    done = 0
-    for name, controller in controllers.items():
-        for condition in chosen:
-            found = []
-            for plant in condition.actuators:
-                progress(f'{name}, {condition.name}', done / total)
-                done += 1
-                if condition.held:
-                    found.append(held_figures(*held(plant, controller, condition.rate_hz),
-                                              condition.rate_hz))
-                    continue
-                runs = responses(plant, controller, condition.rate_hz)
-                nominal.setdefault(name, runs)
-                found.append(figures(plant, controller, condition.rate_hz, runs))
-            rows += [row | {'controller': name} for row in _rows(condition, found)]
+    for begun, (name, controller) in enumerate(controllers.items()):
+        tell = _part_of(progress, name, begun, len(controllers))
+        found, nominal[name] = _simulated(controller, chosen, tell)
         if attacks:
-            share = done / total
-            trials = search(actuator, controller, tuple(rates_hz), attacks, seed,
-                            lambda text, _: progress(f'{name}, {text}', share))   # noqa: B023
-            rows.append(_attacked(trials, rates_hz) | {'controller': name})
-    runs_ = recordings or {}
+            found.append(_attacked(search(actuator, controller, tuple(rates_hz), attacks, seed,
+                                          tell), rates_hz))
+        rows += [row | {'controller': name} for row in found]
+    recordings = recordings or {}
     return Comparison({
         'controllers': list(controllers), 'rates_hz': list(rates_hz), 'plants': plants,
         'noise_n': noise_n, 'figures': rows,
         'steps': [{'controller': name, **step._asdict()} for name, runs in nominal.items()
                   for step in step_figures(runs.steps, rates_hz[0])],
-        'recordings': [_recording(name, run) for name, run in runs_.items()],
-    }, responses=nominal, runs=runs_)
+        'recordings': [_recording(name, run) for name, run in recordings.items()],
+    }, responses=nominal, runs=recordings)
+
+
+def _part_of(progress: Progress, name: str, before: int, count: int) -> Progress:
+    """Return the progress of one of `count` controllers."""
+    return lambda text, share: progress(f'{name}, {text}', (before + (share or 0.0)) / count)
+
+
+def _simulated(controller: Values, chosen: Sequence[Condition], progress: Progress
+               ) -> tuple[list[dict[str, Any]], Responses]:
+    """Return the rows of a controller, and its responses in the first of the conditions."""
+    rows: list[dict[str, Any]] = []
+    nominal: list[Responses] = []
+    plants = sum(len(each.actuators) for each in chosen)
+    done = 0
+    for condition in chosen:
+        found = []
+        for plant in condition.actuators:
+            progress(condition.name, done / plants)
+            done += 1
+            if condition.held:
+                found.append(held_figures(*held(plant, controller, condition.rate_hz),
+                                          condition.rate_hz))
+            else:
+                runs = responses(plant, controller, condition.rate_hz)
+                found.append(figures(plant, controller, condition.rate_hz, runs))
+                nominal = nominal or [runs]
+        rows += _rows(condition, found)
+    return rows, nominal[0]
 
 
 def conditions(actuator: Values, rates_hz: Sequence[float], springs_n_m: Sequence[float],

@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+import time
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -42,8 +43,8 @@ class Link:
     """
     A node in a thread of its own.
 
-    values: of each known node, its parameters by name; descriptors: theirs. diagnostics: the last
-    level and message of each status by its name.
+    values: of each known node, its parameters by name; descriptors: theirs. diagnostics: of each
+    status the last level and message, and when it came, s of the steady clock.
     """
 
     def __init__(self, namespace: str = '') -> None:
@@ -51,7 +52,7 @@ class Link:
         self.recent = Recent()
         self.values: dict[str, dict[str, Any]] = {}
         self.descriptors: dict[str, dict[str, ParameterDescriptor]] = {}
-        self.diagnostics: dict[str, tuple[int, str]] = {}
+        self.diagnostics: dict[str, tuple[int, str, float]] = {}
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = node = rclpy.create_node(
@@ -142,11 +143,13 @@ class Link:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.diagnostics[status.name] = int.from_bytes(status.level), status.message
+            self.diagnostics[status.name] = (int.from_bytes(status.level), status.message,
+                                             time.monotonic())
 
     def _on_event(self, event: ParameterEvent) -> None:
         known = self.values.get(event.node.rpartition('/')[2])
         if known is not None and event.node.rpartition('/')[0] == (
                 self._node.get_namespace().rstrip('/')):
             known |= {each.name: parameter_value_to_python(each.value)
-                      for each in event.changed_parameters if each.name in known}
+                      for each in (*event.new_parameters, *event.changed_parameters)
+                      if each.name in known}   # new: the node was started again

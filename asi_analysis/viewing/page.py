@@ -5,7 +5,6 @@ One process serves the page on 127.0.0.1 and hears the loop over DDS; it loads n
 network.
 """
 
-import asyncio
 import random
 import socket
 import time
@@ -16,15 +15,14 @@ import numpy as np
 from nicegui import app, ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from asi_actuator.model.effects import EFFECT, EFFECTS
+from asi_actuator.model.effects import EFFECTS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.experiments.running import free_directory
-from asi_analysis.viewing.link import Link, LinkError
-from asi_analysis.viewing.processes import RUNS, NodeProcess, ask
+from asi_analysis.viewing.link import LinkError
+from asi_analysis.viewing.processes import ask
 from asi_analysis.viewing.recent import drawn
+from asi_analysis.viewing.session import ACTUATOR, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed
-from asi_common.parameter import Value
 
 HOST: Final = '127.0.0.1'
 FRAMES_HZ: Final = 30.0
@@ -33,75 +31,14 @@ WINDOWS_S: Final = {0.2: '0.2 s', 1.0: '1 s', 5.0: '5 s', 20.0: '20 s'}
 BINS: Final = 300
 # What a question is asked of: long enough for a slow cycle and for the sweep of a chirp.
 ASKED_S: Final = 10.0
-ACTUATOR, CONTROLLER = 'asi_actuator', 'asi_controller'
+# Both nodes say twice a second how they are.
+SILENT_S: Final = 2.5
 LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
-# A busy machine slows the simulation down, and loses nothing.
-SIMULATED: Final = {'mode': 'lockstep', 'rate_hz': 1000.0}
 # Chart over time -> its curves: name and signal of a `Run`.
 CHARTS: Final = {'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
                  'valve command (N)': {'command': 'command_n'}}
 LOOP: Final = 'valve position (µm) against valve command (N)'
 COLOURS: Final = ('#0072b2', '#d55e00')
-
-
-class Session:
-    """What the pages share: the link, what runs, the nominal parameters, the effect that is on."""
-
-    def __init__(self, link: Link, namespace: str = '') -> None:
-        self.link = link
-        self.namespace = namespace
-        self.recorder: NodeProcess | None = None
-        self.bag = RUNS
-        self.nominal: dict[str, dict[str, Any]] = {}
-        self._one_at_a_time = asyncio.Lock()
-        self.effect = ''
-        self.hidden = False
-
-    async def read(self, node: str) -> None:
-        """Read a node's parameters; the first time they are what is meant to be."""
-        await self.link.read(node)
-        self.nominal.setdefault(node, dict(self.link.values[node]))
-
-    async def change(self, node: str, name: str, value: Any) -> None:
-        """Set a parameter because the user means it so."""
-        await self.link.set(node, {name: value})
-        self.nominal.setdefault(node, {})[name] = value
-
-    async def inject(self, effect: str, hidden: bool) -> None:
-        """Give the actuator an effect, in place of the last one; '' for none."""
-        async with self._one_at_a_time:
-            if ACTUATOR not in self.nominal:
-                await self.read(ACTUATOR)
-            values: dict[str, Value] = {
-                name: self.nominal[ACTUATOR][name] for name in self.withheld()}
-            await self.link.set(ACTUATOR,
-                                values | (dict(EFFECT[effect].example) if effect else {}))
-            self.effect, self.hidden = effect, hidden
-
-    def withheld(self) -> set[str]:
-        """Return the parameters of the effect that is on."""
-        return set(EFFECT[self.effect].example) if self.effect else set()
-
-    async def step(self, to_n: float) -> None:
-        """Have the reference step from where it is."""
-        run = self.link.recent.run(0.1)
-        known = run.reference_n if run is not None else None
-        from_n = float(known[~np.isnan(known)][-1]) if known is not None else 0.0
-        values = {'reference.shape': 'step', 'reference.offset': from_n,
-                  'reference.amplitude': to_n - from_n}
-        await self.link.set(CONTROLLER, values)
-        self.nominal.setdefault(CONTROLLER, {}).update(values)
-
-    async def record(self) -> str:
-        """Start the recorder, or end it; return what happened."""
-        if self.recorder is None:
-            RUNS.mkdir(exist_ok=True)
-            self.bag = free_directory(RUNS, 'recording')
-            self.recorder = NodeProcess('recorder', self.namespace, output=self.bag)
-            return f'recording to {self.bag}'
-        recorder, self.recorder = self.recorder, None
-        await asyncio.to_thread(recorder.stop)
-        return f'recorded: {self.bag}'
 
 
 def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
@@ -117,10 +54,7 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
         except OSError as error:
             raise InputError(f'--port {port} cannot be used: {error.strerror}; '
                              'name another one') from None
-    nodes = [NodeProcess(name, namespace, **SIMULATED | own) for name, own in (
-        ('controller', {}), ('actuator', {'real_time_factor': 1.0, 'give_up_after': 0.0}),
-        )] if simulate else []
-    session = Session(Link(namespace), namespace)
+    session = Session(namespace, simulate)
     # A name that leads a browser here from a page of elsewhere is refused.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])
     print(f'http://{HOST}:{port} (Ctrl-C ends it)')
@@ -130,11 +64,7 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     except KeyboardInterrupt:
         pass   # uvicorn has shut down, and raises it again
     finally:
-        if session.recorder is not None:
-            session.recorder.stop()
-        session.link.close()
-        for node in nodes:
-            node.stop()
+        session.close()
 
 
 def page(session: Session) -> None:
@@ -144,7 +74,7 @@ def page(session: Session) -> None:
         status = ui.row()
         rate = ui.label().classes('text-grey')
     with ui.row().classes('w-full no-wrap items-start'):
-        with ui.column().classes('w-2/3'):
+        with ui.column().classes('w-2/3 sticky top-0 self-start'):
             _actions(session)
             _effects(session)
             _charts(session, rate)
@@ -154,8 +84,10 @@ def page(session: Session) -> None:
     def refresh() -> None:
         status.clear()
         with status:
-            for name, (level, text) in sorted(session.link.diagnostics.items()):
-                ui.badge(f'{name}: {text}', color=LEVELS[min(level, 3)])
+            for name, (level, text, at_s) in sorted(session.link.diagnostics.items()):
+                silent = time.monotonic() - at_s > SILENT_S
+                ui.badge(f'{name}: {"has ended, or is silent" if silent else text}',
+                         color='negative' if silent else LEVELS[min(level, 3)])
             if not session.link.diagnostics:
                 ui.badge('no node is heard: ros2 run asi_actuator actuator, and controller; '
                          'or asi live --simulate', color='warning')
@@ -205,7 +137,8 @@ def _options(title: str, x: str, names: Iterable[str]) -> dict[str, Any]:
             'grid': {'left': 60, 'right': 20, 'top': 35, 'bottom': 35}, 'color': COLOURS,
             'legend': {'right': 20, 'top': 0},
             'xAxis': {'type': 'value', 'name': x, 'min': 'dataMin', 'max': 'dataMax',
-                      'axisLine': edge, 'axisLabel': {'showMinLabel': False}},
+                      'axisLine': edge,
+                      'axisLabel': {'showMinLabel': False, 'showMaxLabel': False}},
             'yAxis': {'type': 'value', 'scale': True, 'axisLine': edge},
             'series': [{'type': 'line', 'name': name, 'showSymbol': False, 'data': [],
                         'lineStyle': {'width': 1.5}} for name in names]}
@@ -331,7 +264,7 @@ def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
 
     field: Any
     slider: ui.slider | None = None
-    choices, scale = choices_of(descriptor), scale_of(descriptor)
+    choices, scale = choices_of(descriptor), scale_of(descriptor, value)
     if isinstance(value, bool):
         field = ui.switch(name, value=shown)
         field.on('update:model-value', lambda event: given(event.args))

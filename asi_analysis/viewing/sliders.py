@@ -6,9 +6,9 @@ from typing import Any, Final, NamedTuple
 from rcl_interfaces.msg import ParameterDescriptor
 
 CHOICES: Final = 'one of '
-# A range over more than so many powers of ten, or from 0 to more than MOST_LINEAR, is logarithmic.
+# A range that ends far above the value is logarithmic, over at most so many powers of ten.
+FAR: Final = 20.0
 DECADES: Final = 6.0
-MOST_LINEAR: Final = 100.0
 
 
 class Scale(NamedTuple):
@@ -44,15 +44,14 @@ class Scale(NamedTuple):
         return min(DECADES, math.log10(self.high / self.low)) if self.low > 0.0 else DECADES
 
 
-def scale_of(descriptor: ParameterDescriptor) -> Scale | None:
-    """Return the scale of a parameter's range; None without one."""
+def scale_of(descriptor: ParameterDescriptor, value: float) -> Scale | None:
+    """Return the scale of the range of a parameter that has a value; None without a range."""
     for ranges, whole in ((descriptor.floating_point_range, False),
                           (descriptor.integer_range, True)):
         for each in ranges:
             low, high = float(each.from_value), float(each.to_value)
             if math.isfinite(low) and math.isfinite(high) and low < high:
-                wide = high > MOST_LINEAR * low if low > 0.0 else high > MOST_LINEAR
-                return Scale(low, high, low >= 0.0 and wide, whole)
+                return Scale(low, high, low >= 0.0 and high > FAR * value, whole)
     return None
 
 

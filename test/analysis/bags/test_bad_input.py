@@ -12,9 +12,11 @@ import pytest
 import zstandard
 from mcap.records import Chunk
 from mcap.writer import Writer
+from rosbags.rosbag2 import CompressionMode
 from scipy.io import savemat
 
 from asi_analysis import cli
+from asi_analysis.bags import bag_file
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange import text_file
@@ -24,6 +26,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.files import write_text
 from asi_common.node.topics import STREAM_QOS
+from torture.inputs import as_sqlite
 
 
 def asi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
@@ -113,6 +116,18 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_left_out(declared: int, tmp_path: 
     assert 'unpack' in contents.problems[0]
     with pytest.raises(InputError, match='unpack'):
         read_bag(tmp_path / 'a.mcap')
+
+
+@pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_compressed_bag_of_sqlite_is_not_unpacked_beyond_the_limit(
+        mode: CompressionMode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite', mode)
+    assert len(read_bag(tmp_path / 'sqlite')) == 300
+    monkeypatch.setattr(bag_file, 'MOST_UNPACKED', 1000)
+    monkeypatch.setattr(bag_file, 'MOST_RATIO', 0)
+    assert 'unpacks to more than is allowed' in read_contents(
+        tmp_path / 'sqlite', lambda _: True).problems[-1]
 
 
 def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:

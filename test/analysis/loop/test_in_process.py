@@ -15,13 +15,15 @@ SINE = {'reference.shape': 'sine', 'reference.amplitude': 80.0}
 
 
 def test_pieces_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = asi.simulate(NOISY, SINE, 0.2, out=tmp_path / 'whole')
+    # 333.3 control periods: the node takes 334.
+    whole = asi.simulate(NOISY, SINE, 0.1, 3333.0, out=tmp_path / 'whole')
+    assert len(whole) == 334 == whole.information['experiment']['ticks']
     monkeypatch.setattr(in_process, 'PIECE', 137)
-    asi.simulate(NOISY, SINE, 0.2, out=tmp_path / 'pieces')
+    asi.simulate(NOISY, SINE, 0.1, 3333.0, out=tmp_path / 'pieces')
     for file in ('bag_0.mcap', 'metadata.yaml'):
         assert (tmp_path / 'whole/bag' / file).read_bytes() == (
             tmp_path / 'pieces/bag' / file).read_bytes()
-    assert (whole.force_n == asi.simulate(NOISY, SINE, 0.2).force_n).all()
+    assert (whole.force_n == asi.simulate(NOISY, SINE, 0.1, 3333.0).force_n).all()
 
 
 def test_after_ctrl_c_the_bag_so_far_is_complete(

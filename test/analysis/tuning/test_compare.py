@@ -19,7 +19,6 @@ from asi_analysis.tuning.figures import ROWS, figures
 from asi_common.parameter import defaults
 
 CONTROLLERS = {'P': {'gain': 3.0}, 'lead4': {'compensator': 'lead4'}}
-# Also of what was recorded.
 SHORT = {'rates_hz': [2000.0], 'springs_n_m': [1e5], 'plants': 2, 'noise_n': 0.0,
          'attacks': 40}
 
@@ -108,6 +107,14 @@ def test_command_reads_names_files_and_bags(
     assert len(document['figures']) == len(ROWS)
     assert np.isfinite([each['value'] for each in document['figures']]).all()
     assert '`asi compare mine.yaml run/bag --rates 2000' in Path('page.md').read_text()
+
+
+@pytest.mark.parametrize('changed, said', [
+    ({'rates_hz': []}, 'rates'), ({'rates_hz': [0.0]}, 'rate'),
+    ({'springs_n_m': [-1.0]}, 'springs')])
+def test_conditions_that_are_not_allowed_are_named(changed: dict, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        compare_controllers(CONTROLLERS, **{**SHORT, **changed})
 
 
 @pytest.mark.parametrize('texts, said', [

@@ -1,6 +1,7 @@
 """The live page as a user sees it, over real nodes; by NiceGUI's simulation of a browser."""
 
 import asyncio
+import contextlib
 import re
 import socket
 import time
@@ -21,7 +22,6 @@ from asi_actuator.model.effects import EFFECT
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.errors import InputError
 from asi_analysis.viewing import page as live
-from asi_analysis.viewing.link import Link
 from asi_analysis.viewing.recent import drawn
 from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
 from asi_common.node.ros_parameters import descriptor
@@ -31,12 +31,14 @@ LOOP = {'rate_hz': 500.0}
 
 
 async def seen(condition: Callable[[], Any], what: str) -> Any:
-    """Return condition() once it is true."""
+    """Return condition() once it is true, and finds on the page what it looks for."""
     end = time.monotonic() + PATIENCE_S
-    while not (found := condition()):
-        assert time.monotonic() < end, f'not within {PATIENCE_S:g} s: {what}'
+    while time.monotonic() < end:
+        with contextlib.suppress(AssertionError):
+            if found := condition():
+                return found
         await asyncio.sleep(0.05)
-    return found
+    raise AssertionError(f'not within {PATIENCE_S:g} s: {what}')
 
 
 def one(user: User, marker: str, kind: type = ui.element) -> Any:
@@ -48,7 +50,7 @@ def one(user: User, marker: str, kind: type = ui.element) -> Any:
 def use(user_session: Callable[[User, live.Session], Awaitable[None]]) -> None:
     """Open the page of the loop that runs, and have a user work with it."""
     async def simulated() -> None:
-        session = live.Session(Link())
+        session = live.Session()
         try:
             async with user_simulation(root=lambda: live.page(session)) as user:
                 await user.open('/')
@@ -57,15 +59,16 @@ def use(user_session: Callable[[User, live.Session], Awaitable[None]]) -> None:
                 await seen(lambda: session.link.recent.rate()[0] > 0.0, 'states')
                 await user_session(user, session)
         finally:
-            session.link.close()
+            session.close()
 
     asyncio.run(simulated())
 
 
-def test_a_user_turns_a_gain_steps_records_and_asks(
+def test_a_user_turns_steps_records_and_asks_and_looks_for_what_is_hidden(
         start_node: Callable[..., NodeProcess], tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    start_node('asi_actuator.actuator_node', real_time_factor=1.0, **LOOP)
+    monkeypatch.setattr(live.random, 'choice', lambda _: EFFECT['stiction'])
+    actuator = start_node('asi_actuator.actuator_node', real_time_factor=1.0, **LOOP)
     controller = start_node('asi_controller.controller_node', **LOOP)
 
     async def work(user: User, session: live.Session) -> None:
@@ -91,7 +94,7 @@ def test_a_user_turns_a_gain_steps_records_and_asks(
         await seen(lambda: session.recorder, 'the recorder')
         await seen(lambda: sum(file.stat().st_size for file in session.bag.glob('*')) > 100_000,
                    'messages in the bag')
-        user.find('End recording').click()
+        (await seen(lambda: user.find('End recording'), 'the end of the recording')).click()
         await seen(lambda: user.notify.contains('recorded'), 'its end')
         assert len(read_bag(session.bag)) > 0
         user.find('Is it a limit cycle?').click()
@@ -102,16 +105,7 @@ def test_a_user_turns_a_gain_steps_records_and_asks(
         assert asked.information['controller']['gain'] == 8.0
         assert asked.force_n is not None and asked.force_n.max() > 50.0
 
-    use(work)
-
-
-def test_a_hidden_effect_is_on_the_node_and_not_on_the_page(
-        start_node: Callable[..., NodeProcess], monkeypatch: Any) -> None:
-    monkeypatch.setattr(live.random, 'choice', lambda _: EFFECT['stiction'])
-    actuator = start_node('asi_actuator.actuator_node', real_time_factor=1.0, **LOOP)
-    start_node('asi_controller.controller_node', **LOOP)
-
-    async def work(user: User, session: live.Session) -> None:
+    async def search(user: User, session: live.Session) -> None:
         user.find('Inject').click()
         await asyncio.to_thread(actuator.wait_for, 'command_path.delay = 0.002')
         user.find('Hide one').click()
@@ -131,13 +125,14 @@ def test_a_hidden_effect_is_on_the_node_and_not_on_the_page(
         assert session.link.values['asi_actuator'][name] == nominal
 
     use(work)
+    use(search)
 
 
 def test_a_slider_has_the_range_of_the_parameter() -> None:
     for parameter in CONTROLLER_NODE_PARAMETERS + REFERENCE_PARAMETERS:
         described = descriptor(parameter)
         assert choices_of(described) == list(parameter.choices)
-        scale = scale_of(described)
+        scale = scale_of(described, parameter.default)
         assert (scale is None) == isinstance(parameter.default, bool | str)
         for place in (0.0, 0.3, 1.0) if scale else ():
             assert scale and parameter.problem(scale.value(place)) is None

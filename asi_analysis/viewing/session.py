@@ -1,0 +1,92 @@
+"""What the pages of one `asi live` share, and what their buttons do."""
+
+import asyncio
+from typing import Any, Final
+
+import numpy as np
+
+from asi_actuator.model.effects import EFFECT
+from asi_analysis.experiments.running import free_directory
+from asi_analysis.viewing.link import Link
+from asi_analysis.viewing.processes import RUNS, NodeProcess
+from asi_common.parameter import Value
+
+ACTUATOR, CONTROLLER = 'asi_actuator', 'asi_controller'
+# A busy machine slows the simulation down, and loses nothing.
+SIMULATED: Final[dict[str, dict[str, Any]]] = {
+    'controller': {'mode': 'lockstep', 'rate_hz': 1000.0},
+    'actuator': {'mode': 'lockstep', 'rate_hz': 1000.0, 'real_time_factor': 1.0,
+                 'give_up_after': 0.0}}
+
+
+class Session:
+    """
+    The link to a loop, what was started beside it, and what the plant is meant to be.
+
+    nominal: parameters as the user has set them, by node; effect: the one that is on, '' for none.
+    """
+
+    def __init__(self, namespace: str = '', simulate: bool = False) -> None:
+        """Join the loop in a namespace; simulate: start its nodes first."""
+        self.namespace = f'/{namespace.strip("/")}' if namespace.strip('/') else ''
+        self.nodes = [NodeProcess(name, self.namespace, **parameters)
+                      for name, parameters in SIMULATED.items()] if simulate else []
+        self.link = Link(self.namespace)
+        self.recorder: NodeProcess | None = None
+        self.bag = RUNS
+        self.nominal: dict[str, dict[str, Any]] = {}
+        self._one_at_a_time = asyncio.Lock()
+        self.effect = ''
+        self.hidden = False
+
+    def close(self) -> None:
+        """Leave the loop, and end what was started."""
+        self.link.close()
+        for node in [*([self.recorder] if self.recorder else []), *self.nodes]:
+            node.stop()
+
+    async def read(self, node: str) -> None:
+        """Read a node's parameters; the first time they are what is meant to be."""
+        await self.link.read(node)
+        self.nominal.setdefault(node, dict(self.link.values[node]))
+
+    async def change(self, node: str, name: str, value: Any) -> None:
+        """Set a parameter because the user means it so."""
+        await self.link.set(node, {name: value})
+        self.nominal.setdefault(node, {})[name] = value
+
+    async def inject(self, effect: str, hidden: bool) -> None:
+        """Give the actuator an effect, in place of the last one; '' for none."""
+        async with self._one_at_a_time:
+            if ACTUATOR not in self.nominal:
+                await self.read(ACTUATOR)
+            values: dict[str, Value] = {
+                name: self.nominal[ACTUATOR][name] for name in self.withheld()}
+            await self.link.set(ACTUATOR,
+                                values | (dict(EFFECT[effect].example) if effect else {}))
+            self.effect, self.hidden = effect, hidden
+
+    def withheld(self) -> set[str]:
+        """Return the parameters of the effect that is on."""
+        return set(EFFECT[self.effect].example) if self.effect else set()
+
+    async def step(self, to_n: float) -> None:
+        """Have the reference step from where it is."""
+        run = self.link.recent.run(0.1)
+        known = run.reference_n if run is not None else None
+        from_n = float(known[~np.isnan(known)][-1]) if known is not None else 0.0
+        values = {'reference.shape': 'step', 'reference.offset': from_n,
+                  'reference.amplitude': to_n - from_n}
+        await self.link.set(CONTROLLER, values)
+        self.nominal.setdefault(CONTROLLER, {}).update(values)
+
+    async def record(self) -> str:
+        """Start the recorder, or end it; return what happened."""
+        if self.recorder is None:
+            RUNS.mkdir(exist_ok=True)
+            self.bag = free_directory(RUNS, 'recording')
+            self.recorder = NodeProcess('recorder', self.namespace, output=self.bag)
+            return f'recording to {self.bag}'
+        recorder, self.recorder = self.recorder, None
+        await asyncio.to_thread(recorder.stop)
+        return f'recorded: {self.bag}'
