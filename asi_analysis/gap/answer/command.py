@@ -11,11 +11,12 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
 from asi_analysis.gap.answer.result import Gap
+from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
-from asi_analysis.gap.diagnose import document, plain
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_analysis.gap.model.model_file import DIRECT
+from asi_analysis.gap.model.simulator import of_simulator
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import ParameterError, Value, completed
@@ -86,15 +87,22 @@ def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool)
     origin = ('as given' if given else f'from the metadata of {runs[0].source}' if values else
               'the defaults, since the bag tells none')
     notes = [f'nominal model: {origin}; load {load}, {1.0 / runs[0].period_s:.4g} Hz']
-    if on := sorted(name for name in EFFECT_SIZES if values.get(name, 0.0) != 0.0):
-        notes.append(f'the nominal model has {", ".join(on)}, which the diagnosis does not '
-                     'compute as the simulator does: the difference may be reported as a gap')
     for run in runs:
         other = run.information.get('actuator', {}).get('load.type', load)
         if other != load:
             notes.append(f'{run.source}: recorded with the load {other}, but the nominal model '
                          f'has the load {load}')
     return notes
+
+
+def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
+    """Return notes: which equations predicted, and what they do not compute as the simulator."""
+    if of_simulator(diagnosis.groups[0].group.nominal):
+        return ['predicted by the simulator itself, which explains the recordings to their noise']
+    on = sorted(name for name in EFFECT_SIZES if values.get(name, 0.0) != 0.0)
+    return ['predicted block by block, each from its measured input'] + ([
+        f'the nominal model has {", ".join(on)}, which the diagnosis does not compute as the '
+        'simulator does: the difference may be reported as a gap'] if on else [])
 
 
 def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actuator',
@@ -138,6 +146,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         warnings.warn(note, InputWarning, stacklevel=2)
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
                              [False] * len(runs) + [True] * len(held_out), drive, progress)
+    if plant == 'actuator':
+        notes += _of_the_predictor(diagnosis, values)
     answer = plain(document(diagnosis))
     doubtful = doubts(everything)
     answer['notes'] = [*(f'doubtful, because {each}' for each in doubtful), *notes,

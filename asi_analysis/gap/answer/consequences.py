@@ -32,7 +32,7 @@ RATES_HZ = (500.0, 5000.0)
 # Used if the bag holds no controller: it tracks the reference well below the onset gain.
 PLAIN: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'step',
                            'reference.amplitude': 100.0, 'reference.start': 0.1}
-STEP_KEYS = ('rise_time_s', 'overshoot_percent', 'bandwidth_hz')
+LOOP_KEYS = ('rise_time_s', 'overshoot_percent', 'bandwidth_hz', 'tracking_error_rms_n')
 
 
 class Consequence(NamedTuple):
@@ -74,7 +74,8 @@ def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Conseque
     fits = [(candidate.fitted, likelihood(candidate.fitted)) for candidate in best]
     others = [loop([draw(fitted, found, rng) for fitted, found in fits], lowest)
               for _ in range(DRAWS)]
-    measured = _figures_of(run) if recorded else {}
+    # All three over the same time, in which the reference is the same.
+    measured = _figures_of(run[0.0:duration_s]) if recorded else {}
     return [Consequence(name, nominal[name], improved[name],
                         *_interval(improved[name], [each[name] for each in others]),
                         measured.get(name)) for name in improved]
@@ -97,7 +98,7 @@ def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_
             found = dict(zip(found, first[:3], strict=True))
         simulated = simulate_loop(actuator, controller, duration_s, rate_hz)
     except ParameterError:   # a compensator that this rate does not allow
-        return found | dict.fromkeys((*STEP_KEYS, 'oscillation_frequency_hz',
+        return found | dict.fromkeys((*LOOP_KEYS, 'oscillation_frequency_hz',
                                       'oscillation_amplitude_n'))
     return found | _figures_of(Run(**simulated._asdict()))
 
@@ -105,7 +106,7 @@ def loop_figures(actuator: Values, controller: Values, rate_hz: float, duration_
 def _figures_of(run: Run) -> dict[str, float | None]:
     measures: dict[str, Any] = analyze(run)
     oscillation = measures['oscillation'] if measures['oscillation']['sustained'] else {}
-    return {**{key: measures[key] for key in STEP_KEYS},
+    return {**{key: measures[key] for key in LOOP_KEYS},
             'oscillation_frequency_hz': oscillation.get('frequency_hz'),
             'oscillation_amplitude_n': oscillation.get('amplitude_n')}
 
