@@ -444,7 +444,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         valid = _recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
             valid = valid & ~_ends(fit.size, period)
-        for name in MEASURED & moving.keys():   # what is cut off was not measured
+        # What is cut off was not measured; but a valve may rest against a stop.
+        for name in (MEASURED - {'valve_position'}) & moving.keys():
             valid = valid & ~clipped(moving[name])
         # Where whole recordings are held out, the result is reported on those alone.
         report = (np.zeros_like(fit) if whole else _reported(held)) & valid

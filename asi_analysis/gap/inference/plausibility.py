@@ -49,8 +49,11 @@ def check_signals(run: Run) -> list[str]:
         if known.size and np.ptp(known) == 0.0:
             notes.append(f'{run.source}: {name} is constant, and taken as not recorded')
         elif name in MEASURED and known.size and (cut := clipped(known)).any():
-            notes.append(f'{run.source}: {name} is cut off at its extremes, in '
-                         f'{100 * cut.mean():.1f} % of the samples; these are left out')
+            share = f'in {100 * cut.mean():.1f} % of the samples'
+            notes.append(f'{run.source}: {name} ' + (
+                f'stands still at its extremes, {share}: at a stop of the valve, or its sensor '
+                'reaches no farther' if name == 'valve_position' else
+                f'is cut off at its extremes, {share}; these are left out'))
     return notes
 
 

@@ -47,7 +47,6 @@ LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
 # Fields of contacts and couplings.
 STIFF = {'backlash_gap', 'coupling_stiffness'}
-STRAINED = 2.0        # standard deviations of its prior that a nominal parameter is off
 # Prior log odds of an effect, and of a parameter beyond its tolerance, against their absence.
 EFFECT, BEYOND = -4.0, -3.0
 MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
@@ -138,8 +137,9 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
     null = _converged(as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS)))
-    strain = np.abs(null.best.theta - mean) * np.sqrt(problem.prior[1])
-    if not _left(null) and np.all(strain < STRAINED):
+    # What the nominal parameters had to give is the most that an effect could gain.
+    given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
+    if not _left(null) and given < -max(EFFECT, BEYOND):
         return {(): null}
     group.scale.update(initial_guesses(_fitted(null)))
     return {(): null} | _singles(as_given, tick)
@@ -252,16 +252,15 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     fits: dict[Names, Found] = {}
     known = {free.field: column for free, column in zip(problem.free, slopes.T, strict=True)}
 
-    def rough(name: str) -> Found:
-        start = work[next(n for n in order if work[n].name == name)]
+    def rough(start: _Start) -> Found:
         own = {free.field for free in start.variant.free}
         best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH, {
             field: column for field, column in known.items() if field not in own})
-        return Found((name,), (start.variant,), start.problem, best)
+        return Found((start.name,), (start.variant,), start.problem, best)
 
-    names = list(dict.fromkeys(work[n].name for n in order))[:FITTED]
-    for found in problem.each(rough, names):
-        fits[found.names] = found
+    for found in problem.each(rough, _best_starts([work[n] for n in order])):
+        if found.names not in fits or found.best.cost < fits[found.names].best.cost:
+            fits[found.names] = found
         tick()
     leader, *rivals = sorted(fits.values(), key=lambda f: f.best.cost)
     leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
@@ -290,6 +289,15 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
         return found
     return found._replace(problem=problem,
                           best=most_probable(problem, found.best.theta, goal=goal))
+
+
+def _best_starts(ranked: Sequence[_Start]) -> list[_Start]:
+    """Return the first start of each form of the first effects."""
+    chosen: dict[str, dict[Variant, _Start]] = {}
+    for start in ranked:
+        if start.name in chosen or len(chosen) < FITTED:
+            chosen.setdefault(start.name, {}).setdefault(start.variant, start)
+    return [start for forms in chosen.values() for start in forms.values()]
 
 
 def _with_shared(found: Found, other: Found) -> Array:

@@ -18,7 +18,7 @@ LARGE = (0.5, 0.7, 0.85, 0.95)
 TIMES = (0.0005, 0.002, 0.008)
 
 
-def _scaled(field: str, low: float = 0.0, high: float = 5.0,
+def _scaled(field: str, low: float = 0.0, high: float = 20.0,
             starts: tuple[float, ...] = (1.7, 0.4)) -> Free:
     """Return a nominal parameter, free in multiples of itself."""
     return Free(field, low, high, starts, 'nominal')
