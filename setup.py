@@ -44,7 +44,7 @@ setup(
         'zstandard>=0.22,<1',
         'lz4>=4.3,<5',
         'pint>=0.25,<1',         # units of imported recordings
-        'rosbags>=0.11.5,<0.12',     # reads by apsw
+        'rosbags>=0.11.9,<0.12',     # reads by apsw
         'pyarrow>=17,<27',
         'matplotlib>=3.9,<4',
         'jinja2>=3.1.4,<4',
