@@ -185,3 +185,9 @@ def test_signals_that_were_never_there_together_have_no_bandwidth() -> None:
     late = replace(run, reference_n=np.where(run.time_s > 1.0, np.sin(300.0 * run.time_s), np.nan))
     assert analyze(with_force(late, lambda f: put(f, slice(1001, None), np.nan))
                    ).bandwidth_hz is None
+
+
+def test_a_single_sample_with_a_reference_tells_no_delay() -> None:
+    run = a_run()
+    reference = np.where(np.arange(len(run)) == 700, 100.0, np.nan)
+    assert analyze(replace(run, reference_n=reference)).correlation_delay_s is None
