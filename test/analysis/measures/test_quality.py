@@ -191,3 +191,9 @@ def test_a_single_sample_with_a_reference_tells_no_delay() -> None:
     run = a_run()
     reference = np.where(np.arange(len(run)) == 700, 100.0, np.nan)
     assert analyze(replace(run, reference_n=reference)).correlation_delay_s is None
+
+
+def test_a_clock_that_is_set_by_decades_takes_no_memory() -> None:
+    run = a_run()
+    late = replace(run, reference_n=None, time_s=run.time_s + 1.7e9 * (run.time_s > 0.5))
+    assert analyze(late).oscillation['sustained'] is None
