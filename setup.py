@@ -25,28 +25,33 @@ setup(
         ('share/' + package_name + '/launch', glob('launch/*')),
     ],
     python_requires='>=3.11',
+    # Lower bounds: the oldest versions that were tried, all together, with the tests of bags,
+    # import, measures, parameters and compensators on Python 3.11. Upper bounds: the first version
+    # after the newest tried that may break what is used. What is used of others that they do not
+    # promise to keep is in test/test_private_parts.py, which names the version that lacks it. To
+    # try a set: a virtual environment of its own with these versions, and the tests in it.
     install_requires=[
         'ros-jazzy-rclpy[fastrtps]',
         'ros-jazzy-common-interfaces',
-        'numpy>=2.0',         # StringDType
-        'numba',
-        'scipy',
-        'pyyaml',
-        'mcap',
-        'python-can',
-        'pyserial',
-        'cantools',
-        'zstandard',
-        'lz4>=4.0',
-        'pint>=0.25',            # units of imported recordings
-        'rosbags',
-        'pyarrow',
-        'matplotlib>=3.7',   # legends outside the axes
-        'jinja2',
-        'typer>=0.19',       # Literal as the type of an option
-        'rich',
-        'cma',
-        'joblib',
+        'numpy>=2.0,<3',         # StringDType
+        'numba>=0.60,<1',
+        'scipy>=1.13,<2',
+        'pyyaml>=6.0.1,<7',
+        'mcap>=1.5,<2',
+        'python-can>=4.4,<5',
+        'pyserial>=3.5,<4',
+        'cantools>=39.4,<46',
+        'zstandard>=0.22,<1',
+        'lz4>=4.3,<5',
+        'pint>=0.25,<1',         # units of imported recordings
+        'rosbags>=0.11.9,<0.12',     # reads by apsw
+        'pyarrow>=17,<27',
+        'matplotlib>=3.9,<4',
+        'jinja2>=3.1.4,<4',
+        'typer>=0.19,<1',       # Literal as the type of an option
+        'rich>=13.7,<16',
+        'cma>=4.0,<5',
+        'joblib>=1.4,<2',
     ],
     extras_require={
         'cluster': ['dask', 'distributed'],

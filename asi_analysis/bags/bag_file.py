@@ -431,7 +431,8 @@ def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Conten
                                           reader.messages(connections)):
             plain = _unzipped(BytesIO(data), left) if by_message else bytes(data)
             left -= len(plain)
-            contents.topics[connection.topic].add(time_ns, time_ns, plain)
+            unsigned_ns = time_ns % 2**64    # as in MCAP
+            contents.topics[connection.topic].add(unsigned_ns, unsigned_ns, plain)
 
 
 def _packed(reader: Reader, select: Callable[[str], bool]

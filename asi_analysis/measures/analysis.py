@@ -14,7 +14,7 @@ from asi_analysis.measures.frequency_response import (
     frequency_response,
     loop_bandwidth,
 )
-from asi_analysis.measures.quality import Finding, check_rate, findings, trust
+from asi_analysis.measures.quality import Finding, check_rate, check_size, findings, trust
 from asi_analysis.measures.step_response import HEADLINE, StepResponse, step_response
 from asi_analysis.measures.tracking import tracking
 from asi_analysis.reporting.result import Pictures, Result, Table, number
@@ -81,6 +81,7 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
     """
     if len(run) < 2:
         raise InputError(f'{run.source}: one sample is too little: at least 2 are needed')
+    check_size(run)
     check_rate(run.time_s, run.source)
     name = run.output(signal)
     step, swing, width = (step_response(run, name), measure.oscillation(run, name),

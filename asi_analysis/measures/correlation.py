@@ -22,6 +22,8 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float | 
     which the output follows. The differences are correlated where that is clearer than of the
     signals, as for a staircase.
     """
+    if input_.size < 3:
+        return None
     found = [_largest_correlation(a, b) for a, b in (
         (input_, output), (np.diff(input_), np.diff(output)))]
     coefficient, lag = max(found)

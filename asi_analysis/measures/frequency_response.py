@@ -109,6 +109,8 @@ def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
     bias for a chirp, which passes each frequency only once.
     """
     valid = np.isfinite(input_) & np.isfinite(output)
+    if valid.sum() < 3:
+        return None
     x, y = (np.where(valid, v, np.interp(np.arange(v.size), np.flatnonzero(valid), v[valid]))
             for v in (input_, output))
     u, v = (np.fft.rfft(each - each.mean()) for each in (x, y))

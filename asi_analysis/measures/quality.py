@@ -52,6 +52,7 @@ CLEARLY: Final = 0.8
 BEFORE: Final = 0.3
 # Samples of an even grid for each recorded one, beyond which a run comes in bursts.
 MOST_FILLED: Final = 10.0
+LARGEST: Final = 1e100   # number in a signal: squares and sums of more overflow
 LOSSES: Final = frozenset(('gap', 'missing'))
 # Intervals listed in JSON for one finding.
 LISTED: Final = 20
@@ -132,6 +133,15 @@ def check_rate(time_s: Array, source: str) -> None:
         raise InputError(f'{source or "the run"}: the samples come in bursts: half of them are no '
                          f'more than {period_s:.3g} s after the one before, {len(time_s)} in '
                          f'{time_s[-1] - time_s[0]:.6g} s')
+
+
+def check_size(run: Run) -> None:
+    """Raise InputError for numbers whose squares and sums overflow."""
+    for name, values in run.signals().items():
+        largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+        if largest > LARGEST:
+            raise InputError(f'{run.source or "the run"}: the {_words(name)} reaches '
+                             f'{largest:.3g} {run.unit(name)}, above {LARGEST:g}: is it damaged?')
 
 
 def check_time(time_s: Array, source: str) -> None:

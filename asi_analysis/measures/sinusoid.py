@@ -24,6 +24,8 @@ MOST_FOLDED: Final = 3
 FALSE_TERM: Final = 1e-3
 STEPS: Final = 30
 LONG_SPECTRUM: Final = 2**18
+# Periods of an even grid that are still filled: 1 GB in double precision.
+MOST_PERIODS: Final = 1e8
 # Convergence: predicted decrease of the sum of squares, over the noise variance. The last step is
 # then below 1e-4 standard deviations of frequency and rate.
 TOLERANCE: Final = 1e-8
@@ -102,11 +104,11 @@ def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5,
     Return the frequency (Hz) of the highest peak of the periodogram.
 
     A polynomial drift of an order is removed first; frequencies of fewer than `lowest_cycles` in
-    the record are ignored. NaN if there are too few samples. The resolution is an eighth of the
-    inverse duration, in long records half of it.
+    the record are ignored. NaN if there are too few samples, or over too many periods. The
+    resolution is an eighth of the inverse duration, in long records half of it.
     """
     time_s, values = valid_samples(time_s, values)
-    if len(values) < 8:
+    if len(values) < 8 or np.ptp(time_s) > MOST_PERIODS * np.median(np.diff(time_s)):
         return np.nan
     even, period = on_grid(time_s, values)
     slow = legendre(np.linspace(-0.5, 0.5, len(even)), 1.0, drift)

@@ -63,7 +63,8 @@ class Result(dict[str, Any]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document that the command prints with `--json`, as a copy."""
-        document: dict[str, Any] = json.loads(json.dumps(self, allow_nan=False))
+        # A figure of samples near the largest number may overflow; JSON has no word for that.
+        document: dict[str, Any] = json.loads(json.dumps(self), parse_constant=lambda _: None)
         return document
 
     def to_frame(self) -> 'pandas.DataFrame':

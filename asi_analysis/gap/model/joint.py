@@ -3,9 +3,9 @@ A rigid joint or drive as nominal model, in the block language of the actuator.
 
 Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
 friction, a constant offset and, if it turns, gravity, identified from the recording where no
-values are given. Commanded by its position: an ideal servo. Where command and force are both
-measured, the drive between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in
-place of m, N, kg.
+values are given. Commanded by its position: an ideal servo, or one of second order (`servo.py`).
+Where command and force are both measured, the drive between them is an ideal servo too. A joint
+that turns has rad, N m, kg m2 in place of m, N, kg.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +19,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant
 from asi_analysis.gap.model.group import Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.model.servo import with_servo
 from asi_analysis.gap.prepare import Array, Recording, judged, prepare
 from asi_common.parameter import Value
 
@@ -84,8 +85,11 @@ def drive_of(runs: Sequence[Run]) -> str:
 def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
                  held_out: Sequence[bool], drive: str) -> tuple[list[Group], list[str]]:
     """Return the groups of channels that a joint has, and notes."""
+    if drive == 'position':
+        followed, notes = with_servo(prepare(runs, drive, held_out), runs[0].unit('reference'))
+        return [_servo(followed, tolerance, False)], notes
     if drive != 'force':
-        return [_servo(prepare(runs, drive, held_out), tolerance, drive == 'drive')], []
+        return [_servo(prepare(runs, drive, held_out), tolerance, True)], []
     recordings, notes = without_gravity(prepare(runs, drive, held_out), runs)
     recordings, more = _without_bias(recordings)
     notes = [*notes, *more]

@@ -19,7 +19,7 @@ from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
 from asi_analysis.limit_cycle.detection.steadiness import analytic_signal, steadiness
 from asi_analysis.measures.noise import Autoregression, autoregression
-from asi_analysis.measures.quality import check_time
+from asi_analysis.measures.quality import check_size, check_time
 from asi_analysis.measures.record import Array, reduce
 from asi_analysis.measures.sinusoid import (
     HarmonicFit,
@@ -131,6 +131,7 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     if len(values) < 9:
         raise InputError(f'{run.source or "the run"}: {chosen} has {len(values)} samples, '
                          'at least 9 are needed')
+    check_size(run)
     check_time(time_s, run.source)
     frequency = dominant_frequency(time_s, values)
     cycle = 1.0 / frequency if np.isfinite(frequency) else time_s[-1] - time_s[0]

@@ -174,7 +174,7 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
         assert len(read_bag(tmp_path / 'bag')) == 300
 
 
-@pytest.mark.parametrize('variables', [{}, {'HOME': '/nonexistent'},
+@pytest.mark.parametrize('variables', [{}, {'HOME': '/proc/none'},
                                        {'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
 def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[str, str]) -> None:
     folder = tmp_path / 'Prüf stand'
@@ -186,5 +186,5 @@ def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[st
                   ['analyze', folder / 'neu']):
         done = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', *map(str, words)],
                               env=environment, capture_output=True, text=True, encoding='utf-8',
-                              errors='replace', check=False)
+                              errors='replace', check=False, stdin=subprocess.DEVNULL)
         assert done.returncode == 0, done.stderr

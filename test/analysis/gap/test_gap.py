@@ -395,7 +395,7 @@ def test_interval_of_a_determined_and_an_undetermined_parameter():
 
 
 def test_diagnosis_does_not_import_the_examiner():
-    for path in Path(asi_analysis.gap.__file__).parent.glob('*.py'):
+    for path in Path(asi_analysis.gap.__file__).parent.rglob('*.py'):
         assert 'asi_examiner' not in path.read_text(), path
 
 

@@ -185,6 +185,45 @@ def test_slow_position_loop():
     assert answer['gap']['after_nrmse'] < 0.03
 
 
+STAIRS = np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, 16), 200)
+
+
+@numba.njit(cache=True)
+def _servo(reference, pulsation, damping, rate, acceleration, out):
+    """Put the position of a servo with limits, sampled at 200 Hz, into out."""
+    position, speed, step = 0.0, 0.0, 1e-5
+    for k in range(reference.size):
+        out[k] = position
+        for _ in range(500):
+            change = pulsation ** 2 * (reference[k] - position) - 2.0 * damping * pulsation * speed
+            speed += step * min(max(change, -acceleration), acceleration)
+            speed = min(max(speed, -rate), rate)
+            position += step * speed
+
+
+@pytest.mark.parametrize(('rate', 'acceleration', 'late', 'verdict'), [
+    (1e9, 1e9, 0, 'no_gap'), (3.0, 60.0, 0, 'no_gap'), (1e9, 1e9, 8, 'transport_delay')])
+def test_a_servo_of_second_order_with_its_limits(rate, acceleration, late, verdict):
+    position = np.empty(STAIRS.size)
+    _servo(STAIRS, 40.0, 0.6, rate, acceleration, position)
+    noise = np.random.default_rng(2).normal(0.0, 1e-3, STAIRS.size)
+    run = Run(0.005 * np.arange(STAIRS.size), reference_n=STAIRS,
+              position_m=np.roll(position, late) + noise, source='servo',
+              information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    with pytest.warns(InputWarning, match='second order') as remarks:
+        answer = document(diagnose([run], {}, 'joint'))
+    text = next(str(each.message) for each in remarks if 'second order' in str(each.message))
+    found = [float(each) for each in re.findall(r'(?<=[ ])\d+\.?\d*(?:e[+-]\d+)?', text)]
+    expected = [40.0 / (2.0 * math.pi), 0.6] + [rate, acceleration] * (rate < 1e9)
+    assert found == pytest.approx(expected, rel=0.03)
+    assert answer['verdict'] == verdict
+    if late:
+        assert answer['which'][0]['parameters']['command_delay'] == pytest.approx(
+            0.04, abs=0.0025)   # half a sample
+    else:
+        assert answer['gap']['before_nrmse'] < 0.005
+
+
 def test_lag_of_a_slowly_sampled_drive():
     """Its command is held for half a time constant, and its gain is not known without the lag."""
     run = joint(course=TWO_WAVES)

@@ -172,3 +172,28 @@ def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:
     assert doubts([a_run(), DAMAGED['gap'](a_run())]) == []
     doubt, = doubts([a_run(), replace(DAMAGED['unit'](a_run()), source='mine')])
     assert doubt.startswith('mine: the force moves 1.01e+03 times')
+
+
+@pytest.mark.parametrize('analysis', [analyze, judge_once])
+def test_numbers_that_overflow_are_refused(analysis: Callable[[Run], object]) -> None:
+    with pytest.raises(InputError, match='the force reaches 1e.300 N, above'):
+        analysis(with_force(a_run(), lambda f: put(f, 900, 1e300)))
+
+
+def test_signals_that_were_never_there_together_have_no_bandwidth() -> None:
+    run = a_run()
+    late = replace(run, reference_n=np.where(run.time_s > 1.0, np.sin(300.0 * run.time_s), np.nan))
+    assert analyze(with_force(late, lambda f: put(f, slice(1001, None), np.nan))
+                   ).bandwidth_hz is None
+
+
+def test_a_single_sample_with_a_reference_tells_no_delay() -> None:
+    run = a_run()
+    reference = np.where(np.arange(len(run)) == 700, 100.0, np.nan)
+    assert analyze(replace(run, reference_n=reference)).correlation_delay_s is None
+
+
+def test_a_clock_that_is_set_by_decades_takes_no_memory() -> None:
+    run = a_run()
+    late = replace(run, reference_n=None, time_s=run.time_s + 1.7e9 * (run.time_s > 0.5))
+    assert analyze(late).oscillation['sustained'] is None

@@ -1,0 +1,184 @@
+"""
+The servo of a joint that follows a reference: second order, with limits of speed and acceleration.
+
+    a = clip(w^2 (r - x) - 2 d w v, ± acceleration),  v = clip(v, ± rate)
+
+It is the nominal model where it leaves far less than what a delay and a lag of first order leave.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from asi_analysis.gap.prepare import Array, Recording
+from asi_common.jit import jit
+
+# Share of the held-out power that a delay and a lag leave, below which a second order is taken;
+# and of that of the unlimited servo, below which its limits are.
+LEFT_BY_LAG: Final = 0.5
+LEFT_UNLIMITED: Final = 0.7
+NOISE: Final = 1.5            # of the output's noise power: what is below it needs no model
+# Angle of the fastest motion in one sub-step, rad, and most sub-steps of a sample.
+SUB_STEP: Final = 0.02
+MOST_SUB_STEPS: Final = 64
+# Starts: times of the response, in samples, and damping ratio.
+TIMES: Final = (1.5, 5.0, 15.0, 50.0, 150.0)
+DAMPING: Final = 0.8
+DAMPINGS: Final = (0.05, 3.0)
+LAG: Final = 20.0             # a damping ratio at which a servo is a lag of first order
+LONGEST_DELAY: Final = 1.0    # s
+# Samples of all recordings that are used; of longer ones every second, third ...
+MOST_SAMPLES: Final = 20_000
+
+
+class Servo(NamedTuple):
+    """
+    Natural frequency rad/s, damping ratio, largest rate and acceleration (inf: none), delay s.
+
+    Rate and acceleration in units of the reference over s and s2.
+    """
+
+    pulsation: float
+    damping: float
+    rate: float = math.inf
+    acceleration: float = math.inf
+    delay: float = 0.0
+
+
+@jit
+def _follow(reference, start, period, steps, pulsation, damping, rate, acceleration, out):
+    step = period / steps
+    position, speed = start, 0.0
+    for k in range(reference.size):
+        out[k] = position
+        for _ in range(steps):
+            push = pulsation * pulsation * (reference[k] - position)
+            # The damping is implicit, so that no sub-step overshoots.
+            wanted = (speed + step * push) / (1.0 + 2.0 * step * damping * pulsation)
+            change = min(max(wanted - speed, -step * acceleration), step * acceleration)
+            speed = min(max(speed + change, -rate), rate)
+            position += step * speed
+
+
+def follow(servo: Servo, reference: Array, start: float, period: float) -> Array:
+    """Return what a servo makes of a reference held for a period (s), from rest at `start`."""
+    time = period * np.arange(reference.size)
+    late = np.interp(time - servo.delay, time, reference) if servo.delay else reference
+    steps = min(max(math.ceil(period * servo.pulsation / SUB_STEP), 1), MOST_SUB_STEPS)
+    out = np.empty_like(reference)
+    _follow(np.ascontiguousarray(late), start, period, steps, *servo[:4], out)
+    return out
+
+
+def _left(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
+    """Return what a servo leaves of the output."""
+    rows = []
+    for r in recordings:
+        assert r.command is not None and r.valve_position is not None
+        found = follow(servo, r.command, float(r.valve_position[0]), r.period_s)
+        rows.append((r.valve_position - found)[getattr(r, part)])
+    return np.concatenate(rows)
+
+
+def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) -> Servo:
+    """
+    Return the servo with its `free` fields fitted, all but the delay by their logarithm.
+
+    Above a natural frequency of a radian a sample, or of the limits, nothing is told apart.
+    """
+    period = min(r.period_s for r in recordings)
+    bounds = {'pulsation': (-20.0, -math.log(period)), 'rate': (-40.0, 40.0),
+              'damping': tuple(map(math.log, DAMPINGS)), 'acceleration': (-40.0, 40.0),
+              'delay': (0.0, LONGEST_DELAY)}
+    if start.damping == LAG:    # of the time constant, 2 damping / pulsation
+        bounds['pulsation'] = (-20.0, math.log(4.0 * LAG / period))
+
+    def servo(x: Array) -> Servo:
+        return start._replace(**{name: float(value) if name == 'delay' else math.exp(value)
+                                 for name, value in zip(free, x, strict=True)})
+
+    low, high = np.transpose([bounds[name] for name in free])
+    x0 = [start.delay if name == 'delay' else math.log(getattr(start, name)) for name in free]
+    found = least_squares(
+        lambda x: _left(servo(x), recordings, 'fit'), np.clip(x0, low + 1e-9, high - 1e-9),
+        bounds=(low, high), x_scale=[2.0 * period if name == 'delay' else 0.3 for name in free],
+        diff_step=1e-3, max_nfev=40)
+    return servo(found.x)
+
+
+def _power(servo: Servo, recordings: Sequence[Recording], part: str = 'held_out') -> float:
+    return float(np.mean(_left(servo, recordings, part) ** 2))
+
+
+def servo_of(recordings: Sequence[Recording]) -> Servo | None:
+    """Return the servo of second order that recordings need; None if a lag and a delay do."""
+    if not any(r.held_out.any() for r in recordings) or not any(r.fit.any() for r in recordings):
+        return None
+    every = math.ceil(sum(r.fit.size for r in recordings) / MOST_SAMPLES)
+    recordings = [_thinned(r, every) for r in recordings]
+    period = max(r.period_s for r in recordings)
+
+    def best(damping: float, free: Sequence[str]) -> Servo:
+        faster = 2.0 * LAG if damping == LAG else 1.0
+        def power(each: Servo) -> float:
+            return _power(each, recordings, 'fit')
+
+        starts = [min((Servo(faster / (each * period), damping, delay=late * period)
+                       for each in TIMES for late in lates), key=power)
+                  for lates in ((0.0,), (4.0, 20.0))]
+        return min((_fitted(each, free, recordings) for each in starts), key=power)
+
+    at_once = float(np.mean(np.concatenate([
+        (r.valve_position - r.command)[r.held_out] for r in recordings
+        if r.valve_position is not None and r.command is not None]) ** 2))
+    simple = min(at_once, _power(best(LAG, ('pulsation', 'delay')), recordings))
+    if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
+        return None
+    second = best(DAMPING, ('pulsation', 'damping', 'delay'))
+    speed = max(float(np.abs(np.diff(_response(second, r))).max()) / r.period_s
+                for r in recordings)
+    limited = _fitted(second._replace(rate=0.7 * speed,
+                                      acceleration=0.5 * second.pulsation * speed),
+                      Servo._fields, recordings)
+    unlimited = _power(second, recordings)
+    found = limited if _power(limited, recordings) < LEFT_UNLIMITED * unlimited else second
+    return found if _power(found, recordings) < LEFT_BY_LAG * simple else None
+
+
+def _thinned(r: Recording, every: int) -> Recording:
+    """Return every so many samples of what a servo is fitted to."""
+    assert r.command is not None and r.valve_position is not None
+    return replace(r, period_s=every * r.period_s, command=r.command[::every],
+                   valve_position=r.valve_position[::every], fit=r.fit[::every],
+                   held_out=r.held_out[::every])
+
+
+def _response(servo: Servo, recording: Recording) -> Array:
+    assert recording.command is not None and recording.valve_position is not None
+    return follow(servo, recording.command, float(recording.valve_position[0]),
+                  recording.period_s)
+
+
+def with_servo(recordings: list[Recording], unit: str) -> tuple[list[Recording], list[str]]:
+    """
+    Return recordings whose command is what a servo of second order makes of it, and notes.
+
+    Its delay is left to the effects. Recordings that need no second order are returned as they
+    are.
+    """
+    servo = servo_of(recordings)
+    if servo is None:
+        return recordings, []
+    at_once = servo._replace(delay=0.0)
+    limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
+        ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
+        if math.isfinite(value)]
+    # A command acts from its sample on: at the next one the ideal servo has it.
+    moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
+    return ([replace(r, command=each) for r, each in zip(recordings, moved, strict=True)],
+            [f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
+             f'ratio {servo.damping:.3g}' + ''.join(f', {each}' for each in limits)])

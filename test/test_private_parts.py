@@ -1,0 +1,47 @@
+"""Private parts of other packages that are used here: a version that lacks one is named."""
+
+import inspect
+from importlib.metadata import version
+
+import can.interfaces.slcan
+import numba.core.event
+import pytest
+import rclpy.executors
+import typer
+from mcap.stream_reader import StreamReader
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rosbags.rosbag2 import Reader
+
+from asi_analysis.bags.bag import write_bag
+from torture.inputs import recording
+
+
+def storages(folder):
+    write_bag(recording(), folder / 'bag')
+    with Reader(folder / 'bag') as reader:
+        return [storage.messages for storage in reader.storage.storages]
+
+
+PARTS = {
+    # ClickException, which typer brings along and does not export.
+    'typer': lambda _: typer.BadParameter.__mro__[2].__name__ == 'ClickException',
+    'mcap': lambda _: all(name in inspect.getsource(StreamReader)
+                          for name in ('_read_record(', '_stream')),
+    'rosbags': storages,
+    'numba': lambda _: {'on_start', 'on_end'} <= vars(numba.core.event.Listener).keys(),
+    'python-can': lambda _: all(name in inspect.getsource(can.interfaces.slcan) for name in (
+        'def _read(', 'LINE_TERMINATOR', '_buffer', 'serialPortOrig', '_ERROR')),
+    'rclpy': lambda _: '_guard' in inspect.getsource(rclpy.executors) and all(
+        hasattr(rclpy_implementation, name)
+        for name in ('WaitSet', 'RCLError', 'rcl_time_point_t')),
+}
+
+
+@pytest.mark.parametrize('package', PARTS)
+def test_private_part_is_there(package, tmp_path):
+    try:
+        found = PARTS[package](tmp_path)
+    except AttributeError:
+        found = False
+    assert found, (f'{package} {version(package)} lacks a private part that is used here: '
+                   'replace its use, or set an upper bound in setup.py')
