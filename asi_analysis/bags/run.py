@@ -78,10 +78,10 @@ class Run:
     valve_position_m: Array | None = None
     position_m: Array | None = None
     velocity_m_s: Array | None = None
-    pressure_pa: Array | None = None
     source: str = ''
     information: dict[str, Any] = field(default_factory=dict)
     states: tuple[StateChange, ...] = ()
+    pressure_pa: Array | None = None
 
     def __post_init__(self) -> None:
         for name, values in self.signals().items():

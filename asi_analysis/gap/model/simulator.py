@@ -39,6 +39,7 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
 CACHED = 4
+PLACE_ERROR = 0.002  # of velocity and position (rms), when the mean position is compared
 LEAST_KEPT = 0.5   # of a missed part's power that is not noise: below it, all of it is noise
 
 
@@ -52,12 +53,10 @@ def _valve(state, command, p, period, out):
 
 @jit
 def _follow(state, command, bias, p, period, out):
-    """Fill `out` (force, velocity; n samples); p.valve_flexure_bias is overwritten by `bias`."""
+    """Fill `out` (force, velocity, position; n samples); the valve's bias becomes `bias`."""
     steady = prepare(p, period)
     for k in range(out.shape[1]):
-        force, _, _, v = measure(state, p)
-        out[0, k] = force
-        out[1, k] = v
+        out[0, k], _, out[2, k], out[1, k] = measure(state, p)
         p.valve_flexure_bias = bias[k]
         advance(state, command[k], p, steady)
 
@@ -133,7 +132,7 @@ def estimated_valve(recording: Recording, p: np.void) -> Array | None:
 
 
 def simulated_motion(recording: Recording, p: np.void) -> Array:
-    """Return force (N) and velocity (m/s), 2 x n samples."""
+    """Return force (N), velocity (m/s) and position (m), 3 x n samples."""
     def run() -> Array:
         q, count = _actuator(p), recording.fit.size
         command = recording.command if recording.command is not None else np.zeros(count)
@@ -148,7 +147,7 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
         state = np.zeros(1, STATE_DTYPE)[0]
         state['position'], state['velocity'] = _start(recording)
         state['load_position'], state['load_velocity'] = state['position'], state['velocity']
-        out = np.empty((2, count))
+        out = np.empty((3, count))
         _follow(state, command, bias, q, recording.period_s, out)
         return out
 
@@ -207,14 +206,34 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     correction = recording.corrections.get(channel, 0.0) if longer else 0.0
     if channel == 'valve':
         return simulated_valve(recording, p) + correction
-    force, velocity = simulated_motion(recording, p)
+    force, velocity, position = simulated_motion(recording, p)
     motion = recording.motion
-    if channel == 'force' or recording.raw_velocity is not None or motion is None:
-        return (force if channel == 'force' else velocity) + correction
+    if channel == 'force':
+        return force + correction
+    correction = correction + _out_of_place(recording, position, p)
+    if recording.raw_velocity is not None or motion is None:
+        return velocity + correction
     # The measured velocity is that of a smoothed position.
     count = velocity.size + 2 * motion.pad
     smooth = np.fft.rfft(np.pad(velocity, motion.pad, 'reflect')) * motion.smooth
     return np.fft.irfft(smooth, count)[motion.pad:motion.pad + velocity.size] + correction
+
+
+def _out_of_place(recording: Recording, position: Array, p: np.void) -> float:
+    """
+    Return by how much the mean of a simulated position (m) is off, as a velocity (m/s).
+
+    Of a load on a spring, which a constant force displaces. In proportion to the errors of both,
+    so that the mean counts as if each sample had told it.
+    """
+    motion = recording.motion
+    if motion is None or not motion.measured or load_spring(p)[0] == 0.0:
+        return 0.0
+    inner = slice(motion.pad, motion.pad + position.size)
+    real, valid = motion.position[inner], recording.valid
+    errors = [math.hypot(recording.noise.get(name, 0.0), PLACE_ERROR * float(np.std(values)))
+              for name, values in (('velocity', motion.velocity[inner]), ('position', real))]
+    return errors[0] / max(errors[1], 1e-300) * float(np.mean((position - real)[valid]))
 
 
 def missed_force(recording: Recording, p: np.void) -> Array:
@@ -226,7 +245,7 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     """
     motion = recording.motion
     assert motion is not None and recording.force is not None
-    force, velocity = simulated_motion(recording, p)
+    force, velocity, _ = simulated_motion(recording, p)
     stiffness, damping = load_spring(_actuator(p))
     inner = slice(motion.pad, motion.pad + velocity.size)
     measured = motion.velocity[inner] if recording.raw_velocity is None else recording.raw_velocity
