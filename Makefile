@@ -20,7 +20,7 @@ demo: setup
 	@$(BIN)/asi demo
 
 test: setup
-	@$(BIN)/python -m pytest -q
+	@$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile
 
 torture: setup
 	@$(BIN)/python -m torture

@@ -38,6 +38,7 @@ DOMAINS: Final = range(42, 102)
 # A node that has not ended this long after SIGINT is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
+LAST_LOOKS: Final = 10
 # Loaded here, not between fork and exec, where a lock of another thread may be held.
 LIBC: Final = ctypes.CDLL(None)
 
@@ -62,20 +63,25 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
         while nodes['actuator'].poll() is None:
             _raise_if_ended(nodes, out)
             actuator = status()
-            if actuator.state == 'fault':
-                # The valve is shut from then on.
-                raise RunFailedError(f'the actuator ended in a {actuator.text}; '
-                                     f'the bag so far: {bag}')
+            if actuator.state == 'fault':   # the valve is shut from then on
+                raise _ended_in(actuator, bag)
             if actuator.ticks:
                 progress(f'{experiment.mode}: {actuator.ticks} of {experiment.ticks} ticks',
                          actuator.ticks / experiment.ticks)
             else:
                 progress(actuator.text, None)
         if nodes['actuator'].returncode:
+            for _ in range(LAST_LOOKS):   # its last diagnostics may be heard after its end
+                if (actuator := status()).state == 'fault':
+                    raise _ended_in(actuator, bag)
             raise RunFailedError(_failure('actuator', nodes['actuator'], out)
                                  + f'; the bag so far: {bag}')
         progress('finishing the bag', 1.0)
     return bag
+
+
+def _ended_in(fault: ActuatorStatus, bag: Path) -> RunFailedError:
+    return RunFailedError(f'the actuator ended in a {fault.text}; the bag so far: {bag}')
 
 
 def prepare(experiment: Experiment, out: Path) -> None:
