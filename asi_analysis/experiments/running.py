@@ -80,10 +80,6 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
     return bag
 
 
-def _ended_in(fault: ActuatorStatus, bag: Path) -> RunFailedError:
-    return RunFailedError(f'the actuator ended in a {fault.text}; the bag so far: {bag}')
-
-
 def prepare(experiment: Experiment, out: Path) -> None:
     """Write the parameter files of the nodes, and experiment.json, into an empty directory."""
     try:
@@ -208,6 +204,10 @@ class ActuatorStatus(NamedTuple):
     ticks: int = 0
     state: str = ''
     text: str = 'starting the nodes'
+
+
+def _ended_in(fault: ActuatorStatus, bag: Path) -> RunFailedError:
+    return RunFailedError(f'the actuator ended in a {fault.text}; the bag so far: {bag}')
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -307,8 +308,7 @@ def test_lost_messages_are_told_and_the_exit_status_is_1(
     publish(10_000)
     recorder.send(signal.SIGCONT)
     for _ in range(2):   # the second is heard after what was told of the first
-        since_ns = time.time_ns()
-        wait_until(lambda: is_recorded_since(since_ns), 'a later message in the bag')
+        wait_until(partial(is_recorded_since, time.time_ns()), 'a later message in the bag')
     assert recorder.stop() == 1
     assert 'messages of /force were lost' in recorder.text and 'Traceback' not in recorder.text
     assert len(read_bag(tmp_path / 'bag')) > 1
