@@ -25,11 +25,11 @@ setup(
         ('share/' + package_name + '/launch', glob('launch/*')),
     ],
     python_requires='>=3.11',
-    # Lower bounds: the oldest versions that were tried, all together, with the tests of bags,
-    # import, measures, parameters and compensators on Python 3.11. Upper bounds: the first version
-    # after the newest tried that may break what is used. What is used of others that they do not
-    # promise to keep is in test/test_private_parts.py, which names the version that lacks it. To
-    # try a set: a virtual environment of its own with these versions, and the tests in it.
+    # Lower bounds: the oldest versions that were tried, with the tests of bags, import, measures,
+    # parameters and compensators on Python 3.11; not with the nodes nor the diagnosis. Upper:
+    # the first version after the newest tried that may break what is used. What is used of others
+    # that they do not promise to keep is in test/test_private_parts.py, which names the version
+    # that lacks it. To try a set: a virtual environment with these versions, and the tests in it.
     install_requires=[
         'ros-jazzy-rclpy[fastrtps]',
         'ros-jazzy-common-interfaces',
