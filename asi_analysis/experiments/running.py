@@ -38,7 +38,6 @@ DOMAINS: Final = range(42, 102)
 # A node that has not ended this long after SIGINT is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
-LAST_LOOKS: Final = 10
 # Loaded here, not between fork and exec, where a lock of another thread may be held.
 LIBC: Final = ctypes.CDLL(None)
 
@@ -64,16 +63,14 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
             _raise_if_ended(nodes, out)
             actuator = status()
             if actuator.state == 'fault':   # the valve is shut from then on
-                raise _ended_in(actuator, bag)
+                raise RunFailedError(f'the actuator ended in a {actuator.text}; '
+                                     f'the bag so far: {bag}')
             if actuator.ticks:
                 progress(f'{experiment.mode}: {actuator.ticks} of {experiment.ticks} ticks',
                          actuator.ticks / experiment.ticks)
             else:
                 progress(actuator.text, None)
         if nodes['actuator'].returncode:
-            for _ in range(LAST_LOOKS):   # its last diagnostics may be heard after its end
-                if (actuator := status()).state == 'fault':
-                    raise _ended_in(actuator, bag)
             raise RunFailedError(_failure('actuator', nodes['actuator'], out)
                                  + f'; the bag so far: {bag}')
         progress('finishing the bag', 1.0)
@@ -204,10 +201,6 @@ class ActuatorStatus(NamedTuple):
     ticks: int = 0
     state: str = ''
     text: str = 'starting the nodes'
-
-
-def _ended_in(fault: ActuatorStatus, bag: Path) -> RunFailedError:
-    return RunFailedError(f'the actuator ended in a {fault.text}; the bag so far: {bag}')
 
 
 @contextmanager
