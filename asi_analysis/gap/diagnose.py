@@ -187,7 +187,9 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
     shown = list(diagnosis.shrinks)
     if not diagnosis.verdict or UNKNOWN in diagnosis.verdict:
         return max(shown, key=lambda shrink: shrink.refitted / max(shrink.noise_floor, 1e-9))
-    return max(shown, key=explained)
+    named = {channel for weighed in diagnosis.groups if diagnosis.best(weighed).names
+             for channel in weighed.group.channels}
+    return max([shrink for shrink in shown if shrink.channel in named] or shown, key=explained)
 
 
 def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:

@@ -1,7 +1,7 @@
 """Locate the gap: by block, along the signal chain, and by regime."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -52,6 +52,23 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
     relative to the signal. It is shared by the blocks of the hypotheses in proportion to their
     probability, and within a hypothesis by what each effect explains.
     """
+    # What names nothing is no place for the gap, unless nothing is named at all.
+    share = _shares(groups, lambda names: bool(names))
+    if sum(share.values()) == 0.0:   # refitted, nothing is above the error floor
+        for weighed in groups:
+            for names, probability in weighed.probability.items():
+                for name in set(names) - {UNKNOWN}:
+                    share[str(block_of(name))] += probability
+    if sum(share.values()) == 0.0:
+        share = _shares(groups, lambda names: True)
+    total = sum(share.values())
+    if total > 0.0:
+        share = {block: value / total for block, value in share.items()}
+    return dict(sorted(share.items(), key=lambda item: -item[1]))
+
+
+def _shares(groups: list[Weighed], counts: Callable[[Names], bool]) -> dict[str, float]:
+    """Return the gap of each block by the hypotheses that count, relative to the signals."""
     share = dict.fromkeys(BLOCKS, 0.0)
     for weighed in groups:
         group = weighed.group
@@ -60,17 +77,10 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
             size = np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings])
             gap = max(null[channel] - group.error_floor[channel], 0.0) / float(size)
             for names, probability in weighed.probability.items():
-                for block, part in _blocks_of(weighed, names, channel, probability).items():
+                for block, part in (_blocks_of(weighed, names, channel, probability).items()
+                                    if counts(names) else ()):
                     share[block] += gap * probability * part
-    if sum(share.values()) == 0.0:   # refitted, nothing is above the error floor
-        for weighed in groups:
-            for names, probability in weighed.probability.items():
-                for name in set(names) - {UNKNOWN}:
-                    share[str(block_of(name))] += probability
-    total = sum(share.values())
-    if total > 0.0:
-        share = {block: value / total for block, value in share.items()}
-    return dict(sorted(share.items(), key=lambda item: -item[1]))
+    return share
 
 
 def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
