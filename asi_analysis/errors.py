@@ -9,6 +9,10 @@ class InputError(ValueError):
     stderr and end with status 2.
     """
 
+    def __init__(self, text: str) -> None:
+        """Take the text; what a library said in several lines becomes one."""
+        super().__init__(' '.join(line.strip() for line in text.splitlines()))
+
 
 class InputWarning(UserWarning):
     """A file is used in part only; its text is one line that says what is missing."""

@@ -155,7 +155,8 @@ def read_contents(path: Path, select: Callable[[str], bool]) -> Contents:
         except OSError as error:
             raise InputError(f'{file} cannot be read: {error.strerror or error}') from None
         except BROKEN as error:
-            what = 'it ends too early' if isinstance(error, EndOfFile) else str(error)
+            what = ('it ends too early' if isinstance(error, EndOfFile) else
+                    ' '.join(str(error).split()))
             contents.problems.append(f'{file} is damaged or was cut off ({what})')
     return contents
 

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import pickle
 import subprocess
 import sys
 import warnings
@@ -188,3 +189,8 @@ def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[st
                               env=environment, capture_output=True, text=True, encoding='utf-8',
                               errors='replace', check=False, stdin=subprocess.DEVNULL)
         assert done.returncode == 0, done.stderr
+
+
+def test_what_a_library_says_in_several_lines_is_told_in_one():
+    error = pickle.loads(pickle.dumps(InputError('bag.db3: near\n    "TEXT": syntax error')))
+    assert str(error) == 'bag.db3: near "TEXT": syntax error'
