@@ -79,6 +79,7 @@ class _Recorded:
         self.number = 0
         self.lost = 0
         self.one_publisher = True
+        self._publishers = node.count_publishers
         self.reliability = ReliabilityPolicy.RELIABLE
         self.subscription = self._subscription(node, group)
 
@@ -108,10 +109,12 @@ class _Recorded:
         """Return the number of a message on its topic, and note a gap before it."""
         if number is None:      # this RMW has no sequence numbers: losses are not detected
             number = self.number + 1
-        if number <= self.number:
+        # Each publisher has numbers of its own: those of two show no gap.
+        gap = number - self.number - 1
+        if gap < 0 or (gap and self.number and self._publishers(self.name) > 1):
             self.one_publisher = False
         elif self.number:
-            self.lost += number - self.number - 1
+            self.lost += gap
         self.number = number
         return number
 
