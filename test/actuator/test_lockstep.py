@@ -138,7 +138,8 @@ def test_silent_controller_ends_the_run_with_an_error(
         start_node: Callable, recording: Recording) -> None:
     actuator = start_node(ACTUATOR, give_up_after=0.5, await_recorder=True)
     controller = start_node(CONTROLLER, **STEP)
-    wait_until(lambda: recording.messages['valve_command'], 'a command')
+    # A second state: the actuator itself, not only the recorder, has heard the first command.
+    wait_until(lambda: len(recording.once('joint_states')) > 1, 'a second state')
     controller.kill()
     assert actuator.exit_status() == 1
     # What was sent last may come after the end of who sent it.
