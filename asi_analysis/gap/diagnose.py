@@ -76,6 +76,7 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     for run, recording in zip(runs, recordings, strict=True):
         plausibility.check_excitation(recording)
         notes += plausibility.check_motion(run)
+        notes += plausibility.check_origin(recording)
     if has['command'] and has['valve_position']:
         groups.append(make_group(p, recordings, ('valve',), tolerance))
     else:
@@ -155,6 +156,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
                          answer.best(w).fitted.record)
                for w in weighed for channel in w.group.channels]
     ambiguous = ambiguity_set(joined)
+    if plant == 'actuator' and any('disturbance_force' in names for names in ambiguous):
+        notes += plausibility.doubtful_origin(groups[-1].recordings, model)
     experiment, chain = None, None
     if plant == 'actuator' and len(ambiguous) > 1:
         force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0

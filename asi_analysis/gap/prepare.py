@@ -1,7 +1,7 @@
 """Prepare runs for the diagnosis: uniform sampling, noise, motion, and parts of the data."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -41,6 +41,7 @@ CLIPPED = 0.005         # share of samples at an extreme, above which a signal i
 OUTSIDE = 0.01          # share of the held-out samples outside the range of the fitted parts
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
+AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
@@ -85,6 +86,7 @@ class Recording:
     held_out: Mask               # samples for model selection
     report: Mask                 # validation samples; only the reported result uses them
     number: int = 0              # whose values the fields of a recording have
+    origin_m: float | None = None   # of the piston's position, if it starts at rest; taken off
     raw_velocity: Array | None = None   # m/s, as measured
     valve_estimate: Array | None = None   # m, measured valve position with less noise
     # By channel: what a shorter sub-step adds to the simulator's predictions with a longer one.
@@ -373,6 +375,20 @@ def _ends(count: int, period: float) -> Mask:
     return np.minimum(time, time[::-1]) < min(RINGING_S, RINGING * time[-1])
 
 
+def _origin(signals: Mapping[str, Array], period: float) -> float | None:
+    """
+    Return the position (m) at which a piston starts at rest; None if it does not start at rest.
+
+    A sensor may count from anywhere: at rest and without force, the load's spring is relaxed.
+    """
+    if 'position' not in signals:
+        return None
+    # Not whether the position changes at once: a push from outside may begin with the recording.
+    rests = [abs(signals[name][0]) <= AT_REST * noise_of(signals[name])
+             for name in ('force', 'velocity', 'valve_position') if name in signals]
+    return float(signals['position'][0]) if rests and all(rests) else None
+
+
 def _centre(signals: dict[str, Array], drive: str, run: Run) -> None:
     """Move the origin of a joint's coordinate, which is arbitrary, to the middle of its motion."""
     if drive == 'position' and run.controlled() == 'position' and 'reference' in signals:
@@ -383,14 +399,21 @@ def _centre(signals: dict[str, Array], drive: str, run: Run) -> None:
         signals['position'] = signals['position'] - signals['position'].mean()
 
 
-def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
-    """Return the period (s) and the signals that move, under the names of the diagnosis."""
+def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | None]:
+    """
+    Return the period (s) and the signals that move, under the names of the diagnosis.
+
+    And the position (m) at which a piston starts at rest, from which its position then counts.
+    """
     period, signals = _uniform(run)
     thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
     if drive == 'force' and thinned > 1:
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
                    for name, values in signals.items()}
         period *= thinned
+    origin = _origin(signals, period) if drive == 'valve' else None
+    if origin is not None:
+        signals['position'] = signals['position'] - origin
     _centre(signals, drive, run)
     named = {name: signals.get(name)
              for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
@@ -412,7 +435,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array]]:
         raise InputError(f'{run.source}: nothing to compare: it takes a command and what follows '
                          'from it, or a force and a motion; signals that move here: '
                          + (', '.join(moving) or 'none'))
-    return period, moving
+    return period, moving, origin
 
 
 def prepare(runs: Sequence[Run], drive: str = 'valve',
@@ -428,11 +451,11 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
     read = [_signals(run, drive) for run in runs]
     bands = [_band(moving['velocity' if 'velocity' in moving else 'position'], moving['force'],
                    period)
-             for period, moving in read
+             for period, moving, _ in read
              if 'force' in moving and ('velocity' in moving or 'position' in moving)]
     recordings: list[Recording] = []
     whole = held_out if held_out is not None and any(held_out) else None
-    for number, (run, (period, moving)) in enumerate(zip(runs, read, strict=True)):
+    for number, (run, (period, moving, origin)) in enumerate(zip(runs, read, strict=True)):
         motion, velocity = None, moving.get('velocity')
         if bands and 'force' in moving:
             band = min([*bands, RIGID_BAND_HZ] if drive == 'force' else bands)
@@ -456,7 +479,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             source=run.source, period_s=period, command=moving.get('command'), force=force,
             valve_position=moving.get('valve_position'), velocity=velocity,
             raw_velocity=moving.get('velocity'),
-            motion=motion,
+            motion=motion, origin_m=origin,
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},
             fit=fit, held_out=held, report=report,

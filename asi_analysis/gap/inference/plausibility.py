@@ -5,6 +5,8 @@ These are mistakes of a recording, not of a model: a reversed sign, a factor of 
 clocks that differ, no excitation, another machine.
 """
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from scipy.signal import correlate
 
@@ -13,6 +15,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import (
+    AT_REST,
     MEASURED,
     Array,
     Recording,
@@ -22,6 +25,7 @@ from asi_analysis.gap.prepare import (
     velocity_of,
     velocity_over_derivative,
 )
+from asi_common.parameter import Value
 
 LEAST_SWING = 5.0      # times the noise that a signal must move
 FACTOR = 4.0           # no actuator differs so much from its own model
@@ -146,6 +150,25 @@ def check_motion(run: Run) -> list[str]:
     slope = 1.0 / velocity_over_derivative(position, velocity, run.period_s)
     return [f'{run.source}: velocity is not the derivative of position: that is {slope:.3g} times '
             'as large; check sign and unit of velocity, which is left out']
+
+
+def check_origin(recording: Recording) -> list[str]:
+    """Return a note if the position does not count from where the piston rests at the start."""
+    origin_m = recording.origin_m
+    if origin_m is None or abs(origin_m) <= AT_REST * recording.noise['position']:
+        return []
+    return [f'{recording.source}: position_m starts at rest at {origin_m:.4g} m and counts from '
+            'there; a constant force that held the load there before cannot be seen']
+
+
+def doubtful_origin(recordings: Sequence[Recording], nominal: Mapping[str, Value]) -> list[str]:
+    """Return a note of each recording in which a constant force may be a shifted position."""
+    if nominal.get('load.type', 'locked') not in ('locked', 'spring'):
+        return []
+    return [f'{recording.source}: does not start at rest, so its position_m is taken to be 0 '
+            'where the load is relaxed: a shifted zero looks like a constant force'
+            for recording in recordings
+            if recording.motion and recording.motion.measured and recording.origin_m is None]
 
 
 def _earliest(recording: Recording) -> float:

@@ -224,16 +224,17 @@ def _out_of_place(recording: Recording, position: Array, p: np.void) -> float:
     Return by how much the mean of a simulated position (m) is off, as a velocity (m/s).
 
     Of a load on a spring, which a constant force displaces. In proportion to the errors of both,
-    so that the mean counts as if each sample had told it.
+    so that the mean counts as one sample: so well is it known where the position counts from.
     """
     motion = recording.motion
-    if motion is None or not motion.measured or load_spring(p)[0] == 0.0:
+    if motion is None or not motion.measured or load_spring(_actuator(p))[0] == 0.0:
         return 0.0
     inner = slice(motion.pad, motion.pad + position.size)
     real, valid = motion.position[inner], recording.valid
     errors = [math.hypot(recording.noise.get(name, 0.0), PLACE_ERROR * float(np.std(values)))
               for name, values in (('velocity', motion.velocity[inner]), ('position', real))]
-    return errors[0] / max(errors[1], 1e-300) * float(np.mean((position - real)[valid]))
+    off = float(np.mean((position - real)[valid])) / math.sqrt(valid.sum())
+    return errors[0] / max(errors[1], 1e-300) * off
 
 
 def missed_force(recording: Recording, p: np.void) -> Array:

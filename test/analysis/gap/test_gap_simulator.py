@@ -14,6 +14,7 @@ from asi_actuator.model.actuator import (
 )
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputWarning
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.inference.search import explained_by_simulator
 from asi_analysis.gap.model import simulator
@@ -131,3 +132,24 @@ def test_contacts_are_found_though_they_take_shorter_sub_steps():
     answer = document(diagnose([recorded({**nominal, 'backlash.gap': 2e-4}, noise=0.0)], nominal))
     assert answer['verdict'] == 'backlash'
     assert answer['which'][0]['parameters']['backlash_gap'] == pytest.approx(2e-4, rel=0.02)
+
+
+def test_the_origin_of_the_position_of_a_piston_at_rest_does_not_matter():
+    nominal = {'load.type': 'spring'}
+    pushed = nominal | {'load.external_force': 40.0}
+    for machine, verdict in ((nominal, 'no_gap'), (pushed, 'disturbance_force')):
+        run = recorded(machine)
+        shifted = replace(run, position_m=run.position_m + 1e-3)
+        with pytest.warns(InputWarning, match='starts at rest at 0.001'):
+            answer = document(diagnose([shifted], nominal))
+        assert answer['verdict'] == verdict
+    assert answer['which'][0]['parameters']['load_external_force'] == pytest.approx(40.0, rel=0.05)
+
+
+def test_a_shifted_position_that_may_be_a_constant_force_is_said():
+    nominal = {'load.type': 'spring'}
+    run = recorded(nominal, duration_s=4.0)[1337:]   # the middle of a motion
+    assert document(diagnose([run], nominal))['verdict'] == 'no_gap'
+    answer = document(diagnose([replace(run, position_m=run.position_m + 1e-3)], nominal))
+    assert answer['verdict'] == 'disturbance_force'
+    assert any('a shifted zero looks like a constant force' in note for note in answer['notes'])
