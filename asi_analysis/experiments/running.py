@@ -38,6 +38,7 @@ DOMAINS: Final = range(42, 102)
 # A node that has not ended this long after SIGINT is killed.
 PATIENCE_S: Final = 15.0
 POLL_S: Final = 0.1
+QUEUE: Final = 10   # messages of diagnostics that wait to be read
 # Loaded here, not between fork and exec, where a lock of another thread may be held.
 LIBC: Final = ctypes.CDLL(None)
 
@@ -62,15 +63,15 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
         while nodes['actuator'].poll() is None:
             _raise_if_ended(nodes, out)
             actuator = status()
-            if actuator.state == 'fault':   # the valve is shut from then on
-                raise RunFailedError(f'the actuator ended in a {actuator.text}; '
-                                     f'the bag so far: {bag}')
+            _raise_if_fault(actuator, bag)
             if actuator.ticks:
                 progress(f'{experiment.mode}: {actuator.ticks} of {experiment.ticks} ticks',
                          actuator.ticks / experiment.ticks)
             else:
                 progress(actuator.text, None)
         if nodes['actuator'].returncode:
+            for _ in range(QUEUE):   # it ended when all it had said was here
+                _raise_if_fault(status(), bag)
             raise RunFailedError(_failure('actuator', nodes['actuator'], out)
                                  + f'; the bag so far: {bag}')
         progress('finishing the bag', 1.0)
@@ -185,6 +186,11 @@ def _raise_if_ended(nodes: Mapping[str, subprocess.Popen], out: Path) -> None:
             raise RunFailedError(_failure(name, process, out))
 
 
+def _raise_if_fault(actuator: 'ActuatorStatus', bag: Path) -> None:
+    if actuator.state == 'fault':   # the valve is shut from then on
+        raise RunFailedError(f'the actuator ended in a {actuator.text}; the bag so far: {bag}')
+
+
 def _failure(name: str, process: subprocess.Popen, out: Path) -> str:
     """Return how a node ended, and the last line of its log."""
     path = out / 'log' / f'{name}.log'
@@ -234,7 +240,7 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
                signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
                              start_parameter_services=False)
-    node.create_subscription(DiagnosticArray, '/diagnostics', receive, 10)
+    node.create_subscription(DiagnosticArray, '/diagnostics', receive, QUEUE)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 

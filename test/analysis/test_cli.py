@@ -298,6 +298,7 @@ def test_dead_node_is_named(recording, tmp_path):
 
 
 def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
+    said = []
     for name, how in (('run0', []), ('run1', ['--in-process'])):
         out = tmp_path / name
         result = subprocess.run(
@@ -306,13 +307,25 @@ def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
              *how], env=ros_environment, capture_output=True, text=True)
         assert result.returncode == 1
         assert 'limit.valve_disagreement = 1e-05 m' in result.stderr
-        assert str(out / 'bag') in result.stderr.replace('\n', '')
-        # Over ROS by its diagnostics or, if it has ended before they are heard, by its log.
-        assert 'ended in a fault' in result.stderr.replace('\n', '')
+        assert 'Traceback' not in result.stderr
+        line = result.stderr.replace('\n', '')
+        assert f'the bag so far: {out / "bag"}' in line
+        said.append(line[line.index('the actuator ended'):].replace(name, ''))
+    assert said[0] == said[1]
     over_ros, in_process = (messages_of(tmp_path / name / 'bag') for name in ('run0', 'run1'))
     # Over ROS it goes on until it is ended.
     assert in_process == over_ros[:len(in_process)]
     assert [topic for topic, *_ in in_process].count('/diagnostics') == 2
+
+
+def test_run_whose_first_state_is_beyond_a_limit_is_no_result(ros_environment, tmp_path):
+    result = subprocess.run(
+        [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(tmp_path / 'run'),
+         '--duration', '0.2', '--set', 'actuator.force_sensor.offset=3000'],
+        env=ros_environment, capture_output=True, text=True)
+    assert result.returncode == 1
+    assert 'limit.force = 2500 N' in result.stderr and 'Traceback' not in result.stderr
+    assert str(tmp_path / 'run' / 'bag') in result.stderr.replace('\n', '')
 
 
 @pytest.mark.parametrize('arguments, said', [
