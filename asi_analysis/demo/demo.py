@@ -32,9 +32,11 @@ class Demo(Result):
             if each['analysis']['oscillation']['sustained']:
                 yield f'{each["name"]}: {in_words(each["analysis"]["oscillation"])}'
         gap = self.gap
+        put_in = (f'Put into the model, the error of the force is {gap["improved_error_n"]:.3g} N, '
+                  f'not {gap["nominal_error_n"]:.3g} N (rms)' if gap['improved_error_n'] is not None
+                  else 'There is nothing to put into the model')
         yield (f'withheld effect: {gap["withheld"]}; found: {gap["verdict"]} '
-               f'({100.0 * gap["probability"]:.0f} %). Put into the model, the error of the force '
-               f'falls from {gap["nominal_error_n"]:.3g} to {gap["improved_error_n"]:.3g} N (rms)')
+               f'({100.0 * gap["probability"]:.0f} %). {put_in}')
         yield f'report: {self.report}'
 
 
@@ -68,7 +70,8 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
         'gap': {'withheld': HIDDEN.name, 'verdict': hidden.gap.verdict,
                 'probability': hidden.gap.probability,
                 'nominal_error_n': hidden.error_n['nominal'],
-                'improved_error_n': hidden.error_n['improved'], 'shrink': hidden.shrink,
+                'improved_error_n': hidden.error_n['improved'] if hidden.put_in else None,
+                'shrink': hidden.shrink if hidden.put_in else None,
                 'report': str(out / GAP / 'report.html')},
         'runs': [{'name': each.plan.name, 'bag': str(each.bag), 'analysis': each.analysis}
                  for each in recorded],

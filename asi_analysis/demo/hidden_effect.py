@@ -34,6 +34,7 @@ class FoundEffect(NamedTuple):
     """The diagnosis; the runs: machine, nominal, improved; errors of the models (N, rms)."""
 
     gap: Gap
+    put_in: bool   # the answer has an improved model
     runs: dict[str, Run]
     error_n: dict[str, float]
 
@@ -61,9 +62,10 @@ def find_hidden_effect(record: Callable[[str, Experiment], Run], out: Path,
     gap = diagnose([withheld], NOMINAL, progress=progress)
     gap.write_report(out)
     path = out / 'improved.yaml'
-    improved = read_parameters(path, 'actuator') if path.exists() else NOMINAL
+    put_in = path.exists()
+    improved = read_parameters(path, 'actuator') if put_in else NOMINAL
     runs = {'machine': machine, 'nominal': record('nominal', of(NOMINAL)),
             'improved': record('improved', of(improved))}
-    return FoundEffect(gap, runs, {
+    return FoundEffect(gap, put_in, runs, {
         name: float(np.sqrt(np.mean((runs[name].signal('force') - machine.signal('force')) ** 2)))
         for name in ('nominal', 'improved')})

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asi_analysis.bags.run import Run
-from asi_analysis.demo.hidden_effect import HIDDEN, SHOWN_S, FoundEffect
+from asi_analysis.demo.hidden_effect import HIDDEN, NOISE, SHOWN_S, FoundEffect
 from asi_analysis.demo.runs import (
     Cycle,
     Loop,
@@ -69,7 +69,7 @@ def write_demo_report(recorded: list[Recorded], hidden: FoundEffect, out: Path) 
                 _load(each)) for each in steps],
         cycle=cycle, swing=swing, cycle_run=cycle_run, loop=loop, loop_run=loop_run,
         recorded=recorded, gains={each.plan.name: _gain(each) for each in recorded},
-        delay_ms=_delay_ms(recorded[0]), hidden=hidden, effect=HIDDEN,
+        delay_ms=_delay_ms(recorded[0]), hidden=hidden, effect=HIDDEN, noise=NOISE,
         said=sentences(hidden.gap)[0])
 
 
