@@ -377,16 +377,23 @@ def _ends(count: int, period: float) -> Mask:
 
 def _origin(signals: Mapping[str, Array], period: float) -> float | None:
     """
-    Return the position (m) at which a piston starts at rest; None if it does not start at rest.
+    Return the position (m) at which a piston starts at rest, 0 within the noise; None if it moves.
 
     A sensor may count from anywhere: at rest and without force, the load's spring is relaxed.
     """
     if 'position' not in signals:
         return None
+    position = signals['position']
+    level = AT_REST * noise_of(position)
     # Not whether the position changes at once: a push from outside may begin with the recording.
-    rests = [abs(signals[name][0]) <= AT_REST * noise_of(signals[name])
+    rests = [np.abs(signals[name]) <= AT_REST * noise_of(signals[name])
              for name in ('force', 'velocity', 'valve_position') if name in signals]
-    return float(signals['position'][0]) if rests and all(rests) else None
+    if not rests or not all(rest[0] for rest in rests):
+        return None
+    rests.append(np.abs(position - position[0]) <= level)
+    still = int(np.argmin(np.all(rests, axis=0)))   # samples before the first that moves
+    origin = float(position[:max(still // 2, 1)].mean())
+    return origin if abs(origin) > level else 0.0
 
 
 def _centre(signals: dict[str, Array], drive: str, run: Run) -> None:
