@@ -156,7 +156,7 @@ def check_origin(recording: Recording) -> list[str]:
     origin_m = recording.origin_m
     if not origin_m:
         return []
-    return [f'{recording.source}: position_m starts at rest at {origin_m:.4g} m and counts from '
+    return [f'{recording.source}: position_m starts at rest at {origin_m:.3g} m and counts from '
             'there; a constant force that held the load there before cannot be seen']
 
 
