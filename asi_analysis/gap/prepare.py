@@ -123,7 +123,7 @@ def noise_of(signal: Array) -> float:
     """
     white = float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
     levels = np.unique(signal)
-    if levels.size < SHARED * signal.size:   # of an encoder: each value many times
+    if 1 < levels.size < SHARED * signal.size:   # of an encoder: each value many times
         white = max(white, float(np.median(np.diff(levels))) / math.sqrt(12.0))
     return white
 

@@ -172,6 +172,23 @@ def with_simulated_valve(group: Group, valve: np.void) -> Group:
     return replace(group, nominal=p, given=group.nominal, recordings=recordings)
 
 
+def another(group: Group, recording: Recording) -> Recording:
+    """Return a further recording, ready to be predicted by records of a group."""
+    if not simulator.of_simulator(group.nominal):
+        return recording
+    return replace(recording, valve_estimate=simulator.estimated_valve(
+        recording, exact(group, group.nominal)))
+
+
+def exact(group: Group, p: np.void) -> np.void:
+    """Return a record of a group that needs no corrections of the simulator's sub-step."""
+    if not group.exact_substep_s:
+        return p
+    p = p.copy()
+    p['maximum_substep'] = group.exact_substep_s
+    return p
+
+
 def with_lower_noise(group: Group, residual: Values) -> Group:
     """
     Return a group whose noise is at most the residual of a model (mean squares).
