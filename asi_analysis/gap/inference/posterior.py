@@ -21,6 +21,7 @@ import numpy as np
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
 from asi_analysis.gap.model.effects import Free
+from asi_analysis.gap.model.group import exact
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array
 
@@ -169,7 +170,7 @@ def _next(problem: Posterior, theta: Array, value: Array, slopes: Array, square:
 
 def fitted(problem: Posterior, best: Best) -> Fitted:
     """Return a fit as the rest of the diagnosis takes it."""
-    record = problem.record(best.theta)
+    record = exact(problem.group, problem.record(best.theta))
     return Fitted(record, problem.free, best.theta, best.cost,
                   held_out_error(problem.group, record), problem)
 

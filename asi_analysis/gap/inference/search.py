@@ -35,13 +35,20 @@ from asi_analysis.gap.model.effects import (
     Variant,
     block_of,
 )
-from asi_analysis.gap.model.group import Group, acts_on, channels_of, with_simulated_valve
+from asi_analysis.gap.model.group import (
+    Group,
+    acts_on,
+    channels_of,
+    recorrected,
+    with_simulated_valve,
+)
 from asi_analysis.gap.model.simulator import SUBSTEP_ERROR
 from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
 REACH = 50.0      # of the log posterior: farther from the best, a fit need not be completed
 ROUGH = 1         # derivatives of a fit after the linear screen
+CORRECTED = 3     # times that a sub-step is corrected anew
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
 LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
@@ -273,20 +280,39 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
         best = most_probable(replace(found.problem, pool=None), theta, goal=goal)
         return _converged(found._replace(best=best), goal)
 
-    for found in problem.each(polished, rivals[:POLISHED]):
+    # What takes the longest first, so that no core is idle at the end.
+    for found in problem.each(polished, sorted(rivals[:POLISHED], key=_is_coarse)):
         fits[found.names] = found
         tick()
     return fits
 
 
+def _is_coarse(found: Found) -> bool:
+    return bool(found.problem.record(found.best.theta)['maximum_substep']
+                > found.problem.group.exact_substep_s)
+
+
 def _converged(found: Found, goal: float = math.inf) -> Found:
-    """Return a hypothesis fitted with sub-steps so short that shorter ones change nothing."""
-    exact = ('maximum_substep', found.problem.group.exact_substep_s)
-    problem = replace(found.problem, fixed=(*found.problem.fixed, exact))
-    change = problem.residual(found.best.theta) - found.best.residual
-    left = max(1.0, float(np.mean(found.best.residual ** 2)))
-    if found.best.cost > goal or float(np.mean(change ** 2)) < SUBSTEP_ERROR ** 2 * left:
-        return found
+    """
+    Return a hypothesis fitted so that shorter sub-steps change nothing.
+
+    The sub-step is corrected at the parameters that were found; if that does not settle, short
+    ones are simulated throughout.
+    """
+    for _ in range(CORRECTED):
+        problem, theta = found.problem, found.best.theta
+        p = problem.record(theta)
+        if p['maximum_substep'] == problem.group.exact_substep_s:
+            return found
+        renewed = replace(problem, group=recorrected(problem.group, p))
+        change = renewed.residual(theta) - found.best.residual
+        left = max(1.0, float(np.mean(found.best.residual ** 2)))
+        if found.best.cost > goal or float(np.mean(change ** 2)) < SUBSTEP_ERROR ** 2 * left:
+            return found
+        found = found._replace(problem=renewed,
+                               best=most_probable(renewed, theta, goal=goal))
+    exact = ('maximum_substep', problem.group.exact_substep_s)
+    problem = replace(found.problem, fixed=(*problem.fixed, exact))
     return found._replace(problem=problem,
                           best=most_probable(problem, found.best.theta, goal=goal))
 
@@ -317,7 +343,8 @@ def _fitted(found: Found) -> Fitted:
 def _probabilities(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
     """Return the probability of every hypothesis, `unknown` among them."""
     least = min(found.values(), key=lambda f: f.best.cost)
-    samples = independent_samples(group, least.problem.record(least.best.theta), 'known')
+    samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
+                                  'known')
     # Of the error floor; a difference below it says nothing.
     model = np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
                       for channel in group.channels])

@@ -189,6 +189,12 @@ def exact(group: Group, p: np.void) -> np.void:
     return p
 
 
+def recorrected(group: Group, p: np.void) -> Group:
+    """Return a group whose corrections of the simulator's sub-step are those of a record."""
+    return replace(group, recordings=simulator.corrected(
+        group.recordings, group.channels, p, float(p['maximum_substep']), group.exact_substep_s))
+
+
 def with_lower_noise(group: Group, residual: Values) -> Group:
     """
     Return a group whose noise is at most the residual of a model (mean squares).

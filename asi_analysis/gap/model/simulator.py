@@ -160,27 +160,42 @@ def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p
     """
     Return recordings with the corrections of a longer sub-step (s), and that sub-step.
 
-    The error of the longer sub-step hardly depends on the parameters, so that of `p` is added to
-    all predictions. It is at most a part of the error floor (mean square, by channel).
+    Its error is at most a part of the error floor (mean square, by channel).
     """
-    def predictions(substep: float) -> list[dict[str, Array]]:
-        q = p.copy()
-        q['maximum_substep'] = substep
-        return [{channel: predict(replace(recording, corrections={}), channel, q)
-                 for channel in channels} for recording in recordings]
-
-    exact = predictions(shortest)
+    exact = _predictions(recordings, channels, p, shortest)
     for substep in SUBSTEPS_S:
         if substep <= shortest:
             break
-        found: list[dict[str, Array]] = [
-                 {channel: fine[channel] - rough[channel] for channel in channels}
-                 for fine, rough in zip(exact, predictions(substep), strict=True)]
-        if all(np.sqrt(np.mean(each[channel] ** 2) / floor[channel]) < SUBSTEP_ERROR
+        found = corrected(recordings, channels, p, substep, exact)
+        if all(np.sqrt(np.mean(each.corrections[channel] ** 2) / floor[channel]) < SUBSTEP_ERROR
                for each in found for channel in channels):
-            return [replace(recording, corrections=each, corrected_substep_s=substep, cache={})
-                    for recording, each in zip(recordings, found, strict=True)], substep
+            return found, substep
     return [replace(recording, corrections={}, cache={}) for recording in recordings], shortest
+
+
+def corrected(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
+              substep: float, exact: Sequence[Mapping[str, Array]] | float) -> list[Recording]:
+    """
+    Return recordings with the corrections of a longer sub-step (s) at a record.
+
+    The error of the longer sub-step hardly depends on the parameters, so that of `p` is added to
+    all predictions. exact: the sub-step (s) that needs none, or what it predicts.
+    """
+    if isinstance(exact, float):
+        exact = _predictions(recordings, channels, p, exact)
+    rough = _predictions(recordings, channels, p, substep)
+    return [replace(recording, corrected_substep_s=substep, cache={}, corrections={
+        channel: fine[channel] - coarse[channel] for channel in channels})
+        for recording, fine, coarse in zip(recordings, exact, rough, strict=True)]
+
+
+def _predictions(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
+                 substep: float) -> list[dict[str, Array]]:
+    """Return what a record predicts with a sub-step (s), uncorrected, by recording and channel."""
+    q = p.copy()
+    q['maximum_substep'] = substep
+    return [{channel: predict(replace(recording, corrections={}), channel, q)
+             for channel in channels} for recording in recordings]
 
 
 def _start(recording: Recording) -> tuple[float, float]:
