@@ -42,13 +42,13 @@ from asi_analysis.gap.model.group import (
     recorrected,
     with_simulated_valve,
 )
-from asi_analysis.gap.model.simulator import SUBSTEP_ERROR
 from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
 REACH = 50.0      # of the log posterior: farther from the best, a fit need not be completed
 ROUGH = 1         # derivatives of a fit after the linear screen
-CORRECTED = 3     # times that a sub-step is corrected anew
+# Times that a sub-step is corrected anew, until the log posterior changes by less than this.
+CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
 LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
@@ -274,6 +274,8 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     fits[leader.names] = leader
 
     def polished(found: Found) -> Found:
+        # The sub-step is corrected where it was for the leader.
+        found = found._replace(problem=replace(found.problem, group=leader.problem.group))
         starts = [found.best.theta, _with_shared(found, leader)]
         theta = min(starts, key=lambda each: float(np.sum(found.problem.residual(each) ** 2)))
         goal = leader.best.cost + REACH
@@ -296,23 +298,31 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
     """
     Return a hypothesis fitted so that shorter sub-steps change nothing.
 
-    The sub-step is corrected at the parameters that were found; if that does not settle, short
-    ones are simulated throughout.
+    The sub-step is corrected at the parameters that were found, again after each fit, and the best
+    is kept; if that does not settle, short ones are simulated throughout.
     """
-    for _ in range(CORRECTED):
-        problem, theta = found.problem, found.best.theta
-        p = problem.record(theta)
+    known: list[Found] = []
+    change = 0.0
+    while found.best.cost <= goal:
+        problem, best = found.problem, found.best
+        p = problem.record(best.theta)
         if p['maximum_substep'] == problem.group.exact_substep_s:
             return found
-        renewed = replace(problem, group=recorrected(problem.group, p))
-        change = renewed.residual(theta) - found.best.residual
-        left = max(1.0, float(np.mean(found.best.residual ** 2)))
-        if found.best.cost > goal or float(np.mean(change ** 2)) < SUBSTEP_ERROR ** 2 * left:
-            return found
-        found = found._replace(problem=renewed,
-                               best=most_probable(renewed, theta, goal=goal))
-    exact = ('maximum_substep', problem.group.exact_substep_s)
-    problem = replace(found.problem, fixed=(*problem.fixed, exact))
+        problem = replace(problem, group=recorrected(problem.group, p))
+        residual = problem.residual(best.theta)
+        change = 0.5 * float(residual @ residual - best.residual @ best.residual)
+        known.append(found._replace(problem=problem, best=best._replace(
+            cost=best.cost + change, residual=residual)))
+        if abs(change) < SETTLED or len(known) == CORRECTED:
+            break
+        found = known[-1]._replace(best=most_probable(problem, best.theta, goal=goal))
+    if not known:
+        return found
+    found = min(known, key=lambda each: each.best.cost)
+    if abs(change) < REACH:
+        return found
+    exact = ('maximum_substep', found.problem.group.exact_substep_s)
+    problem = replace(found.problem, fixed=(*found.problem.fixed, exact))
     return found._replace(problem=problem,
                           best=most_probable(problem, found.best.theta, goal=goal))
 

@@ -51,13 +51,18 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
                                else group.given), ('refitted', refitted),
                               ('after', after))}
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
+    floor = group.noise[channel]
+    if rms['nominal'] ** 2 <= group.error_floor[channel] - floor ** 2:
+        # Less than any model is wrong by: there is no gap that could shrink.
+        return Shrink(channel, *(rms[name] / size for name in ('nominal', 'refitted', 'after')),
+                      floor / size, 0.0, 0.0, 0.0)
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
     low, high = _interval(errors['nominal'], errors['after'])
     # Another recording may excite the nominal nonlinearities differently.
     unseen = math.sqrt(1.0 + group.formulation[channel] / max(rms['after'] ** 2, 1e-300))
     low, high = 1.0 - (1.0 - low) * unseen, 1.0 - (1.0 - high) / unseen
     return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
-                  group.noise[channel] / size, shrink, low, high)
+                  floor / size, shrink, low, high)
 
 
 def _interval(nominal: Array, after: Array) -> tuple[float, float]:
