@@ -274,17 +274,17 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     fits[leader.names] = leader
 
     def polished(found: Found) -> Found:
-        # The sub-step is corrected where it was for the leader.
-        found = found._replace(problem=replace(found.problem, group=leader.problem.group))
+        # The sub-step is corrected where it was for the leader. In a thread of the pool.
+        alone = replace(found.problem, group=leader.problem.group, pool=None)
+        found = found._replace(problem=alone)
         starts = [found.best.theta, _with_shared(found, leader)]
-        theta = min(starts, key=lambda each: float(np.sum(found.problem.residual(each) ** 2)))
+        theta = min(starts, key=lambda each: float(np.sum(alone.residual(each) ** 2)))
         goal = leader.best.cost + REACH
-        best = most_probable(replace(found.problem, pool=None), theta, goal=goal)
-        return _converged(found._replace(best=best), goal)
+        return _converged(found._replace(best=most_probable(alone, theta, goal=goal)), goal)
 
     # What takes the longest first, so that no core is idle at the end.
     for found in problem.each(polished, sorted(rivals[:POLISHED], key=_is_coarse)):
-        fits[found.names] = found
+        fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return fits
 

@@ -54,7 +54,7 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
     floor = group.noise[channel]
     if rms['nominal'] ** 2 <= group.error_floor[channel] - floor ** 2:
         # Less than any model is wrong by: there is no gap that could shrink.
-        return Shrink(channel, *(rms[name] / size for name in ('nominal', 'refitted', 'after')),
+        return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
                       floor / size, 0.0, 0.0, 0.0)
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
     low, high = _interval(errors['nominal'], errors['after'])

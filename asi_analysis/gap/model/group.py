@@ -129,7 +129,9 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
                     tolerance: float = TOLERANCE) -> Group:
     """Return a group of channels that the simulator itself predicts, ready to be fitted."""
     scale = scales(recordings)
-    scale |= {'stiffness': 1.0 / scale['compliance'], 'inverse_force': 1.0 / scale['force']}
+    # Of a coupling: that with which the load's mass oscillates at 100 Hz.
+    scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
+              'inverse_force': 1.0 / scale['force']}
     count = 1 + max(recording.number for recording in recordings)
     p = for_recordings(nominal.copy(), count)
     recordings = [replace(r, valve_estimate=r.valve_position) for r in recordings]
