@@ -16,7 +16,9 @@ from random import Random
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from asi_analysis.bags.bag import read_bag, write_bag
@@ -36,6 +38,7 @@ from torture.rig import Rig, Tally
 FILES: Final = 10_000
 SAMPLES: Final = 1500
 MAP: Final = ['time=time_s', 'force=force_n', 'reference=reference_n']
+ROS_1_MAP: Final = ['force=/force_n/data', 'reference=/reference_n/data']
 # What someone may find in a text instead of a number.
 WORDS: Final = (b'', b'nan', b'1e400', b'-', b'"', b'1,5', b'-19m', b'12:00 PM', b'\xff', b'\x00',
                 b'[1, 2]', b'!!python/object:os.system', b'*a', b'2001-13-45', b'1' * 400, b'\n',
@@ -85,6 +88,7 @@ def corpus(folder: Path) -> list[Path]:
     write_bag(run, folder / 'bag')
     as_sqlite(folder / 'bag', folder / 'sqlite')
     shutil.move(next((folder / 'sqlite').glob('*.db3')), folder / 'good.db3')
+    _as_ros_1(run, folder / 'good.bag')
     savemat(folder / 'good.mat', columns, do_compression=True)
     (folder / 'good.yaml').write_text(
         'asi_actuator:\n  ros__parameters:\n    load:\n      type: spring\n      mass: 5e-1\n')
@@ -105,6 +109,17 @@ def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE
                   for each in reader.connections}
             for connection, time_ns, data in reader.messages():
                 writer.write(to[connection.topic], time_ns, data)
+
+
+def _as_ros_1(run: Run, out: Path) -> None:
+    """Write reference and force of a run as a bag of ROS 1."""
+    store, kind = get_typestore(Stores.ROS1_NOETIC), 'std_msgs/msg/Float64'
+    with rosbag1.Writer(out) as writer:
+        for name in ('reference', 'force'):
+            topic = writer.add_connection(f'/{name}_n', kind, typestore=store)
+            for time_s, value in zip(run.time_s, run.signal(name), strict=True):
+                writer.write(topic, round((100.0 + time_s) * 1e9),
+                             store.serialize_ros1(store.types[kind](value), kind))
 
 
 def damaged(data: bytes, random: Random) -> bytes:
@@ -140,7 +155,7 @@ def read(path: Path) -> None:
         return
     run = (read_bag(path.parent if path.name == 'metadata.yaml' else path)
            if path.suffix in ('.mcap', '.db3') or path.name == 'metadata.yaml'
-           else import_recording(path, MAP))
+           else import_recording(path, ROS_1_MAP if path.suffix == '.bag' else MAP))
     if len(run) > 1:
         str(analyze(run).to_dict())
 

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.typesys import Stores, get_typestore
 
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
 from asi_analysis.bags.exchange.dates import since_first
-from asi_analysis.bags.exchange.table_file import BROKEN, Table, read_table
+from asi_analysis.bags.exchange.ros1_bag import opened
+from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.exchange.units import UNITS, conversion
 from asi_analysis.bags.run import Array
 from asi_analysis.errors import InputError
@@ -277,11 +276,8 @@ def command(paths: Sequence[Path], mapping: Sequence[str], options: Mapping[str,
 
 def _bag_columns(path: Path) -> Table:
     """Return the columns of the topics of PREVIEWED types; the first joint state is the base."""
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            types = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
-    except (AnyReaderError, *BROKEN) as error:
-        raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
+    with opened(path) as reader:
+        types = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
     topics = sorted((topic for topic, type_ in types.items() if type_ in PREVIEWED),
                     key=lambda topic: PREVIEWED.index(types[topic]))
     if not topics:
