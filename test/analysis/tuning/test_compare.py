@@ -40,6 +40,12 @@ def test_figures_are_those_of_the_search(compared: Comparison) -> None:
             {'load.mass': 2.0}, controller, 2000.0)
 
 
+def test_the_reference_of_a_controller_is_not_part_of_its_figures() -> None:
+    own = {'compensator': 'lead4', 'reference.shape': 'sine', 'reference.offset': 50.0,
+           'reference.end': 0.1}
+    assert figures({}, own, 2000.0) == figures({}, CONTROLLERS['lead4'], 2000.0)
+
+
 def test_of_several_plants_the_middle_and_the_worst(compared: Comparison) -> None:
     middle = values(compared, '2 plants within 20 %, median', 'lead4')
     worst = values(compared, '2 plants within 20 %, worst', 'lead4')
