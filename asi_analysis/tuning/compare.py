@@ -30,14 +30,14 @@ from asi_analysis.tuning.overlays import recorded, simulated
 from asi_common.files import write_text
 from asi_controller.compensators import COMPENSATORS
 
-# Figures of a recording: key of `asi analyze`, text, unit, factor.
+# Figures of a recording: key of `asi analyze`, text, unit ('': of the recording), factor.
 RECORDED: Final = (
     ('settling_time_2_s', 'settling to 2 % of the step', 'ms', 1e3),
     ('overshoot_percent', 'overshoot', '%', 1.0),
-    ('steady_state_error_n', 'steady-state error', 'N', 1.0),
+    ('steady_state_error_n', 'steady-state error', '', 1.0),
     ('bandwidth_hz', 'bandwidth', 'Hz', 1.0),
     ('tracking_error_percent', 'tracking error, rms', '%', 1.0),
-    ('tracking_error_peak_n', 'largest error; of a moved piston the felt force', 'N', 1.0),
+    ('tracking_error_peak_n', 'largest error; of a moved piston the felt force', '', 1.0),
     ('impedance_real', 'real part of the impedance', 'N s/m', 1.0))
 
 
@@ -86,10 +86,11 @@ class Comparison(Result):
         if self['recordings']:
             names = [each['source'] for each in self['recordings']]
             yield Table(['', '', *names], [
-                *([text, unit, *(number(each[key] and each[key] * factor, '', 3)
+                *([text, unit, *(number(each[key] and each[key] * factor,
+                                        '' if unit else each['unit'], 3)
                                  for each in self['recordings'])]
                   for key, text, unit, factor in RECORDED),
-                ['oscillation', '', *(in_words(each['oscillation'])
+                ['oscillation', '', *(in_words(each['oscillation'], each['unit'])
                                       for each in self['recordings'])]], 'recordings', names)
 
     def _steps(self, condition: str) -> Table:
@@ -252,7 +253,7 @@ def _attacked(trials: Sequence[Trial], rates_hz: Sequence[float]) -> dict[str, A
 
 def _recording(name: str, run: Run) -> dict[str, Any]:
     analysis = analyze(run)
-    return {'source': name, 'oscillation': analysis['oscillation'],
+    return {'source': name, 'unit': analysis['unit'], 'oscillation': analysis['oscillation'],
             **{key: analysis[key] for key, *_ in RECORDED}}
 
 

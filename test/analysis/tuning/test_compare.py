@@ -11,6 +11,7 @@ from documented import problems
 import asi_analysis as asi
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis import cli
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.quench.attack import VARIED, search, with_errors
 from asi_analysis.tuning import figures as module
@@ -81,6 +82,17 @@ def test_recordings_are_analysed_as_by_analyze(compared: Comparison) -> None:
     analysis = asi.analyze(compared.runs['bag'])
     assert recording['settling_time_2_s'] == analysis.settling_time_2_s
     assert recording['oscillation'] == analysis.oscillation
+
+
+def test_a_recording_of_a_position_is_in_its_own_unit() -> None:
+    time_s = np.arange(1000) * 1e-3
+    lag = np.where(time_s < 0.1, 0.0, 0.5 - 0.5 * np.exp(-(time_s - 0.1) / 0.02))
+    run = Run(time_s, np.where(time_s < 0.1, 0.0, 0.5), position_m=lag,
+              information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    found = compare_controllers({}, {'arm': run})
+    assert '0.5 rad' in str(found) and ' N ' not in str(found).replace(' N s/m', '')
+    figure, _ = found.pictures()['recordings']
+    assert figure.axes[0].get_ylabel() == 'position (rad)' and len(figure.axes[0].lines) == 1
 
 
 def test_it_prints_draws_and_writes_what_it_found(compared: Comparison, tmp_path: Path) -> None:
