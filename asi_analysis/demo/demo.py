@@ -32,9 +32,10 @@ class Demo(Result):
             if each['analysis']['oscillation']['sustained']:
                 yield f'{each["name"]}: {in_words(each["analysis"]["oscillation"])}'
         gap = self.gap
-        put_in = (f'Put into the model, the error of the force is {gap["improved_error_n"]:.3g} N, '
-                  f'not {gap["nominal_error_n"]:.3g} N (rms)' if gap['improved_error_n'] is not None
-                  else 'There is nothing to put into the model')
+        put_in = 'There is nothing to put into the model'
+        if gap['improved_error_n'] is not None:
+            put_in = ('Put into the model, the error of the force is '
+                      f'{gap["improved_error_n"]:.3g} N, not {gap["nominal_error_n"]:.3g} N (rms)')
         yield (f'withheld effect: {gap["withheld"]}; found: {gap["verdict"]} '
                f'({100.0 * gap["probability"]:.0f} %). {put_in}')
         yield f'report: {self.report}'
