@@ -87,14 +87,15 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
     path = Path(path)
     table = (_bag_columns(path) if is_bag(path) else
              read_table(path, skip_lines, delimiter, columns))
-    values = {name: known for name in table if (known := _values(name, table, path)) is not None}
+    notes: list[str] = []
+    values = _values(table, path, notes)
     if not values:
-        raise InputError(f'{path} has no column of numbers; it has ' + ', '.join(table))
+        raise InputError(f'{path} has no column of numbers; '
+                         + ('; '.join(notes) or 'it has no column'))
     dates = {name for name in values if not np.issubdtype(table[name].dtype, np.number)
              and since_first(name, table[name], path) is not None}
     longest = max(map(len, values.values()))
     guesses = {name: _guess(name) for name, column in values.items() if len(column) == longest}
-    notes: list[str] = []
     time: str | None = None
     time_s: Array | None = None
     if is_bag(path):    # it has its own times
@@ -108,9 +109,10 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
                for name, guess in chosen.items()]
     if time_s is None and rate_hz is None:
         notes.append('no column is a time: give --rate HZ')
-    if not set(chosen) - {time}:
+    others = [name for name in values if name != time]
+    if others and not set(chosen) - {time}:
         notes.append('no name speaks for a signal: say which column is what')
-        mapping.append(f'SIGNAL={next(name for name in values if name != time)}[UNIT]')
+        mapping.append(f'SIGNAL={others[0]}[UNIT]')
     return Preview({
         'file': str(path), 'samples': longest,
         'columns': [_column(name, column, guesses.get(name), name in chosen)
@@ -121,13 +123,16 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
             'skip-lines': skip_lines, 'columns': ','.join(columns or ())})})
 
 
-def _values(name: str, table: Table, path: Path) -> Array | None:
-    """Return a column as numbers, a date as seconds; None for a text."""
-    try:
-        seconds = since_first(name, table[name], path)
-        return numbers_of(name, table[name], path) if seconds is None else seconds
-    except InputError:
-        return None
+def _values(table: Table, path: Path, notes: list[str]) -> dict[str, Array]:
+    """Return the columns of numbers, dates as seconds; the notes tell of the others."""
+    found = {}
+    for name, column in table.items():
+        try:
+            seconds = since_first(name, column, path)
+            found[name] = numbers_of(name, column, path) if seconds is None else seconds
+        except InputError as error:
+            notes.append(f'left out: {str(error).removeprefix(f"{path}: ")}')
+    return found
 
 
 def _words(name: str) -> list[str]:

@@ -69,6 +69,17 @@ def test_columns_that_say_nothing_are_left_to_the_user(tmp_path):
     assert len(found.notes) == 2
 
 
+@pytest.mark.parametrize('bad', ['err', 'inf'])
+def test_a_column_that_cannot_be_imported_is_named_with_its_row(tmp_path, bad):
+    rows = [f'{0.01 * k},{bad if k == 50 else k},{k}' for k in range(100)]
+    for count, header in ((3, 't,force_N,pos_m'), (2, 't,force_N')):
+        (tmp_path / 'log.csv').write_text('\n'.join(
+            [header, *(row.rsplit(',', 3 - count)[0] for row in rows)]))
+        found = preview(tmp_path / 'log.csv')
+        assert found.mapping == ['time=t[s]', 'position=pos_m[m]'][:count - 1]
+        assert found.notes[0].startswith('left out: column force_N, row 51: ')
+
+
 def two_files(folder: Path, offset: float = 0.0) -> list[Path]:
     return [table(folder / 'state.csv', 't,angle', T, 90.0 * T),
             table(folder / 'command.csv', 't,u', offset + T[::10], np.arange(20.0))]
