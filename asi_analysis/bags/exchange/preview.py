@@ -150,7 +150,7 @@ def _unit(name: str) -> str:
     candidates += [last] if head else []
     by_case = {unit.lower(): unit for unit in UNITS}
     for each in candidates:
-        if found and conversion(each):
+        if each in UNITS or (found and conversion(each)):
             return each
         if each.lower() in by_case and not each.isdigit():
             return by_case[each.lower()]
@@ -169,7 +169,8 @@ def _guess(name: str) -> _Guess | None:
         told = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
     if unit and told and not any(si in UNITS_OF[signal] for signal in told):
-        told = []
+        # The m of tau_m is for measured.
+        told, unit = (told, '') if unit == 'm' else ([], unit)
     if told:
         signal = next(each for each in told if not unit or si in UNITS_OF[each])
         seen = next((word for word in words if word in WORDS[signal]), words[0])

@@ -33,6 +33,9 @@ def table(path: Path, header: str, *columns: np.ndarray) -> Path:
     ('t,q,q_des,tau', ['time=t[s]', 'position=q[rad]', 'reference=q_des[rad]', 'force=tau[Nm]']),
     ('clock,supply_bar,p_set_bar,valve_V',
      ['time=clock[s]', 'pressure=supply_bar[bar]', 'reference=p_set_bar[bar]']),
+    ('t_s,force_mN,pos_MM,p_MPa', ['time=t_s[s]', 'force=force_mN[mN]', 'position=pos_MM[mm]',
+                                   'pressure=p_MPa[MPa]']),
+    ('t_s,q_deg,tau_m,note', ['time=t_s[s]', 'position=q_deg[deg]', 'force=tau_m[Nm]']),
 ])
 def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):
     found = preview(table(tmp_path / 'log.csv', header, T, np.sin(T), np.cos(T), np.ones(200)))
