@@ -39,8 +39,9 @@ TURNS: Final = frozenset('angle q theta joint torque tau moment'.split())
 PREVIEWED: Final = ('sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
                     'std_msgs/msg/Float64', 'std_msgs/msg/Float32',
                     'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/FluidPressure')
-# Of a joint state without units in its name: REP 103.
-ROS_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
+# Of a joint that turns, and of a wrench: REP 103.
+JOINT_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
+WRENCH_UNITS: Final = {'force': 'N', 'torque': 'Nm'}
 # Times since 1970 in whole units of s, ms, us and ns are above these.
 EPOCH: Final = ((1e17, 'ns'), (1e14, 'us'), (1e11, 'ms'))
 # A step between samples so many times the usual one is a gap.
@@ -159,10 +160,11 @@ def _unit(name: str) -> str:
 
 def _guess(name: str) -> _Guess | None:
     """Return the signal that the name of a column speaks for; None if it speaks for none."""
-    field, unit = name.rpartition('/')[2], _unit(name)
-    if name.startswith('/') and not unit:
-        unit = ROS_UNITS.get(field, '')
-    words = _words(name.rpartition('/')[2] if field in ROS_UNITS else name)
+    unit = _unit(name)
+    if name.startswith('/'):
+        name = re.sub('/[xyz]$', '', name)
+        unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
+    words = _words(name.rpartition('/')[2] if _of_joint(name) else name)
     told = [signal for signal, known in WORDS.items() if known & set(words)]
     motion = [signal for signal in told if signal in ('position', 'velocity', 'pressure')]
     if 'command' in told and motion:          # a commanded motion is a reference
@@ -178,6 +180,10 @@ def _guess(name: str) -> _Guess | None:
     by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
                if si in UNITS_OF[signal]]
     return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None
+
+
+def _of_joint(name: str) -> bool:
+    return name.startswith('/') and name.rpartition('/')[2] in JOINT_UNITS
 
 
 def _rises(column: Array) -> bool:
@@ -224,14 +230,18 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
             ) -> dict[str, _Guess]:
     """Return the first column of each signal with its unit; the notes tell of the others."""
     chosen: dict[str, _Guess] = {}
+    others: dict[str, list[str]] = {}
     for name, guess in guesses.items():
         if guess is None or (guess.signal == 'time') != (name == time):
             continue
         taken = next((other for other, each in chosen.items() if each.signal == guess.signal), '')
         if taken:
-            notes.append(f'{name} may be the {guess.signal} as well as {taken}')
+            others.setdefault(f'the {guess.signal} as well as {taken}', []).append(name)
             continue
         chosen[name] = guess
+    notes += [f'{", ".join(names)} may be {what}' for what, names in others.items()]
+    if any(map(_of_joint, chosen)):
+        notes.append('a joint state has no units: those of a joint that turns are assumed')
     kinds = [(conversion(each.unit) or ('',))[0] for each in chosen.values() if each.unit]
     rotary = bool({'rad', 'rad/s', 'Nm'} & set(kinds)) or (
         not {'m', 'm/s', 'N'} & set(kinds) and any(TURNS & set(_words(name)) for name in chosen))

@@ -10,6 +10,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
+import asi_analysis as asi
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.exchange.preview import preview
@@ -126,6 +127,14 @@ def test_a_reference_without_a_unit_is_asked_for(tmp_path):
     file = table(tmp_path / 'log.csv', 't,q,r', T, T, T)
     with pytest.raises(InputError, match=r'write reference=r\[rad\] if it is that of the posi'):
         import_recording(file, ['time=t', 'position=q[rad]', 'reference=r'])
+
+
+def test_the_x_of_a_wrench_is_no_position(tmp_path):
+    asi.simulate({}, {}, 0.1, out=tmp_path / 'run')
+    found = preview(tmp_path / 'run/bag')
+    assert {'reference=/force_reference/wrench/force/x[N]',
+            'command=/valve_command/wrench/force/x[N]'} <= set(found.mapping)
+    assert 'a joint state has no units: those of a joint that turns are assumed' in found.notes
 
 
 def test_a_ros_1_bag_is_read_as_a_rosbag2(tmp_path):
