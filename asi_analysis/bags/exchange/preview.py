@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
 from asi_analysis.bags.exchange.dates import since_first
@@ -292,11 +293,22 @@ def command(paths: Sequence[Path], mapping: Sequence[str], options: Mapping[str,
 
 def _bag_columns(path: Path) -> Table:
     """Return the columns of the topics of PREVIEWED types; the first joint state is the base."""
-    with opened(path) as reader:
-        types = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
+    types = _types(path)
     topics = sorted((topic for topic, type_ in types.items() if type_ in PREVIEWED),
                     key=lambda topic: PREVIEWED.index(types[topic]))
     if not topics:
         raise InputError(f'{path}: no topic of the types {", ".join(PREVIEWED)}; it has '
                          + ', '.join(f'{topic} ({type_})' for topic, type_ in types.items()))
     return read_bag_table(path, [f'{topic}/' for topic in topics])
+
+
+def _types(path: Path) -> dict[str, str]:
+    """Return the message types of the topics that have messages."""
+    try:
+        with opened(path) as reader:
+            return {each.topic: each.msgtype for each in reader.connections if each.msgcount}
+    except InputError:   # cut off, or without metadata.yaml
+        topics = {} if path.suffix == '.bag' else read_contents(path, lambda _: True).topics
+        if not any(map(len, topics.values())):
+            raise
+        return {each.name: each.type for each in topics.values() if len(each)}

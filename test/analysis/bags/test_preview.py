@@ -137,6 +137,18 @@ def test_the_x_of_a_wrench_is_no_position(tmp_path):
     assert 'a joint state has no units: those of a joint that turns are assumed' in found.notes
 
 
+def test_a_bag_that_was_cut_off_is_previewed_as_it_is_imported(tmp_path):
+    asi.simulate({}, {}, 0.1, out=tmp_path / 'run')
+    whole = preview(tmp_path / 'run/bag')
+    (tmp_path / 'run/bag/metadata.yaml').unlink()
+    data = (tmp_path / 'run/bag/bag_0.mcap').read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(data[:len(data) // 2])
+    for path, words in (('run/bag', 'no metadata.yaml'), ('cut.mcap', 'cut off')):
+        with pytest.warns(InputWarning, match=words):
+            found = preview(tmp_path / path)
+        assert found.mapping == whole.mapping and 0 < found.samples <= whole.samples
+
+
 def test_a_ros_1_bag_is_read_as_a_rosbag2(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     state, header, time, number = (store.types[name] for name in (
