@@ -16,6 +16,7 @@ from asi_analysis.measures.analysis import analyze, in_words
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, number
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import (
+    BAND_HZ,
     ROWS,
     STEP_S,
     Responses,
@@ -147,11 +148,15 @@ def compare_controllers(
     ...  if each['name'] == 'sine_error_percent']
     ['P 27 %', 'lead4 35 %']
     """
+    rates_hz, springs_n_m = list(dict.fromkeys(rates_hz)), list(dict.fromkeys(springs_n_m))
     if not rates_hz:
         raise InputError('rates: at least one control rate is needed')
     actuator = actuator or {}
     for values in controllers.values():
         stepping(actuator, values, *rates_hz)
+    if min(rates_hz) <= 2.0 * BAND_HZ[-1]:
+        raise InputError(f'rates = {min(rates_hz):g} Hz is not allowed: a gain at '
+                         f'{BAND_HZ[-1]:g} Hz needs more than {2.0 * BAND_HZ[-1]:g} Hz')
     chosen = conditions(actuator, rates_hz, springs_n_m, plants, noise_n, seed)
     rows: list[dict[str, Any]] = []
     nominal: dict[str, Responses] = {}
@@ -164,7 +169,7 @@ def compare_controllers(
         rows += [row | {'controller': name} for row in found]
     recordings = recordings or {}
     return Comparison({
-        'controllers': list(controllers), 'rates_hz': list(rates_hz), 'plants': plants,
+        'controllers': list(controllers), 'rates_hz': rates_hz, 'plants': plants,
         'noise_n': noise_n, 'figures': rows,
         'steps': [{'controller': name, **step._asdict()} for name, runs in nominal.items()
                   for step in step_figures(runs.steps, rates_hz[0])],

@@ -95,6 +95,14 @@ def test_a_recording_of_a_position_is_in_its_own_unit() -> None:
     assert figure.axes[0].get_ylabel() == 'position (rad)' and len(figure.axes[0].lines) == 1
 
 
+def test_a_condition_that_is_named_twice_is_there_once() -> None:
+    found = compare_controllers(
+        {'P': {}}, rates_hz=[1000.0, 1000.0], springs_n_m=[1e5, 1e5], plants=0, noise_n=0.0,
+        attacks=0)
+    rows = [(each['condition'], each['name']) for each in found.figures]
+    assert len(set(rows)) == len(rows)
+
+
 def test_it_prints_draws_and_writes_what_it_found(compared: Comparison, tmp_path: Path) -> None:
     assert problems(compared.to_dict(), 'asi compare') == []
     text = str(compared)
@@ -128,7 +136,7 @@ def test_command_reads_names_files_and_bags(
 
 
 @pytest.mark.parametrize('changed, said', [
-    ({'rates_hz': []}, 'rates'), ({'rates_hz': [0.0]}, 'rate'),
+    ({'rates_hz': []}, 'rates'), ({'rates_hz': [0.0]}, 'rate'), ({'rates_hz': [200.0]}, 'rates'),
     ({'springs_n_m': [-1.0]}, 'springs')])
 def test_conditions_that_are_not_allowed_are_named(changed: dict, said: str) -> None:
     with pytest.raises(InputError, match=said):
