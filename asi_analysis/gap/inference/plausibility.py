@@ -155,7 +155,7 @@ def check_motion(run: Run) -> list[str]:
 def check_origin(recording: Recording) -> list[str]:
     """Return a note if the position does not count from where the piston rests at the start."""
     origin_m = recording.origin_m
-    if origin_m is None or abs(origin_m) <= AT_REST * recording.noise['position']:
+    if origin_m is None or abs(origin_m) <= AT_REST * recording.noise.get('position', np.inf):
         return []
     return [f'{recording.source}: position_m starts at rest at {origin_m:.4g} m and counts from '
             'there; a constant force that held the load there before cannot be seen']

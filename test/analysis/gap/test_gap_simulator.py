@@ -15,6 +15,7 @@ from asi_actuator.model.actuator import (
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
+from asi_analysis.gap.answer.words import sentences
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.inference.search import explained_by_simulator
 from asi_analysis.gap.model import simulator
@@ -98,6 +99,19 @@ def test_thrust_is_told_from_the_gain_of_the_valve_with_its_size():
     assert answer['verdict'] == 'parameter:valve_characteristic.maximum_force'
     assert answer['which'][0]['parameters']['valve_characteristic_maximum_force'] == (
         pytest.approx(600.0, rel=0.02))
+
+
+def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
+    """The null hypothesis fits it too, beyond the tolerance: it is the same answer."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_characteristic.gain': 1.41})
+    answer = document(diagnose([run], nominal))
+    assert answer['verdict'] == 'parameter:valve_characteristic.gain'
+    assert answer['probability'] > 0.9 and answer['no_gap_probability'] == 0.0
+    assert answer['at_limit'] == []
+    assert 'valve_characteristic.gain is 1.41 times nominal' in sentences(answer)[0]
+    within = document(diagnose([run], nominal, tolerances={'valve_characteristic.gain': 0.6}))
+    assert within['verdict'] == 'no_gap'
 
 
 def test_an_effect_is_named_and_the_improved_model_is_the_machine():
