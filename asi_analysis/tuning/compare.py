@@ -13,6 +13,7 @@ from asi_analysis.experiments.experiment import read_parameters, stepping
 from asi_analysis.limit_cycle.quench.attack import VARIED, Trial, search, with_errors
 from asi_analysis.loop.closed_loop import Values
 from asi_analysis.measures.analysis import analyze, in_words
+from asi_analysis.measures.quality import quality_of
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, number
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import (
@@ -33,8 +34,8 @@ from asi_controller.compensators import COMPENSATORS
 
 # Figures of a recording: key of `asi analyze`, text, unit ('': of the recording), factor.
 RECORDED: Final = (
-    ('settling_time_2_s', 'settling to 2 % of the step', 'ms', 1e3),
-    ('overshoot_percent', 'overshoot', '%', 1.0),
+    ('settling_time_2_s', 'settling to 2 % of the level reached', 'ms', 1e3),
+    ('overshoot_percent', 'overshoot of the level reached', '%', 1.0),
     ('steady_state_error_n', 'steady-state error', '', 1.0),
     ('bandwidth_hz', 'bandwidth', 'Hz', 1.0),
     ('tracking_error_percent', 'tracking error, rms', '%', 1.0),
@@ -67,6 +68,7 @@ class Comparison(Result):
         yield from self.tables('{} *')
         if any(each['met'] is False for each in self['figures']):
             yield '* not what is to be reached'
+        yield from self._notes()
 
     def tables(self, missing: str) -> Iterator[Table]:
         """Yield a table of each condition, and of the recordings; missing: format of a miss."""
@@ -93,6 +95,13 @@ class Comparison(Result):
                   for key, text, unit, factor in RECORDED),
                 ['oscillation', '', *(in_words(each['oscillation'], each['unit'])
                                       for each in self['recordings'])]], 'recordings', names)
+
+    def _notes(self) -> Iterator[str]:
+        if self['figures'] and self['recordings']:
+            yield ('Settling and overshoot are about the reference in simulations, about the '
+                   'level reached in recordings.')
+        yield from (f'note: {each["source"]}: {note}' for each in self['recordings']
+                    for note in each['notes'])
 
     def _steps(self, condition: str) -> Table:
         sizes: dict[float, list[str]] = {}
@@ -174,6 +183,7 @@ def compare_controllers(
         'steps': [{'controller': name, **step._asdict()} for name, runs in nominal.items()
                   for step in step_figures(runs.steps, rates_hz[0])],
         'recordings': [_recording(name, run) for name, run in recordings.items()],
+        'quality': quality_of(list(recordings.values())),
     }, responses=nominal, runs=recordings)
 
 
@@ -258,7 +268,7 @@ def _attacked(trials: Sequence[Trial], rates_hz: Sequence[float]) -> dict[str, A
 
 def _recording(name: str, run: Run) -> dict[str, Any]:
     analysis = analyze(run)
-    return {'source': name, 'unit': analysis['unit'], 'oscillation': analysis['oscillation'],
+    return {'source': name, **{key: analysis[key] for key in ('unit', 'oscillation', 'notes')},
             **{key: analysis[key] for key, *_ in RECORDED}}
 
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,10 +104,22 @@ def test_a_condition_that_is_named_twice_is_there_once() -> None:
     assert len(set(rows)) == len(rows)
 
 
+def test_what_is_doubtful_about_a_recording_is_said() -> None:
+    run = asi.simulate({}, {'reference.amplitude': 100.0}, 0.4)
+    force = run.force_n.copy()
+    force[260:275] = np.nan
+    found = compare_controllers({}, {'holes': replace(run, force_n=force)})
+    recording, = found.recordings
+    assert recording['settling_time_2_s'] is None and recording['notes']
+    assert f'note: holes: {recording["notes"][0]}' in str(found)
+    assert f'data: {found.quality[0]["text"]}' in str(found)
+
+
 def test_it_prints_draws_and_writes_what_it_found(compared: Comparison, tmp_path: Path) -> None:
     assert problems(compared.to_dict(), 'asi compare') == []
     text = str(compared)
     assert 'lead4' in text and 'recordings' in text and '* not what' in text
+    assert 'about the reference in simulations, about the level reached in recordings' in text
     page = compared.write_report(tmp_path / 'report').read_text()
     assert page.count('<svg') == len(compared.pictures()) == 6
     compared.write_markdown(tmp_path / 'page.md', 'asi compare P')
