@@ -91,7 +91,7 @@ def compare(
     """
     Compare controllers, simulated in many conditions, and recordings.
 
-    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on both cores.
+    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on all cores.
     """
     from asi_analysis.experiments.experiment import gather
     from asi_analysis.tuning.compare import compare_controllers, read_compared
