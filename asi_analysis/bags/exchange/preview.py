@@ -13,6 +13,7 @@ from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.ros1_bag import opened
+from asi_analysis.bags.exchange.several_files import GAP
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.exchange.units import UNITS, conversion
 from asi_analysis.bags.run import Array
@@ -45,8 +46,6 @@ JOINT_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
 WRENCH_UNITS: Final = {'force': 'N', 'torque': 'Nm'}
 # Times since 1970 in whole units of s, ms, us and ns are above these.
 EPOCH: Final = ((1e17, 'ns'), (1e14, 'us'), (1e11, 'ms'))
-# A step between samples so many times the usual one is a gap.
-GAP: Final = 1.5
 
 
 class _Guess(NamedTuple):

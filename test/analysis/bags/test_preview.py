@@ -102,6 +102,13 @@ def test_a_log_in_two_files_is_joined_at_the_times_of_the_first(tmp_path):
     assert shifted.command_n.tolist() == np.repeat(np.arange(20.0), 10).tolist()
 
 
+def test_a_gap_in_another_file_is_told(tmp_path):
+    state, command = two_files(tmp_path)
+    table(command, 't,u', np.delete(T[::10], slice(5, 9)), np.arange(16.0))
+    with pytest.warns(InputWarning, match='0.1 s later, up to 0.5 s across a gap'):
+        import_recording([state, command], ['time=t', 'position=angle[deg]', 'command=u[Nm]'])
+
+
 @pytest.mark.parametrize('mapping, words', [
     (['time=t', 'position=angle[deg]', 'command=t'], 'write command=state/'),
     (['time=t', 'position=angle[deg]'], 'command.csv: no signal of it is mapped'),
