@@ -107,9 +107,9 @@ def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None 
     writer = BagWriter(path)
     try:
         _write(run, writer, run.information if information is None else information)
-    except BaseException:
+    except BaseException as error:
         # An incomplete bag would make the next call fail.
-        writer.abandon()
+        writer.abandon(error)
         shutil.rmtree(path, ignore_errors=True)
         raise
 

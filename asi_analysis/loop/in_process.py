@@ -77,8 +77,8 @@ def run_in_process(experiment: Experiment, out: Path, progress: Progress = silen
     except KeyboardInterrupt:
         writer.close()
         raise
-    except BaseException:
-        writer.abandon()
+    except BaseException as error:
+        writer.abandon(error)
         raise
     if recorder.ended:
         raise RunFailedError('the actuator ended in a fault, the valve command is 0: '
