@@ -102,7 +102,7 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
     if is_bag(path):    # it has its own times
         time_s = values.pop('time')
         guesses.pop('time')
-    else:
+    elif rate_hz is None:
         time = _time(values, dates, guesses, notes)
         time_s = _seconds(values, time, guesses)
     chosen = _chosen(guesses, notes, time)
@@ -114,14 +114,14 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
     if others and not set(chosen) - {time}:
         notes.append('no name speaks for a signal: say which column is what')
         mapping.append(f'SIGNAL={others[0]}[UNIT]')
+    options = {'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
+               'skip-lines': skip_lines, 'columns': ','.join(columns or ())}
     return Preview({
         'file': str(path), 'samples': longest,
         'columns': [_column(name, column, guesses.get(name), name in chosen)
                     for name, column in values.items()],
         **_times(time_s, rate_hz, longest), 'mapping': mapping, 'notes': notes,
-        'command': command([path], mapping, {
-            'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
-            'skip-lines': skip_lines, 'columns': ','.join(columns or ())})})
+        'command': command([path], mapping, options)}, options=options)
 
 
 def _values(table: Table, path: Path, notes: list[str]) -> dict[str, Array]:

@@ -67,6 +67,20 @@ def test_the_printed_command_imports_the_file(tmp_path, monkeypatch):
     assert problems(Previews.of([preview('log.csv')]).to_dict(), 'asi import FILE') == []
 
 
+def test_the_printed_command_has_the_options_that_the_files_were_read_with(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, column in (('a', 'force_N'), ('b', 'u_V')):
+        rows = '\n'.join(f'{0.01 * k},{k}' for k in range(50))
+        Path(f'{name}.csv').write_text(f'remark,1\nanother,2\nt_s,{column}\n{rows}\n')
+    for call in (['a.csv', '--skip-lines', '2', '--rate', '100'],
+                 ['a.csv', 'b.csv', '--skip-lines', '2']):
+        printed = CliRunner().invoke(app, ['import', *call]).stdout
+        command = shlex.split(printed.splitlines()[-1].removeprefix('to import: '))
+        assert command[command.index('--skip-lines') + 1] == '2'
+        done = CliRunner().invoke(app, [*command[1:-1], f'bag_{len(call)}_{call[1]}'])
+        assert done.exit_code == 0, done.exception
+
+
 def test_columns_that_say_nothing_are_left_to_the_user(tmp_path):
     found = preview(table(tmp_path / 'log.csv', 'a,b', np.cos(T), np.sin(T)))
     assert 'SIGNAL=a[UNIT]' in found.command and '--rate HZ' in found.command
