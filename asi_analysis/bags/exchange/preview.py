@@ -35,6 +35,10 @@ WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for 
 # A unit that was not told, for each signal.
 ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
                   'pressure': 'Pa', 'position': 'm'}
+# Signals that may be controlled.
+OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
+# Units that are the whole name of a column.
+WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
 # Words that speak for a joint that turns.
 TURNS: Final = frozenset('angle q theta joint torque tau moment'.split())
 # Message types of which a preview is made; the columns of any other can be mapped too.
@@ -146,9 +150,9 @@ def _unit(name: str) -> str:
     """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' if none is."""
     found = re.search(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$', name)
     candidates = [found[1]] if found else []
-    head, _, last = name.rpartition('_')
+    head, _, last = name.replace(' ', '_').rpartition('_')
     candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
-    candidates += [last] if head else []
+    candidates += [last] if head or last in WHOLE else []
     by_case = {unit.lower(): unit for unit in UNITS}
     for each in candidates:
         if each in UNITS or (found and conversion(each)):
@@ -171,8 +175,8 @@ def _guess(name: str) -> _Guess | None:
         told = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
     if unit and told and not any(si in UNITS_OF[signal] for signal in told):
-        # The m of tau_m is for measured.
-        told, unit = (told, '') if unit == 'm' else ([], unit)
+        # The m of tau_m is for measured, and u_in is an input.
+        told, unit = (told, '') if unit in ('m', 'in') else ([], unit)
     if told:
         signal = next(each for each in told if not unit or si in UNITS_OF[each])
         seen = next((word for word in words if word in WORDS[signal]), words[0])
@@ -252,9 +256,9 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
         if rotary:
             unit = {'m': 'rad', 'm/s': 'rad/s', 'N': 'Nm'}.get(unit, unit)
         if guess.signal == 'reference':
+            named = [each for each in OUTPUTS if WORDS[each] & set(_words(name))] or OUTPUTS
             unit = next((chosen[other].unit or ASSUMED[chosen[other].signal] for other in chosen
-                         if chosen[other].signal in ('position', 'velocity', 'pressure', 'force')),
-                        'N')
+                         if chosen[other].signal in named), unit or 'N')
         notes.append(f'{name} has no unit: {unit} is assumed')
         chosen[name] = guess._replace(unit=unit)
     return chosen

@@ -36,6 +36,12 @@ def table(path: Path, header: str, *columns: np.ndarray) -> Path:
      ['time=clock[s]', 'pressure=supply_bar[bar]', 'reference=p_set_bar[bar]']),
     ('t_s,force_mN,pos_MM,p_MPa', ['time=t_s[s]', 'force=force_mN[mN]', 'position=pos_MM[mm]',
                                    'pressure=p_MPa[MPa]']),
+    ('t_s,Position [°],posRef,rpm', ['time=t_s[s]', 'position=Position [°][°]',
+                                     'reference=posRef[°]', 'velocity=rpm[rpm]']),
+    ('t_s,force kN,pos mm,posRef', ['time=t_s[s]', 'force=force kN[kN]', 'position=pos mm[mm]',
+                                    'reference=posRef[mm]']),
+    ('t_s,u_in,x_ft,force', ['time=t_s[s]', 'command=u_in[N]', 'position=x_ft[ft]',
+                             'force=force[N]']),
     ('t_s,q_deg,tau_m,note', ['time=t_s[s]', 'position=q_deg[deg]', 'force=tau_m[Nm]']),
 ])
 def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):
