@@ -5,6 +5,7 @@ A traceback is a failure; and so is a figure that differs from that of the undam
 nothing says that anything is wrong. `make test` tries a few hundred, `make torture` ten thousand.
 """
 
+import contextlib
 import gzip
 import math
 import shutil
@@ -25,6 +26,7 @@ from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import read_parameters
@@ -149,10 +151,13 @@ def damaged(data: bytes, random: Random) -> bytes:
 
 
 def read(path: Path) -> None:
-    """Read a file as its name says, and analyse it. Raises what a user would see."""
+    """Preview and read a file as its name says, and analyse it. Raises what a user would see."""
     if path.suffix == '.yaml' and path.name != 'metadata.yaml':
         read_parameters(path, 'actuator')
         return
+    if path.suffix not in ('.mcap', '.db3', '.yaml'):
+        with contextlib.suppress(InputError):
+            str(preview(path))
     run = (read_bag(path.parent if path.name == 'metadata.yaml' else path)
            if path.suffix in ('.mcap', '.db3') or path.name == 'metadata.yaml'
            else import_recording(path, ROS_1_MAP if path.suffix == '.bag' else MAP))
