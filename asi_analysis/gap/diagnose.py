@@ -14,7 +14,6 @@ from asi_analysis.gap.answer.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_o
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import localisation, plausibility
-from asi_analysis.gap.inference.beyond_tolerance import with_null_named
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
@@ -165,9 +164,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     for note in notes:   # before the checks, since they may explain why one fails
         warnings.warn(note, InputWarning, stacklevel=2)
     weighed = None
-    if simulated and (found := explained_by_simulator(simulated, tick)):
-        weighed = [with_null_named(each, lambda field: own.get(field, tolerance))
-                   for each in found]
+    if simulated:
+        weighed = explained_by_simulator(simulated, tick)
     if weighed is None:
         for group in groups:
             if plant == 'actuator':

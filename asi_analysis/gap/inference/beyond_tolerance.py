@@ -1,31 +1,28 @@
 """A nominal model that only fits with a parameter beyond its tolerance is not `no_gap`."""
 
-from collections.abc import Callable
-
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import Effect, Variant
 from asi_analysis.gap.model.group import Group
 
 
-def with_null_named(weighed: Weighed, tolerance: Callable[[str], float]) -> Weighed:
+def with_null_named(weighed: Weighed) -> Weighed:
     """
     Return a group whose null hypothesis keeps to the tolerances: its normal priors do not.
 
     Where the 95 % interval of a nominal parameter of the null fit lies beyond its tolerance, what
-    is fitted is the hypothesis of that parameter: it takes over the fit and its probability.
-    tolerance: of a field.
+    was fitted is the hypothesis of that parameter: it takes over the fit and its probability.
     """
     null, group, chance = weighed.candidates[()], weighed.group, weighed.probability
     if chance[()] == 0.0 or not null.fitted.at_limit:
         return weighed
-    found: dict[str, Variant] = {}
-    known = likelihood(null.fitted)
-    for field in null.fitted.at_limit:
-        nominal = float(null.fitted.problem.group.nominal[field])
-        low, high = (end / nominal - 1.0 for end in interval(null.fitted, known, field))
-        if low > tolerance(field) or high < -tolerance(field):
-            effect, variant = _of_the_field(group, field)
+    known, found = likelihood(null.fitted), dict[str, Variant]()
+    for free in null.fitted.free:
+        nominal = float(group.nominal[free.field])
+        if free.field in null.fitted.at_limit and all(
+                abs(end / nominal - 1.0) > 2.0 * free.prior
+                for end in interval(null.fitted, known, free.field)):
+            effect, variant = _of_the_field(group, free.field)
             found[effect.name] = variant
     names = tuple(sorted(found))
     if not names:

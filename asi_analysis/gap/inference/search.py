@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.gap.inference.beyond_tolerance import with_null_named
 from asi_analysis.gap.inference.fit import Fitted, independent_samples
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
@@ -92,7 +93,7 @@ def _explained(group: Group, tick: Callable[[], None]) -> Weighed | None:
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
     weighed = Weighed(found[()].problem.group, candidates, _probabilities(group, found))
-    return None if _left(found[_most_probable(weighed).names]) else weighed
+    return None if _left(found[_most_probable(weighed).names]) else with_null_named(weighed)
 
 
 def _rivals(valve: Weighed) -> Iterator[Weighed]:
@@ -270,8 +271,10 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
         starts = [found.best.theta, _with_shared(found, leader)]
         theta = min(starts, key=lambda each: float(np.sum(found.problem.residual(each) ** 2)))
         goal = leader.best.cost + REACH
-        best = most_probable(replace(found.problem, pool=None), theta, goal=goal)
-        return _converged(found._replace(best=best), goal)
+        # Within a thread of the pool nothing may wait for another one: all could wait.
+        alone = replace(found.problem, pool=None)
+        best = most_probable(alone, theta, goal=goal)
+        return _converged(found._replace(problem=alone, best=best), goal)
 
     for found in problem.each(polished, rivals[:POLISHED]):
         fits[found.names] = found
