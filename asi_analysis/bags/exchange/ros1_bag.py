@@ -51,7 +51,7 @@ def read_ros1_table(path: Path, columns: Sequence[str]) -> Table:
         if not one.stamp_ns.any():
             warnings.warn(f'{path}: {name} has no stamps: its time is that at which it was '
                           'recorded', InputWarning, stacklevel=3)
-    base = time_base(series[wanted[0]])
+    base = time_base(series[wanted[0]], str(path))
     table: Table = {'time': (base.stamp_ns - base.stamp_ns[0]) / 1e9}
     for name, one in series.items():
         for field, values in one.values.items():
