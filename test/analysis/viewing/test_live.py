@@ -22,8 +22,9 @@ from asi_actuator.model.effects import EFFECT
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.errors import InputError
 from asi_analysis.viewing import page as live
-from asi_analysis.viewing.recent import drawn
+from asi_analysis.viewing.recent import Recent, Taken, drawn
 from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
+from asi_common.node import messages as wire
 from asi_common.node.ros_parameters import descriptor
 from asi_controller.parameters import CONTROLLER_NODE_PARAMETERS, REFERENCE_PARAMETERS
 
@@ -142,6 +143,16 @@ def test_a_slider_has_the_range_of_the_parameter() -> None:
     assert Scale(-1.0, 1.0, False, False).value(0.25) == -0.5
     assert (typed('8', 1.0), typed('8', 1), typed('fast', 1.0), typed('8', 'a')) == (
         8.0, 8, 'fast', '8')
+
+
+def test_a_loop_that_began_again_is_shown_from_there_on() -> None:
+    recent = Recent()
+    for stamps in ([5, 6, 7], [8, 9, 1, 2], [3, 4]):   # ms
+        recent.add('joint_states', [
+            Taken(wire.state(stamp * 10**6, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0)[0], 0, 0)
+            for stamp in stamps])
+    run = recent.run(1.0)
+    assert run is not None and run.signal('position').tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
 def test_fewer_points_keep_the_size_of_an_oscillation() -> None:
