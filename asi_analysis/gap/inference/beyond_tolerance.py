@@ -22,7 +22,7 @@ def with_null_named(weighed: Weighed) -> Weighed:
         if free.field in null.fitted.at_limit and all(
                 abs(end / nominal - 1.0) > 2.0 * free.prior
                 for end in interval(null.fitted, known, free.field)):
-            effect, variant = _of_the_field(group, free.field)
+            effect, variant = form_of(group, free.field)
             found[effect.name] = variant
     names = tuple(sorted(found))
     if not names:
@@ -35,7 +35,8 @@ def with_null_named(weighed: Weighed) -> Weighed:
         (): 0.0, names: chance.get(names, 0.0) + chance[()]})
 
 
-def _of_the_field(group: Group, field: str) -> tuple[Effect, Variant]:
-    """Return the effect, and its form, that frees one nominal parameter alone."""
-    return next((effect, variant) for effect in group.effects for variant in effect.variants
-                if [free.field for free in variant.free] == [field])
+def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
+    """Return the effect, and its form, that frees a nominal parameter with the fewest others."""
+    return min(((effect, variant) for effect in group.effects for variant in effect.variants
+                if field in {free.field for free in variant.free}),
+               key=lambda found: len(found[1].free))

@@ -133,7 +133,7 @@ def _most_probable(weighed: Weighed) -> Candidate:
 
 def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
-    group = replace(group, effects=(*group.effects, *_parameter_errors(group)))
+    group = replace(group, effects=(*group.effects, *parameter_errors(group)))
     problem = Posterior(group, group.nuisance)
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
@@ -153,7 +153,7 @@ def _left(found: Found) -> bool:
     return bool(np.any(left > MARGIN + NOISE_ERROR / math.sqrt(samples)))
 
 
-def _parameter_errors(group: Group) -> list[Effect]:
+def parameter_errors(group: Group) -> list[Effect]:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
     held = {free.field for effect in group.effects for variant in effect.variants
             for free in variant.free}
