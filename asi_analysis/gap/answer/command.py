@@ -13,7 +13,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
 from asi_analysis.gap.answer.result import Gap
-from asi_analysis.gap.answer.words import DOTTED, UNITS, percent, signal_of, unit_of
+from asi_analysis.gap.answer.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.model.group import TOLERANCE
@@ -139,7 +139,7 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
         if channel == 'load':
             p = diagnosis.best(weighed).fitted.record
             notes.append('nominal joint: ' + ', '.join(
-                f'{words} {p[field]:.3g} {unit_of(UNITS[field], channel, run, True)} '
+                f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, True))} '
                 f'({"near the given one" if DOTTED[field] in values else "identified"})'
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
                 ) + ', and a constant force')

@@ -6,6 +6,7 @@ from typing import Any, Final
 from asi_analysis.gap.answer.words import (
     between,
     chance,
+    digits,
     in_words,
     percent,
     shrink_in_words,
@@ -87,7 +88,7 @@ def _of_the_loop(row: Mapping[str, Any]) -> list[str]:
     name, unit = QUANTITIES[row['quantity']]
 
     def shown(value: float | None) -> str:
-        return '-' if value is None else f'{value:.3g} {unit}'.rstrip()
+        return '-' if value is None else digits(value, unit)
 
     improved = (shown(row['improved']) if row['improved_low'] is None else between(
         row['improved'], row['improved_low'], row['improved_high'], unit))

@@ -42,6 +42,7 @@ UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
 DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
 LEAST_SHARE: Final = 0.05   # of the gap, for a block to be named
+NARROW: Final = 0.02   # share of a value: a smaller interval is shown as ±
 
 
 def in_words(name: str, joint: bool) -> str:
@@ -98,12 +99,16 @@ def chance(probability: float) -> str:
     return percent(probability)
 
 
+def digits(value: float, unit: str = '') -> str:
+    """Return a value with three significant digits and its unit."""
+    return f'{f"{value:#.3g}".rstrip(".")} {unit}'.rstrip()
+
+
 def between(value: float, low: float, high: float, unit: str = '') -> str:
-    """Return a value with its interval, or with ± where three digits do not show the interval."""
-    shown = f'{value:.3g} {unit}'.rstrip()
-    if f'{low:.3g}' == f'{high:.3g}' and value != 0.0:
-        return f'{shown} ± {50.0 * (high - low) / abs(value):.1g} %'
-    return f'{shown} ({low:.3g} to {high:.3g})'
+    """Return a value with its interval; with ± where three digits hardly show that."""
+    if high - low < NARROW * abs(value):
+        return f'{digits(value, unit)} ± {50.0 * (high - low) / abs(value):.1g} %'
+    return f'{digits(value, unit)} ({digits(low)} to {digits(high)})'
 
 
 def shrink_in_words(row: Mapping[str, Any]) -> str:
@@ -122,7 +127,7 @@ def size_in_words(row: Mapping[str, Any], field: str) -> str:
         SIZES.get(plain) or DOTTED[plain], f' in recording {recording}' if recording else '', ' ',
         between(value, row['parameters_low'][field], row['parameters_high'][field],
                 row['units'][field]),
-        f', {value / nominal:.3g} times nominal' if nominal is not None else '',
+        f', {digits(value / nominal)} times nominal' if nominal is not None else '',
         ', at the limit of its range' if field in row['at_limit'] else ''))
 
 
@@ -148,8 +153,8 @@ def _named(name: str, answer: Mapping[str, Any], joint: bool) -> str:
 def sentences(answer: Mapping[str, Any]) -> list[str]:
     """Return what was found, how far the gap shrinks, and what is doubtful or next."""
     joint = answer['plant'] == 'joint'
-    limits = ', '.join(f'{row["parameter"]} ({row["value"]:.3g} {row["unit"]}, '
-                       f'{row["value"] / row["nominal"]:.3g} times nominal)'
+    limits = ', '.join(f'{row["parameter"]} ({digits(row["value"], row["unit"])}, '
+                       f'{digits(row["value"] / row["nominal"])} times nominal)'
                        for row in answer['at_limit'])
     rest = [_together(verdict, joint) for verdict in answer['ambiguity_set']
             if verdict != answer['verdict']]

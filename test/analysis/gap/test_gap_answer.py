@@ -108,8 +108,9 @@ def test_words_of_a_joint_have_no_valve():
 
 
 @pytest.mark.parametrize(('value', 'low', 'high', 'text'), [
-    (1.41, 1.38, 1.45, '1.41 m (1.38 to 1.45)'), (2e-4, 1.9996e-4, 2.0004e-4, '0.0002 m ± 0.02 %'),
-    (-3.0, -4.0, -2.0, '-3 m (-4 to -2)'), (0.0, 0.0, 0.0, '0 m (0 to 0)')])
+    (1.41, 1.38, 1.45, '1.41 m (1.38 to 1.45)'), (150.0, 0.0, 1e4, '150 m (0.00 to 1.00e+04)'),
+    (-30.0, -40.0, -20.0, '-30.0 m (-40.0 to -20.0)'),
+    (2e-4, 1.9996e-4, 2.0004e-4, '0.000200 m ± 0.02 %')])
 def test_a_size_has_three_digits_and_its_interval(value, low, high, text):
     assert between(value, low, high, 'm') == text
 
