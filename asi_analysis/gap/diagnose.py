@@ -150,8 +150,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     uncertain = sorted({DOTTED[free.field] for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'})
     for name in tolerances.keys() - set(uncertain):
-        raise InputError(f'--tolerance {name}: no uncertain parameter of the nominal model, which '
-                         f'are {", ".join(uncertain) or "none"}')
+        raise InputError(f'--tolerance {name}: no uncertain parameter of the nominal model; '
+                         f'uncertain are: {", ".join(uncertain) or "none"}')
     groups, simulated = ([with_tolerances(group, own) for group in each]
                          for each in (groups, simulated))
     steps, done = 4 * sum(len(group.effects) for group in groups), 0

@@ -31,7 +31,7 @@ SIZES: Final = {
     'supply_sag': 'share lost with the valve open', 'leakage_linear': 'share lost',
     'leakage_quadratic': 'share lost at the largest force', 'air_time': 'time at no force',
     'friction_level': 'sliding friction', 'friction_asymmetry': 'asymmetry',
-    'friction_breakaway': 'breakaway over sliding friction, less 1', 'viscous': 'damping',
+    'friction_breakaway': 'share more to break away', 'viscous': 'damping',
     'viscous_asymmetry': 'asymmetry of the viscous friction', 'backlash': 'half width of the gap',
     'compliance': 'compliance', 'disturbance': 'constant', 'disturbance_wave': 'wave',
     'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',
