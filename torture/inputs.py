@@ -5,6 +5,7 @@ A traceback is a failure; and so is a figure that differs from that of the undam
 nothing says that anything is wrong. `make test` tries a few hundred, `make torture` ten thousand.
 """
 
+import contextlib
 import gzip
 import math
 import shutil
@@ -16,13 +17,16 @@ from random import Random
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import read_parameters
@@ -36,6 +40,7 @@ from torture.rig import Rig, Tally
 FILES: Final = 10_000
 SAMPLES: Final = 1500
 MAP: Final = ['time=time_s', 'force=force_n', 'reference=reference_n']
+ROS_1_MAP: Final = ['force=/force_n/data', 'reference=/reference_n/data']
 # What someone may find in a text instead of a number.
 WORDS: Final = (b'', b'nan', b'1e400', b'-', b'"', b'1,5', b'-19m', b'12:00 PM', b'\xff', b'\x00',
                 b'[1, 2]', b'!!python/object:os.system', b'*a', b'2001-13-45', b'1' * 400, b'\n',
@@ -85,6 +90,7 @@ def corpus(folder: Path) -> list[Path]:
     write_bag(run, folder / 'bag')
     as_sqlite(folder / 'bag', folder / 'sqlite')
     shutil.move(next((folder / 'sqlite').glob('*.db3')), folder / 'good.db3')
+    _as_ros_1(run, folder / 'good.bag')
     savemat(folder / 'good.mat', columns, do_compression=True)
     (folder / 'good.yaml').write_text(
         'asi_actuator:\n  ros__parameters:\n    load:\n      type: spring\n      mass: 5e-1\n')
@@ -105,6 +111,17 @@ def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE
                   for each in reader.connections}
             for connection, time_ns, data in reader.messages():
                 writer.write(to[connection.topic], time_ns, data)
+
+
+def _as_ros_1(run: Run, out: Path) -> None:
+    """Write reference and force of a run as a bag of ROS 1."""
+    store, kind = get_typestore(Stores.ROS1_NOETIC), 'std_msgs/msg/Float64'
+    with rosbag1.Writer(out) as writer:
+        for name in ('reference', 'force'):
+            topic = writer.add_connection(f'/{name}_n', kind, typestore=store)
+            for time_s, value in zip(run.time_s, run.signal(name), strict=True):
+                writer.write(topic, round((100.0 + time_s) * 1e9),
+                             store.serialize_ros1(store.types[kind](value), kind))
 
 
 def damaged(data: bytes, random: Random) -> bytes:
@@ -134,13 +151,16 @@ def damaged(data: bytes, random: Random) -> bytes:
 
 
 def read(path: Path) -> None:
-    """Read a file as its name says, and analyse it. Raises what a user would see."""
+    """Preview and read a file as its name says, and analyse it. Raises what a user would see."""
     if path.suffix == '.yaml' and path.name != 'metadata.yaml':
         read_parameters(path, 'actuator')
         return
+    if path.suffix not in ('.mcap', '.db3', '.yaml'):
+        with contextlib.suppress(InputError):
+            str(preview(path))
     run = (read_bag(path.parent if path.name == 'metadata.yaml' else path)
            if path.suffix in ('.mcap', '.db3') or path.name == 'metadata.yaml'
-           else import_recording(path, MAP))
+           else import_recording(path, ROS_1_MAP if path.suffix == '.bag' else MAP))
     if len(run) > 1:
         str(analyze(run).to_dict())
 

@@ -44,6 +44,7 @@ VALUES: Final = (
 TEXTS: Final = {'steps': ('{}', '100,{}'), 'rates': ('{}', '5000,{}'),
                 'springs': ('{}', '1e5,{}'),
                 'over': ('controller.gain={}', 'controller.gain=1:{}:3', 'load.mass=1:2:{}'),
+                'tolerance': ('{}', 'load.mass={}'),
                 'front': ('load.mass={}', 'load.mass=0.5,{}'),
                 'map_': ('reference=force_n*{}', 'reference=force_n+{}', 'reference=force_n[{}]')}
 # What a call needs to be complete, and soon over where a value is accepted.

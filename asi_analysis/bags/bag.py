@@ -30,6 +30,9 @@ DIAGNOSTICS: Final = 'diagnostics'
 DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 # End of the name of the status of a state (asi_common/node/diagnostics.py, which imports rclpy).
 STATE: Final = ': state'
+# A message may come so many messages late, and so many stamps may be wrong.
+MOST_LATE: Final = 10
+MOST_WRONG: Final = 2
 BLOCK_SAMPLES: Final = 20_000
 
 
@@ -107,9 +110,9 @@ def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None 
     writer = BagWriter(path)
     try:
         _write(run, writer, run.information if information is None else information)
-    except BaseException:
+    except BaseException as error:
         # An incomplete bag would make the next call fail.
-        writer.abandon()
+        writer.abandon(error)
         shutil.rmtree(path, ignore_errors=True)
         raise
 
@@ -203,7 +206,7 @@ def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]
               information: dict[str, Any]) -> Run:
     """Return the run: the topics aligned to one time base."""
     base = time_base(next(series[name] for name in (*TIME_BASES, *SIGNAL_TOPICS)
-                          if name in series))
+                          if name in series), source)
     signals: dict[str, Any] = {}
     for signal in SIGNALS:
         for topic in SIGNAL_TOPICS.values():
@@ -227,9 +230,21 @@ def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]
     return replace(Run(time_s, source=source, information=information, states=states), **signals)
 
 
-def time_base(series: Series) -> Series:
-    """Return the time base of a run: unique stamps, or times of publication without stamps."""
+def time_base(series: Series, source: str) -> Series:
+    """
+    Return the time base of a run: unique stamps, or times of publication without stamps.
+
+    Raises InputError for a clock that was set back: messages of two times would be mixed.
+    """
     ticks = series.stamp_ns if series.stamp_ns.any() else series.publish_ns
+    steps = np.diff(ticks)
+    if (steps < 0).any():
+        places = np.argsort(ticks, kind='stable') - np.arange(len(ticks))
+        if np.sum(np.abs(places) > MOST_LATE) > MOST_WRONG:
+            k = int(np.argmin(steps))
+            raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
+                             f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: record what comes before and '
+                             'after as bags of their own')
     ticks, first = np.unique(ticks, return_index=True)
     return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
 

@@ -256,8 +256,10 @@ class BagWriter:
                               sort_keys=False)
         write_text(self._directory / 'metadata.yaml', text)
 
-    def abandon(self) -> None:
-        """Close the file after an error; it can be read up to the last complete chunk."""
+    def abandon(self, error: BaseException | None = None) -> None:
+        """Close the file after an error, which gets its name if it has none; it can be read."""
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(self._directory)
         with suppress(OSError):
             self._file.close()
 

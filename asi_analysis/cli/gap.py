@@ -47,8 +47,9 @@ def gap(
         help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
     held_out: Annotated[list[Path] | None, typer.Option(
         help='A recording of the validation set, not fitted; may be repeated')] = None,
-    tolerance: Annotated[float, typer.Option(
-        help='Tolerance of the nominal parameters, as a share')] = 0.2,
+    tolerance: Annotated[list[str] | None, typer.Option(
+        metavar='SHARE|NAME=SHARE', help='Tolerance of the nominal parameters, as a share '
+        '(default: 0.2), or of one, such as load.mass=0.5; may be repeated')] = None,
     drive: Annotated[Literal['force', 'position'] | None, typer.Option(
         help='Kind of drive of a joint; default: detected from the signals')] = None,
     report: Annotated[Path | None, typer.Option(
@@ -58,12 +59,13 @@ def gap(
 ) -> None:
     """Find where and why recordings differ from the simulator, and how far the gap shrinks."""
     from asi_analysis.bags.bag import read_bag
-    from asi_analysis.gap.answer.command import diagnose
+    from asi_analysis.gap.answer.command import diagnose, parse_tolerances
+    usual, own = parse_tolerances(tolerance or [])
     with bar() as progress:
         progress('reading', None)
         result = diagnose([read_bag(bag) for bag in bags], model, plant,
-                          [read_bag(bag) for bag in held_out or []], tolerance, drive,
-                          progress, set_ or [])
+                          [read_bag(bag) for bag in held_out or []], usual, drive,
+                          progress, set_ or [], own)
         if report:
             progress('report', None)
             result.write_report(report)

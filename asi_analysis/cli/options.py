@@ -32,6 +32,16 @@ def directory(path: Path | None) -> Path | None:
     return path
 
 
+def new_file(path: Path | None) -> Path | None:
+    """Return a file to write; raises InputError before hours of computing if it cannot be."""
+    if path is not None and (path.is_dir() or not path.parent.is_dir()):
+        raise InputError(f'{path} cannot be written: '
+                         + (f'{path} is a directory' if path.is_dir() else
+                            f'{path.parent} is not a directory'))
+    directory(path and path.parent)
+    return path
+
+
 def checked_step(step_n: float | None) -> float | None:
     """Return the step of --step; raises InputError if the reference does not take it."""
     if step_n is not None:

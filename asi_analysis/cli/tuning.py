@@ -21,6 +21,7 @@ from asi_analysis.cli.options import (
     checked_step,
     command,
     directory,
+    new_file,
     numbers,
     show,
 )
@@ -83,14 +84,14 @@ def compare(
     seed: Annotated[int, typer.Option(
         help='Seed of plants and attack', min=0, max=MOST_SEED)] = 1,
     markdown: Annotated[Path | None, typer.Option(
-        help='File for the tables as Markdown')] = None,
+        callback=new_file, help='File for the tables as Markdown')] = None,
     report: Report = None,
     as_json: Json = False,
 ) -> None:
     """
     Compare controllers, simulated in many conditions, and recordings.
 
-    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on both cores.
+    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on all cores.
     """
     from asi_analysis.experiments.experiment import gather
     from asi_analysis.tuning.compare import compare_controllers, read_compared
@@ -125,7 +126,8 @@ def sweep(
     actuator: ParameterFile = None,
     controller: ParameterFile = None,
     set_: Settings = None,
-    csv: Annotated[Path | None, typer.Option(help='CSV file to write the table to')] = None,
+    csv: Annotated[Path | None, typer.Option(
+        callback=new_file, help='CSV file to write the table to')] = None,
     bags: Annotated[Path | None, typer.Option(
         callback=directory, help='Directory for a bag of each run, that of `asi run`')] = None,
     jobs: Jobs = 1,

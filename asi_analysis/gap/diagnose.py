@@ -2,18 +2,19 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.gap.answer.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_of, unit_of
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import localisation, plausibility
-from asi_analysis.gap.inference.fit import Fitted
+from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
 from asi_analysis.gap.inference.search import explained_by_simulator
@@ -24,8 +25,14 @@ from asi_analysis.gap.inference.uncertainty import (
     interval,
     likelihood,
 )
-from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
-from asi_analysis.gap.model.group import TOLERANCE, Group, Values, make_group, simulator_group
+from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN, Free, block_of
+from asi_analysis.gap.model.group import (
+    TOLERANCE,
+    Group,
+    make_group,
+    simulator_group,
+    with_tolerances,
+)
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import by_simulator, simulator_record
@@ -37,9 +44,17 @@ from asi_common.record import field_name
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result. joined: probability of each set of effects; shrinks: by channel."""
+    """
+    The result.
 
-    sources: list[str]
+    tolerance: of the nominal parameters; tolerances: other ones, by field; joined: probability of
+    each set of effects; shrinks: by channel.
+    """
+
+    runs: Sequence[Run]
+    plant: str
+    tolerance: float
+    tolerances: Mapping[str, float]
     groups: list[Weighed]
     joined: dict[Names, float]
     verdict: Names                 # () for no gap, ('unknown',) if it holds that
@@ -111,13 +126,15 @@ def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tole
 
 def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actuator',
              tolerance: float = TOLERANCE, held_out: Sequence[bool] | None = None,
-             drive: str | None = None, report: Progress = silent) -> Diagnosis:
+             drive: str | None = None, report: Progress = silent,
+             tolerances: Mapping[str, float] = MappingProxyType({})) -> Diagnosis:
     """
     Return where recordings differ from their nominal model, why, and by how much a fit helps.
 
     runs: one or more; model: the nominal parameters; plant: 'actuator' or 'joint'; tolerance of
     the nominal parameters, as a share; held_out: which runs are used for validation only;
-    drive: of a joint, 'force' or 'position'; None: found from the signals.
+    drive: of a joint, 'force' or 'position'; None: found from the signals; tolerances: of single
+    parameters, by dotted name.
     Raises InputError for recordings that cannot be diagnosed; `notes` holds the warnings.
     """
     out = list(held_out) if held_out is not None else [False] * len(runs)
@@ -127,6 +144,16 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     else:
         groups, notes = actuator_groups(runs, model, tolerance, out)
     notes = [note for run in runs for note in plausibility.check_signals(run)] + notes
+    own = {field_name(name): share for name, share in tolerances.items()}
+    simulated = (simulated_groups(groups, model, tolerance)
+                 if plant == 'actuator' and by_simulator(model) and len(groups) == 2 else [])
+    uncertain = sorted({DOTTED[free.field] for group in (*groups, *simulated)
+                        for free in group.nuisance if free.scale == 'nominal'})
+    for name in tolerances.keys() - set(uncertain):
+        raise InputError(f'--tolerance {name}: no uncertain parameter of the nominal model; '
+                         f'uncertain are: {", ".join(uncertain) or "none"}')
+    groups, simulated = ([with_tolerances(group, own) for group in each]
+                         for each in (groups, simulated))
     steps, done = 4 * sum(len(group.effects) for group in groups), 0
 
     def tick() -> None:
@@ -137,8 +164,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     for note in notes:   # before the checks, since they may explain why one fails
         warnings.warn(note, InputWarning, stacklevel=2)
     weighed = None
-    if plant == 'actuator' and by_simulator(model) and len(groups) == 2:
-        weighed = explained_by_simulator(simulated_groups(groups, model, tolerance), tick)
+    if simulated:
+        weighed = explained_by_simulator(simulated, tick)
     if weighed is None:
         for group in groups:
             if plant == 'actuator':
@@ -147,10 +174,10 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
                     notes.append(note)
             else:
                 plausibility.check_joint(group)
-        weighed = weigh_groups(groups, tolerance, tick)
+        weighed = weigh_groups(groups, tick)
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
-    answer = Diagnosis([run.source for run in runs], weighed, joined, verdict, [], notes, None,
+    answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None)
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
                          answer.best(w).fitted.record)
@@ -169,7 +196,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         # With refitted parameters: a difference within their tolerance is no gap.
         chain = localisation.along_the_chain(groups[0], groups[1], *(
             w.candidates[()].fitted.record for w in weighed))
-    return Diagnosis(answer.sources, weighed, joined, verdict, shrinks, notes, experiment, chain)
+    return replace(answer, shrinks=shrinks, next_experiment=experiment, chain=chain)
 
 
 def _missing(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
@@ -195,8 +222,8 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
     return max([shrink for shrink in shown if shrink.channel in named] or shown, key=explained)
 
 
-def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:
-    """Return the fit of the best hypothesis that holds an effect, and the effect's fields."""
+def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]] | None:
+    """Return the fit of the best hypothesis that holds an effect, and the effect's parameters."""
     # An effect of several groups of channels is told by the one that is surest of it.
     for weighed in sorted(diagnosis.groups, reverse=True,
                           key=lambda w: marginals(w.probability).get(name, 0.0)):
@@ -206,36 +233,60 @@ def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, set[str]] | None:
             chosen = own if name in own.names else max(
                 holding, key=lambda c: weighed.probability.get(c.names, 0.0))
             effect = next(e for e in weighed.group.effects if e.name == name)
-            return chosen.fitted, {free.field for variant in effect.variants
-                                   if variant in chosen.variants for free in variant.free}
+            return chosen.fitted, tuple(free for variant in effect.variants
+                                        if variant in chosen.variants for free in variant.free)
     return None
 
 
-def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Values]]:
-    """Return the fitted parameters of effects, and the ends of their intervals, by effect."""
+def nominal_of(group: Group) -> np.void:
+    """Return the nominal record as it was given."""
+    return group.nominal if group.given is None else group.given
+
+
+def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the fitted parameters of effects, by effect: values, intervals, units, limits."""
     known: dict[int, Likelihood] = {}   # shared by all effects of a hypothesis
-    sizes = {}
+    sizes: dict[str, dict[str, Any]] = {}
     for name in names:
-        fitted, fields = _holding(diagnosis, name) or (None, set())
-        if fitted is not None and id(fitted) not in known:
+        row: dict[str, Any] = {key: {} for key in (
+            'parameters', 'parameters_low', 'parameters_high', 'units', 'nominal', 'tolerance')}
+        sizes[name] = row | {'at_limit': []}
+        fitted, frees = _holding(diagnosis, name) or (None, ())
+        if fitted is None:
+            continue
+        if id(fitted) not in known:
             known[id(fitted)] = likelihood(fitted)
-        shown = [] if fitted is None else [
-            (field, value, *interval(fitted, known[id(fitted)], field))
-            for field, value in fitted.values.items() if field in fields]
-        sizes[name] = {'parameters': {field: value for field, value, _, _ in shown},
-                       'parameters_low': {field: low for field, _, low, _ in shown},
-                       'parameters_high': {field: high for field, _, _, high in shown}}
+        group = fitted.problem.group
+        of_the_effect = {free.field: free for free in frees}
+        for free, share in zip(fitted.free, fitted.theta, strict=True):
+            if (field := free.field) not in of_the_effect:
+                continue
+            row['parameters'][field] = fitted.values[field]
+            row['parameters_low'][field], row['parameters_high'][field] = interval(
+                fitted, known[id(fitted)], field)
+            own = of_the_effect[field]
+            row['units'][field] = unit_of(
+                own.unit or UNITS.get(field, UNIT_OF_SCALE.get(own.scale, '')), group.channels[0],
+                diagnosis.runs[0], diagnosis.plant == 'joint')
+            if own.scale == 'nominal':
+                row['nominal'][field] = float(nominal_of(group)[field])
+                row['tolerance'][field] = diagnosis.tolerances.get(field, diagnosis.tolerance)
+            if share > 1.0 - AT_LIMIT or (share < AT_LIMIT and free.low != 0.0):
+                sizes[name]['at_limit'].append(field)
     return sizes
 
 
 def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Return the nominal parameters at a limit of their tolerance in the fit of the verdict."""
-    dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
-    return [{'parameter': dotted[field], 'channel': weighed.group.channels[-1],
-             'value': float(fitted.record[field]), 'nominal': float(weighed.group.nominal[field]),
+    return [{'parameter': DOTTED[field], 'channel': weighed.group.channels[-1],
+             'value': float(best.fitted.record[field]),
+             'nominal': float(weighed.group.nominal[field]),
+             'unit': unit_of(UNITS[field], weighed.group.channels[-1], diagnosis.runs[0],
+                             diagnosis.plant == 'joint'),
              'limit': limit}
-            for weighed in diagnosis.groups for fitted in [diagnosis.best(weighed).fitted]
-            for field, limit in at_limit(fitted).items()]
+            for weighed in diagnosis.groups for best in [diagnosis.best(weighed)]
+            for field, limit in at_limit(best.fitted).items()
+            if field not in {free.field for variant in best.variants for free in variant.free}]
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -252,6 +303,13 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
              for name in listed]
     ambiguous = ambiguity_set(diagnosis.joined)
     main = main_shrink(diagnosis)
+    errors = {shrink.channel: {
+        'channel': shrink.channel, 'signal': signal_of(shrink.channel, diagnosis.runs[0],
+                                                       diagnosis.plant == 'joint'),
+        'before_nrmse': shrink.nominal, 'refitted_nrmse': shrink.refitted,
+        'after_nrmse': shrink.after, 'noise_floor_nrmse': shrink.noise_floor,
+        'shrink': shrink.shrink, 'shrink_low': shrink.low, 'shrink_high': shrink.high}
+        for shrink in diagnosis.shrinks}
     weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)
     best = diagnosis.best(weighed).fitted.record
     regimes = localisation.by_regime(weighed.group, main.channel,
@@ -261,82 +319,24 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         unexplained = localisation.in_words(
             regimes, localisation.dependence(weighed.group, main.channel, best))
     return {
-        'verdict': hypothesis_name(diagnosis.verdict),
+        'verdict': hypothesis_name(diagnosis.verdict), 'plant': diagnosis.plant,
         'probability': diagnosis.joined[diagnosis.verdict],
         'where': [{'block': block, 'share': share}
                   for block, share in localisation.by_block(diagnosis.groups).items()],
         'which': which,
         'no_gap_probability': chance[NO_GAP], 'unknown_probability': chance[UNKNOWN],
         'ambiguity_set': [hypothesis_name(names) for names in ambiguous],
-        'gap': {'before_nrmse': main.nominal, 'refitted_nrmse': main.refitted,
-                'after_nrmse': main.after, 'noise_floor_nrmse': main.noise_floor,
-                'shrink': main.shrink, 'shrink_low': main.low, 'shrink_high': main.high,
-                'channel': main.channel},
-        'channels': [{'channel': s.channel, 'before_nrmse': s.nominal,
-                      'refitted_nrmse': s.refitted, 'after_nrmse': s.after,
-                      'noise_floor_nrmse': s.noise_floor, 'shrink': s.shrink,
-                      'shrink_low': s.low, 'shrink_high': s.high}
-                     for s in diagnosis.shrinks],
+        'gap': errors[main.channel], 'channels': list(errors.values()),
         'chain': diagnosis.chain,
         'regimes': [regime._asdict() for regime in regimes],
         'unexplained': unexplained,
         'consequences': [],
         'next_experiment': diagnosis.next_experiment, 'at_limit': _at_limit(diagnosis),
-        'notes': diagnosis.notes, 'sources': diagnosis.sources,
+        'notes': diagnosis.notes, 'sources': [run.source for run in diagnosis.runs],
         'nuisance': {weighed.group.channels[-1]: {
             free.field: float(diagnosis.best(weighed).fitted.record[free.field])
             for free in weighed.group.nuisance} for weighed in diagnosis.groups},
     }
-
-
-def _in_words(name: str, answer: Mapping[str, Any]) -> str:
-    """Return the name of an effect; of a parameter beyond its tolerance its value too."""
-    if not name.startswith(PARAMETER):
-        return name
-    found = next(row for row in answer['which'] if row['effect'] == name)
-    (field, value), = found['parameters'].items()
-    return (f'{name.removeprefix(PARAMETER)} is {value:.3g} ({found["parameters_low"][field]:.3g} '
-            f'to {found["parameters_high"][field]:.3g}), beyond its tolerance')
-
-
-def sentences(answer: Mapping[str, Any]) -> list[str]:
-    """Return the verdict in three sentences, from the document."""
-    verdict, gap = answer['verdict'], answer['gap']
-    sure = f'{100 * answer["probability"]:.0f} %'
-    if verdict == NO_GAP:
-        first = f'No gap beyond noise and the tolerance of the model ({sure}).'
-    elif UNKNOWN in verdict.split('+'):
-        first = (f'There is a gap in the {answer["where"][0]["block"]} that no effect of the '
-                 f'vocabulary explains ({sure}).')
-    else:
-        names = verdict.split('+')
-        blocks = dict.fromkeys(str(block_of(name)) for name in names)
-        first = (f'The gap lies in the {" and the ".join(blocks)}: '
-                 f'{" and ".join(_in_words(name, answer) for name in names)} ({sure}).')
-    second = (f'On samples used for nothing else the error of the {gap["channel"]} falls from '
-              f'{100 * gap["before_nrmse"]:.1f} % to {100 * gap["after_nrmse"]:.1f} % of the '
-              f'signal (shrink {gap["shrink"]:.2f}, 95 % interval {gap["shrink_low"]:.2f} to '
-              f'{gap["shrink_high"]:.2f} for another recording of this kind; noise '
-              f'{100 * gap["noise_floor_nrmse"]:.1f} %).')
-    if verdict == NO_GAP:
-        second = (f'The error of the {gap["channel"]} is {100 * gap["before_nrmse"]:.1f} % of the '
-                  f'signal, and {100 * gap["refitted_nrmse"]:.1f} % with the parameters refitted '
-                  f'within their tolerance; noise alone makes '
-                  f'{100 * gap["noise_floor_nrmse"]:.1f} %.')
-    rest = [name for name in answer['ambiguity_set'] if name != verdict]
-    third = ('Nothing else explains it nearly as well.' if not rest else
-             f'It could also be {" or ".join(rest)}.')
-    if answer['at_limit']:
-        limits = ', '.join(f'{row["parameter"]} ({row["value"]:.3g}, '
-                           f'{row["value"] / row["nominal"]:.3g} times nominal)'
-                           for row in answer['at_limit'])
-        third = (f'At the limit of the tolerance: {limits}. If the real value lies beyond it, '
-                 f'the verdict may be wrong. {third}')
-    if UNKNOWN in verdict.split('+') and answer['unexplained']:
-        third = f'{answer["unexplained"]} {third}'
-    if answer['next_experiment']:
-        third += f' What next: {answer["next_experiment"]["advice"]}.'
-    return [first, second, third]
 
 
 def plain(value: Any) -> Any:

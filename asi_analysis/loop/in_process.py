@@ -77,8 +77,8 @@ def run_in_process(experiment: Experiment, out: Path, progress: Progress = silen
     except KeyboardInterrupt:
         writer.close()
         raise
-    except BaseException:
-        writer.abandon()
+    except BaseException as error:
+        writer.abandon(error)
         raise
     if recorder.ended:
         raise RunFailedError('the actuator ended in a fault, the valve command is 0: '
@@ -125,6 +125,27 @@ def _safety(experiment: Experiment) -> Safety:
     return Safety(values, 1.0 / rate_hz, State.ENABLED, lambda: None)
 
 
+def fault_of(experiment: Experiment, run: LoopRun) -> str:
+    """Return why the actuator's node would shut its valve in this run of the loop; '' if not."""
+    safety = _safety(experiment)
+    _applied(safety, run, 0.0)
+    return safety.reason
+
+
+def _applied(safety: Safety, piece: LoopRun, before_n: float) -> Array:
+    """Return the command (N) that the actuator has had before each tick, up to a fault."""
+    applied_n = []
+    for command_n, force, valve, position, velocity in zip(
+            [before_n, *piece.command_n[:-1].tolist()], piece.force_n.tolist(),
+            piece.valve_position_m.tolist(), piece.position_m.tolist(),
+            piece.velocity_m_s.tolist(), strict=True):
+        applied_n.append(safety.command(command_n))
+        safety.watch_state((force, valve, position, velocity), 1)
+        if not safety.enabled:
+            break
+    return np.array(applied_n)
+
+
 class _Recorder:
     """Writes a run as the recorder of `asi run` does, until the safety logic trips."""
 
@@ -141,7 +162,7 @@ class _Recorder:
 
     def write(self, piece: LoopRun) -> None:
         """Write the messages of the next ticks; up to a fault, after which none may follow."""
-        applied_n = self._applied(piece)
+        applied_n = _applied(self._safety, piece, self._command_n)
         piece = LoopRun(*(column[:len(applied_n)] for column in piece))
         stamps = np.round((np.arange(len(applied_n)) + self.ticks + 1) * 1e9
                           / self._rate_hz).astype(np.int64)
@@ -159,19 +180,6 @@ class _Recorder:
         self.ticks += len(stamps)
         if self.ended and self.ticks > 1:
             self._write_state(int(stamps[-1]), State.FAULT, self._safety.reason)
-
-    def _applied(self, piece: LoopRun) -> Array:
-        """Return the command (N) that the actuator has had before each tick, up to a fault."""
-        safety, applied_n = self._safety, []
-        for command_n, force, valve, position, velocity in zip(
-                [self._command_n, *piece.command_n[:-1].tolist()], piece.force_n.tolist(),
-                piece.valve_position_m.tolist(), piece.position_m.tolist(),
-                piece.velocity_m_s.tolist(), strict=True):
-            applied_n.append(safety.command(command_n))
-            safety.watch_state((force, valve, position, velocity), 1)
-            if not safety.enabled:
-                break
-        return np.array(applied_n)
 
     def _begin(self, messages: Messages) -> Messages:
         """Write the first tick, in which each topic is added with its message; return the rest."""

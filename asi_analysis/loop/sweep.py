@@ -4,6 +4,7 @@ import csv
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,8 +14,8 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import TABLES, Experiment, parse_setting, planned
 from asi_analysis.experiments.running import RunFailedError
-from asi_analysis.loop.closed_loop import Values, close_many, loops_of
-from asi_analysis.loop.in_process import run_in_process
+from asi_analysis.loop.closed_loop import LoopRun, Values, close_many, loops_of
+from asi_analysis.loop.in_process import fault_of, run_in_process
 from asi_analysis.measures.step_response import step_response
 from asi_analysis.parallel import each
 from asi_analysis.reporting.result import Result, Table, frame, number
@@ -45,7 +46,10 @@ class Sweep(Result):
             [*map(str, run['values'].values()),
              *(number(run[key], '', 3) for key in COLUMNS.values())] for run in self.runs],
             right=list(COLUMNS))
-        yield from (f'note: {run["bag"]}: {run["fault"]}' for run in self.runs if run['fault'])
+        yield from (f'note: run {number}: the valve is shut, because {run["fault"]}'
+                    for number, run in enumerate(self.runs, 1) if run['fault'])
+        if any(run['values'].get('controller.gain') == 0.0 for run in self.runs):
+            yield "note: controller.gain = 0 is the compensator's own gain"
 
     def to_frame(self) -> Any:
         return frame(self.table())
@@ -154,26 +158,30 @@ def _figures(experiments: Sequence[Experiment], out: Path | None, number: int
                                   [one.controller for one in experiments], rate_hz),
                          experiments[0].duration_s)
     time_s = np.arange(signals.shape[2]) / rate_hz
-    return [{**_measured(Run(time_s, *each_)), **_bag(experiment, out, number + k)}
-            for k, (experiment, each_) in enumerate(zip(experiments, signals, strict=True))]
+    found = []
+    for k, (experiment, each_) in enumerate(zip(experiments, signals, strict=True)):
+        run = LoopRun(time_s, *each_)
+        fault = fault_of(experiment, run) or None
+        found.append({**_measured(Run(*run), fault), 'bag': _bag(experiment, out, number + k),
+                      'fault': fault})
+    return found
 
 
-def _measured(run: Run) -> dict[str, Any]:
-    """Return the figures of the largest step, and the ripple that is left at the end."""
-    assert run.force_n is not None
-    if not np.isfinite(run.force_n).all():
+def _measured(run: Run, fault: str | None) -> dict[str, Any]:
+    """Return the figures of the largest step, and the ripple at the end; None after a fault."""
+    if fault:
         return dict.fromkeys((*FIGURES, 'ripple_n'))
+    assert run.force_n is not None
     step = step_response(run)
     return {**{key: step[key] for key in FIGURES},
             'ripple_n': round(float(run.force_n[-max(len(run) // 5, 1):].std()), 9)}
 
 
-def _bag(experiment: Experiment, out: Path | None, number: int) -> dict[str, str | None]:
-    """Write the bag of an experiment; return where it is, and the fault that ended it."""
+def _bag(experiment: Experiment, out: Path | None, number: int) -> str | None:
+    """Write the bag of an experiment, up to a fault; return where it is."""
     if out is None:
-        return {'bag': None, 'fault': None}
+        return None
     folder = out / f'{number:05d}'
-    try:
-        return {'bag': str(run_in_process(experiment, folder)), 'fault': None}
-    except RunFailedError as error:
-        return {'bag': str(folder / 'bag'), 'fault': str(error)}
+    with suppress(RunFailedError):
+        run_in_process(experiment, folder)
+    return str(folder / 'bag')

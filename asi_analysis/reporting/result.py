@@ -145,7 +145,8 @@ def as_html(parts: Iterator[str | Table]) -> str:
 def _html_table(table: Table) -> str:
     def row(tag: str, cells: Sequence[str]) -> str:
         return '<tr>' + ''.join(
-            f'<{tag} style="text-align: {"right" if name in table.right else "left"}">'
+            f'<{tag} style="text-align: '
+            f'{"right; white-space: nowrap" if name in table.right else "left"}">'
             f'{html.escape(cell)}</{tag}>'
             for name, cell in zip(table.columns, cells, strict=True)) + '</tr>'
 

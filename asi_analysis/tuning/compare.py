@@ -13,9 +13,11 @@ from asi_analysis.experiments.experiment import read_parameters, stepping
 from asi_analysis.limit_cycle.quench.attack import VARIED, Trial, search, with_errors
 from asi_analysis.loop.closed_loop import Values
 from asi_analysis.measures.analysis import analyze, in_words
+from asi_analysis.measures.quality import quality_of
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, number
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import (
+    BAND_HZ,
     ROWS,
     STEP_S,
     Responses,
@@ -30,14 +32,14 @@ from asi_analysis.tuning.overlays import recorded, simulated
 from asi_common.files import write_text
 from asi_controller.compensators import COMPENSATORS
 
-# Figures of a recording: key of `asi analyze`, text, unit, factor.
+# Figures of a recording: key of `asi analyze`, text, unit ('': of the recording), factor.
 RECORDED: Final = (
-    ('settling_time_2_s', 'settling to 2 % of the step', 'ms', 1e3),
-    ('overshoot_percent', 'overshoot', '%', 1.0),
-    ('steady_state_error_n', 'steady-state error', 'N', 1.0),
+    ('settling_time_2_s', 'settling to 2 % of the level reached', 'ms', 1e3),
+    ('overshoot_percent', 'overshoot of the level reached', '%', 1.0),
+    ('steady_state_error_n', 'steady-state error', '', 1.0),
     ('bandwidth_hz', 'bandwidth', 'Hz', 1.0),
     ('tracking_error_percent', 'tracking error, rms', '%', 1.0),
-    ('tracking_error_peak_n', 'largest error; of a moved piston the felt force', 'N', 1.0),
+    ('tracking_error_peak_n', 'largest error; of a moved piston the felt force', '', 1.0),
     ('impedance_real', 'real part of the impedance', 'N s/m', 1.0))
 
 
@@ -66,6 +68,7 @@ class Comparison(Result):
         yield from self.tables('{} *')
         if any(each['met'] is False for each in self['figures']):
             yield '* not what is to be reached'
+        yield from self._notes()
 
     def tables(self, missing: str) -> Iterator[Table]:
         """Yield a table of each condition, and of the recordings; missing: format of a miss."""
@@ -86,11 +89,19 @@ class Comparison(Result):
         if self['recordings']:
             names = [each['source'] for each in self['recordings']]
             yield Table(['', '', *names], [
-                *([text, unit, *(number(each[key] and each[key] * factor, '', 3)
+                *([text, unit, *(number(each[key] and each[key] * factor,
+                                        '' if unit else each['unit'], 3)
                                  for each in self['recordings'])]
                   for key, text, unit, factor in RECORDED),
-                ['oscillation', '', *(in_words(each['oscillation'])
+                ['oscillation', '', *(in_words(each['oscillation'], each['unit'])
                                       for each in self['recordings'])]], 'recordings', names)
+
+    def _notes(self) -> Iterator[str]:
+        if self['figures'] and self['recordings']:
+            yield ('Settling and overshoot are about the reference in simulations, about the '
+                   'level reached in recordings.')
+        yield from (f'note: {each["source"]}: {note}' for each in self['recordings']
+                    for note in each['notes'])
 
     def _steps(self, condition: str) -> Table:
         sizes: dict[float, list[str]] = {}
@@ -146,11 +157,15 @@ def compare_controllers(
     ...  if each['name'] == 'sine_error_percent']
     ['P 27 %', 'lead4 35 %']
     """
+    rates_hz, springs_n_m = list(dict.fromkeys(rates_hz)), list(dict.fromkeys(springs_n_m))
     if not rates_hz:
         raise InputError('rates: at least one control rate is needed')
     actuator = actuator or {}
     for values in controllers.values():
         stepping(actuator, values, *rates_hz)
+    if min(rates_hz) <= 2.0 * BAND_HZ[-1]:
+        raise InputError(f'rates = {min(rates_hz):g} Hz is not allowed: a gain at '
+                         f'{BAND_HZ[-1]:g} Hz needs more than {2.0 * BAND_HZ[-1]:g} Hz')
     chosen = conditions(actuator, rates_hz, springs_n_m, plants, noise_n, seed)
     rows: list[dict[str, Any]] = []
     nominal: dict[str, Responses] = {}
@@ -163,11 +178,12 @@ def compare_controllers(
         rows += [row | {'controller': name} for row in found]
     recordings = recordings or {}
     return Comparison({
-        'controllers': list(controllers), 'rates_hz': list(rates_hz), 'plants': plants,
+        'controllers': list(controllers), 'rates_hz': rates_hz, 'plants': plants,
         'noise_n': noise_n, 'figures': rows,
         'steps': [{'controller': name, **step._asdict()} for name, runs in nominal.items()
                   for step in step_figures(runs.steps, rates_hz[0])],
         'recordings': [_recording(name, run) for name, run in recordings.items()],
+        'quality': quality_of(list(recordings.values())),
     }, responses=nominal, runs=recordings)
 
 
@@ -252,7 +268,7 @@ def _attacked(trials: Sequence[Trial], rates_hz: Sequence[float]) -> dict[str, A
 
 def _recording(name: str, run: Run) -> dict[str, Any]:
     analysis = analyze(run)
-    return {'source': name, 'oscillation': analysis['oscillation'],
+    return {'source': name, **{key: analysis[key] for key in ('unit', 'oscillation', 'notes')},
             **{key: analysis[key] for key, *_ in RECORDED}}
 
 

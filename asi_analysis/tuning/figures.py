@@ -75,7 +75,9 @@ class Responses(NamedTuple):
 
 
 def _references(controller: Values, shape: str, **settings: float) -> dict[str, Any]:
-    return {**controller, 'reference.shape': shape, 'reference.start': BEFORE_S,
+    # The controller's own reference may have an offset, or an end.
+    own = {name: value for name, value in controller.items() if not name.startswith('reference.')}
+    return {**own, 'reference.shape': shape, 'reference.start': BEFORE_S,
             **{f'reference.{name}': value for name, value in settings.items()}}
 
 

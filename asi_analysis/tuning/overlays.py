@@ -63,13 +63,14 @@ def _step(found: Mapping[str, Responses], number: int, size: float, rate_hz: flo
 
 
 def recorded(runs: Mapping[str, Run]) -> Pictures:
-    """Return the forces of recordings over each other, each from its largest step on."""
-    lines: Lines = {}
+    """Return what recordings control over each other, each from its largest step on."""
+    lines: dict[str, Lines] = {}
     for name, run in runs.items():
-        if run.force_n is not None:
-            steps = step_response(run).steps if run.reference_n is not None else []
-            largest = max(steps, key=lambda step: abs(step['final_n'] - step['initial_n']),
-                          default={'time_s': 0.0})
-            lines[name] = run.time_s - largest['time_s'], run.force_n
-    return {'recordings': (overlays([Panel('Recordings', 'time after the step (s)', 'force (N)',
-                                           lines)]), 'Forces of the recordings')}
+        steps = step_response(run).steps
+        largest = max(steps, key=lambda step: abs(step['final_n'] - step['initial_n']),
+                      default={'time_s': 0.0})
+        output = run.output()
+        lines.setdefault(f'{output} ({run.unit(output)})', {})[name] = (
+            run.time_s - largest['time_s'], run.signal(output))
+    return {'recordings': (overlays([Panel('Recordings', 'time after the step (s)', *each)
+                                     for each in lines.items()]), 'Recordings')}

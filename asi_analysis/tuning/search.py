@@ -96,7 +96,7 @@ def left(conditions: Sequence[Condition], actuator: Values, controller: Values) 
     gain, delay = MARGIN
     table = defaults(ACTUATOR_PARAMETERS)
     total = 0.0
-    every = [condition.settings(RATES_HZ) for condition in conditions]
+    every = [condition.settings(RATES_HZ, actuator) for condition in conditions]
     for rate in {each['rate_hz'] for each in every}:
         chosen = [each for each in every if each['rate_hz'] == rate]
         actuators = [{**table, **actuator, **each['actuator']} for each in chosen]

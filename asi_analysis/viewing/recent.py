@@ -41,7 +41,7 @@ class Recent:
         topic = Topic(name, TOPICS[name].type)
         for each in taken:
             topic.add(0, each.publish_ns, each.data)
-        part = decode(topic)
+        part = _since_start(decode(topic))
         with self._lock:
             if name == 'joint_states':
                 numbers = np.array([self._number or taken[0].number - 1,
@@ -86,6 +86,13 @@ class Recent:
         if wall_s <= 0.0:
             return 0.0, 0.0
         return (len(stamps) - 1) / wall_s, (stamps[-1] - stamps[0]) * 1e-9 / wall_s
+
+
+def _since_start(part: Series) -> Series:
+    """Return a part from the last time on at which the stamps go back: the loop began again."""
+    k = int(np.append(np.flatnonzero(np.diff(part.stamp_ns) < 0), -1).max()) + 1
+    return Series(part.stamp_ns[k:], part.publish_ns[k:],
+                  {name: values[k:] for name, values in part.values.items()})
 
 
 def _joined(parts: Sequence[Series]) -> Series:

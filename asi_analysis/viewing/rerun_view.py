@@ -9,17 +9,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy import signal
 
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.bags.run import SIGNALS, Array, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.analysis import analyze
 
 TIME: Final = 'time'
 BLUE, ORANGE = 0x0072b2ff, 0xd55e00ff
-# Title of a view over time -> its signals of a `Run`, each with factor and colour.
-VIEWS: Final = {'force (N)': {'force': (1.0, BLUE), 'reference': (1.0, ORANGE)},
-                'valve command (N)': {'command': (1.0, BLUE)},
-                'valve position (µm)': {'valve_position': (1e6, BLUE)},
-                'velocity of the piston (m/s)': {'velocity': (1.0, BLUE)}}
 # A loop is drawn this wide and high, in a view whose two scales are the same.
 WIDTH, HEIGHT = 160.0, 100.0
 # Most places of the point that shows where on a loop the time cursor is.
@@ -33,22 +28,21 @@ def view(run: Run, out: Path | None) -> str:
 
     Raises InputError if no signal of the run can be shown.
     """
+    known = {name for name, values in run.signals().items() if np.isfinite(values).any()}
+    if not known:
+        raise InputError(f'{run.source}: none of its signals can be shown')
     views: list[Any] = []
     stream = rr.RecordingStream('asi view')
     stream.log('summary', rr.TextDocument(_summary(run), media_type='text/markdown'), static=True)
-    for title, curves in VIEWS.items():
-        known = [name for name in curves if name in run.signals()]
-        for name in known:
-            factor, colour = curves[name]
+    for title, names in _views(run, known).items():
+        for name, colour in zip(names, (BLUE, ORANGE), strict=False):
+            factor = 1e6 if name == 'valve_position' else 1.0
             _curve(stream, name, run.time_s, factor * run.signal(name), colour)
-        if known:
-            views.append(rrb.TimeSeriesView(contents=[f'/{name}' for name in known], name=title))
-    if not views:
-        raise InputError(f'{run.source}: none of its signals can be shown')
+        views.append(rrb.TimeSeriesView(contents=[f'/{name}' for name in names], name=title))
     views_of_all = [_loop(stream, f'plane/{number}', title, run.time_s, x, y) for number, (
         title, (x, y)) in enumerate(_planes(run).items())]
-    if run.force_n is not None:
-        views_of_all.append(_spectrum(stream, run.force_n, run.period_s))
+    if (output := run.output()) in known:
+        views_of_all.append(_spectrum(stream, run, output))
     views_of_all.append(rrb.TextDocumentView(origin='summary', name='asi analyze'))
     blueprint = rrb.Blueprint(
         rrb.Horizontal(rrb.Vertical(*views), rrb.Vertical(*views_of_all), column_shares=[3, 2]),
@@ -69,6 +63,17 @@ def _summary(run: Run) -> str:
         return str(error)
 
 
+def _views(run: Run, known: set[str]) -> dict[str, list[str]]:
+    """Return the signals of each view over time by its title; the reference is in one with its."""
+    views = {}
+    for name in (row.name for row in SIGNALS if row.name in known):
+        beside = ['reference'] if 'reference' in known and name == run.controlled() else []
+        if name != 'reference' or run.controlled() not in known:
+            unit = 'µm' if name == 'valve_position' else run.unit(name)
+            views[f'{name.replace("_", " ")} ({unit})'] = [name, *beside]
+    return views
+
+
 def _curve(stream: rr.RecordingStream, path: str, time_s: Array, values: Array, colour: int
            ) -> None:
     known = ~np.isnan(values)
@@ -81,12 +86,13 @@ def _planes(run: Run) -> Mapping[str, tuple[Array, Array]]:
     """Return the loops that are drawn: their horizontal and vertical signals, by title."""
     planes = {}
     if run.command_n is not None and run.valve_position_m is not None:
-        planes['valve position (µm) against valve command (N)'] = (
+        planes[f'valve position (µm) against command ({run.unit("command")})'] = (
             run.command_n, 1e6 * run.valve_position_m)
     if run.force_n is not None and len(run) > 1:
-        planes['force rate (kN/s) against force (N)'] = (
+        unit = run.unit('force')
+        planes[f'force rate (k{unit}/s) against force ({unit})'] = (
             run.force_n, 1e-3 * np.gradient(run.force_n, run.time_s))
-    return planes
+    return {title: (x, y) for title, (x, y) in planes.items() if np.isfinite(x + y).any()}
 
 
 def _loop(stream: rr.RecordingStream, path: str, title: str, time_s: Array, x: Array, y: Array
@@ -108,13 +114,14 @@ def _loop(stream: rr.RecordingStream, path: str, title: str, time_s: Array, x: A
     return rrb.Spatial2DView(origin=path, name=f'{title}: {texts[1]} against {texts[0]}')
 
 
-def _spectrum(stream: rr.RecordingStream, force_n: Array, period_s: float) -> Any:
-    """Log the amplitude of the force over the frequency, by a flat-top window."""
-    values = np.nan_to_num(force_n - np.nanmean(force_n))
+def _spectrum(stream: rr.RecordingStream, run: Run, name: str) -> Any:
+    """Log the amplitude of a signal over the frequency, by a flat-top window."""
+    values = np.nan_to_num(run.signal(name) - np.nanmean(run.signal(name)))
     window = signal.windows.flattop(len(values))
     amplitude = 2.0 * np.abs(np.fft.rfft(window * values)) / window.sum()
-    frequency = np.fft.rfftfreq(len(values), period_s)
+    frequency = np.fft.rfftfreq(len(values), run.period_s)
     shown = frequency <= MOST_HZ
     stream.log('spectrum', rr.BarChart(amplitude[shown], abscissa=frequency[shown], color=BLUE),
                static=True)
-    return rrb.BarChartView(origin='spectrum', name='amplitude of the force (N) over Hz')
+    return rrb.BarChartView(origin='spectrum',
+                            name=f'amplitude of the {name} ({run.unit(name)}) over Hz')

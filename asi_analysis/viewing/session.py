@@ -73,8 +73,9 @@ class Session:
     async def step(self, to_n: float) -> None:
         """Have the reference step from where it is."""
         run = self.link.recent.run(0.1)
-        known = run.reference_n if run is not None else None
-        from_n = float(known[~np.isnan(known)][-1]) if known is not None else 0.0
+        from_n = 0.0
+        if run is not None and run.reference_n is not None:
+            from_n = float(np.append(0.0, run.reference_n[np.isfinite(run.reference_n)])[-1])
         values = {'reference.shape': 'step', 'reference.offset': from_n,
                   'reference.amplitude': to_n - from_n}
         await self.link.set(CONTROLLER, values)

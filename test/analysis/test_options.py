@@ -1,8 +1,12 @@
 """A few hundred odd values of the numbers that commands take; `make torture` tries thousands."""
 
+import sys
 from random import Random
 
-from torture.options import clean, material, numbers, problem_before_computing
+import pytest
+
+from asi_analysis import cli
+from torture.options import accepted_only, clean, material, numbers, problem_before_computing
 
 
 def test_an_odd_number_is_accepted_or_refused_in_one_line(tmp_path, monkeypatch):
@@ -25,3 +29,16 @@ def test_every_number_of_a_command_is_found():
     assert {('run', '--gain'), ('run', '--duration'), ('run', 'load.mass'), ('predict', '--steps'),
             ('quench', '--rates'), ('quench', 'reference.amplitude'), ('gap of', '--tolerance'),
             ('gap check', '--jobs'), ('import', '--map'), ('tune', '--seed')} <= known
+
+
+@pytest.mark.parametrize('call', [
+    ('sweep', '--over', 'controller.gain=1', '--csv'), ('compare', 'lead4', '--markdown')])
+@pytest.mark.parametrize('file', ['.', 'nowhere/file', 'there/file'])
+def test_a_file_that_cannot_be_written_is_refused_before_the_computation(
+        call, file, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'there').write_text('')
+    monkeypatch.setattr(sys, 'argv', ['asi', *call, file])
+    with accepted_only():
+        assert cli.main() == 2
+    assert capsys.readouterr().err.startswith(f'asi: {file} cannot be written: ')

@@ -51,7 +51,7 @@ def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
     if first is None:
         raise InputError(f'{path}: no message of a topic is mapped, as SIGNAL=TOPIC/FIELD or '
                          'SIGNAL=TOPIC/JOINT/FIELD; it has ' + ', '.join(present))
-    base = time_base(series[first])
+    base = time_base(series[first], str(path))
     table: Table = {'time': (base.stamp_ns - base.stamp_ns[0]) / 1e9}
     for name, one in series.items():
         for field, values in one.values.items():

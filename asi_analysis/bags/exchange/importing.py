@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
@@ -71,17 +72,8 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     _check_reference(signals, texts, path)
     length = len(next(iter(signals.values()))[0])
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
-    valid = np.isfinite(time_s)
-    valid[valid] = np.diff(time_s[valid], prepend=-1.0) > 0.0
-    if not valid.all():
-        warnings.warn(f'{path}: {np.sum(~valid)} of {length} samples have no time, or that of the '
-                      'one before, and are left out', InputWarning, stacklevel=2)
+    valid = _usable(time_s, path)
     time_s = time_s[valid]
-    # Stamps are whole nanoseconds in 64 bits.
-    if len(time_s) < 2 or time_s[-1] > LONGEST_S or np.diff(time_s).min() < 1e-9:
-        raise InputError(f'{path}: its {len(time_s)} samples last {time_s[-1]:g} s: expected '
-                         f'samples at least 1 ns apart, {LONGEST_S:g} s at most; is the unit of '
-                         'time, or the rate, right?')
     units = {name: unit for name, (_, unit) in signals.items()}
     values = {name: column[valid] - _start_mean(column[valid], time_s, zero_s, name, path)
               for name, (column, _) in signals.items()}
@@ -139,6 +131,22 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
         row = known[int(np.argmax(steps < 0.0)) + 1] + 1 if len(steps) else 1
         raise InputError(f'{path}: time does not rise at row {row}')
     return mapped[0] - mapped[0][known[0]]
+
+
+def _usable(time_s: Array, path: Path) -> npt.NDArray[np.bool_]:
+    """Return which samples have a time after that of the one before. Raises InputError."""
+    valid = np.isfinite(time_s)
+    valid[valid] = np.diff(time_s[valid], prepend=-1.0) > 0.0
+    if not valid.all():
+        warnings.warn(f'{path}: {np.sum(~valid)} of {len(valid)} samples have no time, or that of '
+                      'the one before, and are left out', InputWarning, stacklevel=3)
+    time_s = time_s[valid]
+    # Stamps are whole nanoseconds in 64 bits.
+    if len(time_s) < 2 or time_s[-1] > LONGEST_S or np.diff(time_s).min() < 1e-9:
+        raise InputError(f'{path}: its {len(time_s)} samples last {time_s[-1]:g} s: expected '
+                         f'samples at least 1 ns apart, {LONGEST_S:g} s at most; is the unit of '
+                         'time, or the rate, right?')
+    return valid
 
 
 def _start_mean(values: Array, time_s: Array, zero_s: float, name: str, path: Path) -> float:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.typesys import Stores, get_typestore
 
+from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
 from asi_analysis.bags.exchange.dates import since_first
-from asi_analysis.bags.exchange.table_file import BROKEN, Table, read_table
+from asi_analysis.bags.exchange.ros1_bag import opened
+from asi_analysis.bags.exchange.several_files import GAP
+from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.exchange.units import UNITS, conversion
 from asi_analysis.bags.run import Array
 from asi_analysis.errors import InputError
@@ -34,18 +35,21 @@ WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for 
 # A unit that was not told, for each signal.
 ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
                   'pressure': 'Pa', 'position': 'm'}
+# Signals that may be controlled.
+OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
+# Units that are the whole name of a column.
+WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
 # Words that speak for a joint that turns.
 TURNS: Final = frozenset('angle q theta joint torque tau moment'.split())
 # Message types of which a preview is made; the columns of any other can be mapped too.
 PREVIEWED: Final = ('sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
                     'std_msgs/msg/Float64', 'std_msgs/msg/Float32',
                     'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/FluidPressure')
-# Of a joint state without units in its name: REP 103.
-ROS_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
+# Of a joint that turns, and of a wrench: REP 103.
+JOINT_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
+WRENCH_UNITS: Final = {'force': 'N', 'torque': 'Nm'}
 # Times since 1970 in whole units of s, ms, us and ns are above these.
 EPOCH: Final = ((1e17, 'ns'), (1e14, 'us'), (1e11, 'ms'))
-# A step between samples so many times the usual one is a gap.
-GAP: Final = 1.5
 
 
 class _Guess(NamedTuple):
@@ -88,20 +92,21 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
     path = Path(path)
     table = (_bag_columns(path) if is_bag(path) else
              read_table(path, skip_lines, delimiter, columns))
-    values = {name: known for name in table if (known := _values(name, table, path)) is not None}
+    notes: list[str] = []
+    values = _values(table, path, notes)
     if not values:
-        raise InputError(f'{path} has no column of numbers; it has ' + ', '.join(table))
+        raise InputError(f'{path} has no column of numbers; '
+                         + ('; '.join(notes) or 'it has no column'))
     dates = {name for name in values if not np.issubdtype(table[name].dtype, np.number)
              and since_first(name, table[name], path) is not None}
     longest = max(map(len, values.values()))
     guesses = {name: _guess(name) for name, column in values.items() if len(column) == longest}
-    notes: list[str] = []
     time: str | None = None
     time_s: Array | None = None
     if is_bag(path):    # it has its own times
         time_s = values.pop('time')
         guesses.pop('time')
-    else:
+    elif rate_hz is None:
         time = _time(values, dates, guesses, notes)
         time_s = _seconds(values, time, guesses)
     chosen = _chosen(guesses, notes, time)
@@ -109,26 +114,30 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
                for name, guess in chosen.items()]
     if time_s is None and rate_hz is None:
         notes.append('no column is a time: give --rate HZ')
-    if not set(chosen) - {time}:
+    others = [name for name in values if name != time]
+    if others and not set(chosen) - {time}:
         notes.append('no name speaks for a signal: say which column is what')
-        mapping.append(f'SIGNAL={next(name for name in values if name != time)}[UNIT]')
+        mapping.append(f'SIGNAL={others[0]}[UNIT]')
+    options = {'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
+               'skip-lines': skip_lines, 'columns': ','.join(columns or ())}
     return Preview({
         'file': str(path), 'samples': longest,
         'columns': [_column(name, column, guesses.get(name), name in chosen)
                     for name, column in values.items()],
         **_times(time_s, rate_hz, longest), 'mapping': mapping, 'notes': notes,
-        'command': command([path], mapping, {
-            'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
-            'skip-lines': skip_lines, 'columns': ','.join(columns or ())})})
+        'command': command([path], mapping, options)}, options=options)
 
 
-def _values(name: str, table: Table, path: Path) -> Array | None:
-    """Return a column as numbers, a date as seconds; None for a text."""
-    try:
-        seconds = since_first(name, table[name], path)
-        return numbers_of(name, table[name], path) if seconds is None else seconds
-    except InputError:
-        return None
+def _values(table: Table, path: Path, notes: list[str]) -> dict[str, Array]:
+    """Return the columns of numbers, dates as seconds; the notes tell of the others."""
+    found = {}
+    for name, column in table.items():
+        try:
+            seconds = since_first(name, column, path)
+            found[name] = numbers_of(name, column, path) if seconds is None else seconds
+        except InputError as error:
+            notes.append(f'left out: {str(error).removeprefix(f"{path}: ")}')
+    return found
 
 
 def _words(name: str) -> list[str]:
@@ -141,12 +150,12 @@ def _unit(name: str) -> str:
     """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' if none is."""
     found = re.search(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$', name)
     candidates = [found[1]] if found else []
-    head, _, last = name.rpartition('_')
+    head, _, last = name.replace(' ', '_').rpartition('_')
     candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
-    candidates += [last] if head else []
+    candidates += [last] if head or last in WHOLE else []
     by_case = {unit.lower(): unit for unit in UNITS}
     for each in candidates:
-        if found and conversion(each):
+        if each in UNITS or (found and conversion(each)):
             return each
         if each.lower() in by_case and not each.isdigit():
             return by_case[each.lower()]
@@ -155,17 +164,19 @@ def _unit(name: str) -> str:
 
 def _guess(name: str) -> _Guess | None:
     """Return the signal that the name of a column speaks for; None if it speaks for none."""
-    field, unit = name.rpartition('/')[2], _unit(name)
-    if name.startswith('/') and not unit:
-        unit = ROS_UNITS.get(field, '')
-    words = _words(name.rpartition('/')[2] if field in ROS_UNITS else name)
+    unit = _unit(name)
+    if name.startswith('/'):
+        name = re.sub('/[xyz]$', '', name)
+        unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
+    words = _words(name.rpartition('/')[2] if _of_joint(name) else name)
     told = [signal for signal, known in WORDS.items() if known & set(words)]
     motion = [signal for signal in told if signal in ('position', 'velocity', 'pressure')]
     if 'command' in told and motion:          # a commanded motion is a reference
         told = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
     if unit and told and not any(si in UNITS_OF[signal] for signal in told):
-        told = []
+        # The m of tau_m is for measured, and u_in is an input.
+        told, unit = (told, '') if unit in ('m', 'in') else ([], unit)
     if told:
         signal = next(each for each in told if not unit or si in UNITS_OF[each])
         seen = next((word for word in words if word in WORDS[signal]), words[0])
@@ -173,6 +184,10 @@ def _guess(name: str) -> _Guess | None:
     by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
                if si in UNITS_OF[signal]]
     return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None
+
+
+def _of_joint(name: str) -> bool:
+    return name.startswith('/') and name.rpartition('/')[2] in JOINT_UNITS
 
 
 def _rises(column: Array) -> bool:
@@ -219,14 +234,18 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
             ) -> dict[str, _Guess]:
     """Return the first column of each signal with its unit; the notes tell of the others."""
     chosen: dict[str, _Guess] = {}
+    others: dict[str, list[str]] = {}
     for name, guess in guesses.items():
         if guess is None or (guess.signal == 'time') != (name == time):
             continue
         taken = next((other for other, each in chosen.items() if each.signal == guess.signal), '')
         if taken:
-            notes.append(f'{name} may be the {guess.signal} as well as {taken}')
+            others.setdefault(f'the {guess.signal} as well as {taken}', []).append(name)
             continue
         chosen[name] = guess
+    notes += [f'{", ".join(names)} may be {what}' for what, names in others.items()]
+    if any(map(_of_joint, chosen)):
+        notes.append('a joint state has no units: those of a joint that turns are assumed')
     kinds = [(conversion(each.unit) or ('',))[0] for each in chosen.values() if each.unit]
     rotary = bool({'rad', 'rad/s', 'Nm'} & set(kinds)) or (
         not {'m', 'm/s', 'N'} & set(kinds) and any(TURNS & set(_words(name)) for name in chosen))
@@ -237,9 +256,9 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
         if rotary:
             unit = {'m': 'rad', 'm/s': 'rad/s', 'N': 'Nm'}.get(unit, unit)
         if guess.signal == 'reference':
+            named = [each for each in OUTPUTS if WORDS[each] & set(_words(name))] or OUTPUTS
             unit = next((chosen[other].unit or ASSUMED[chosen[other].signal] for other in chosen
-                         if chosen[other].signal in ('position', 'velocity', 'pressure', 'force')),
-                        'N')
+                         if chosen[other].signal in named), unit or 'N')
         notes.append(f'{name} has no unit: {unit} is assumed')
         chosen[name] = guess._replace(unit=unit)
     return chosen
@@ -277,14 +296,22 @@ def command(paths: Sequence[Path], mapping: Sequence[str], options: Mapping[str,
 
 def _bag_columns(path: Path) -> Table:
     """Return the columns of the topics of PREVIEWED types; the first joint state is the base."""
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            types = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
-    except (AnyReaderError, *BROKEN) as error:
-        raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
+    types = _types(path)
     topics = sorted((topic for topic, type_ in types.items() if type_ in PREVIEWED),
                     key=lambda topic: PREVIEWED.index(types[topic]))
     if not topics:
         raise InputError(f'{path}: no topic of the types {", ".join(PREVIEWED)}; it has '
                          + ', '.join(f'{topic} ({type_})' for topic, type_ in types.items()))
     return read_bag_table(path, [f'{topic}/' for topic in topics])
+
+
+def _types(path: Path) -> dict[str, str]:
+    """Return the message types of the topics that have messages."""
+    try:
+        with opened(path) as reader:
+            return {each.topic: each.msgtype for each in reader.connections if each.msgcount}
+    except InputError:   # cut off, or without metadata.yaml
+        topics = {} if path.suffix == '.bag' else read_contents(path, lambda _: True).topics
+        if not any(map(len, topics.values())):
+            raise
+        return {each.name: each.type for each in topics.values() if len(each)}

@@ -2,17 +2,31 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
+from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import ReaderError
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from asi_analysis.bags.bag import Series, align, time_base
+from asi_analysis.bags.bag_file import BROKEN
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[AnyReader]:
+    """Open a bag of ROS 1 or 2. Raises InputError, also for what is found damaged later."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            yield reader
+    except InputError:
+        raise
+    except (AnyReaderError, ReaderError, TypesysError, OSError, SyntaxError, *BROKEN) as error:
+        raise InputError(f'{path} cannot be read: {str(error) or type(error).__name__}') from None
 
 
 def read_ros1_table(path: Path, columns: Sequence[str]) -> Table:
@@ -22,25 +36,22 @@ def read_ros1_table(path: Path, columns: Sequence[str]) -> Table:
     As `read_bag_table`: the time base is the topic of the first column; numbers of other topics
     are held until their next message. Raises InputError.
     """
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS1_NOETIC)) as reader:
-            names = sorted(reader.topics, key=len, reverse=True)
-            wanted = list(dict.fromkeys(next((name for name in names
-                                              if column.startswith(f'{name}/')), '')
-                                        for column in columns))
-            if '' in wanted or not wanted:
-                raise InputError(f'{path}: no message of a topic is mapped, as SIGNAL=TOPIC/FIELD '
-                                 'or SIGNAL=TOPIC/JOINT/FIELD; it has ' + ', '.join(sorted(names)))
-            series = {name: _series(reader, name) for name in wanted}
-    except (ReaderError, TypesysError, OSError) as error:
-        raise InputError(f'{path} cannot be read: {" ".join(str(error).split())}') from None
+    with opened(path) as reader:
+        names = sorted(reader.topics, key=len, reverse=True)
+        wanted = list(dict.fromkeys(next((name for name in names
+                                          if column.startswith(f'{name}/')), '')
+                                    for column in columns))
+        if '' in wanted or not wanted:
+            raise InputError(f'{path}: no message of a topic is mapped, as SIGNAL=TOPIC/FIELD '
+                             'or SIGNAL=TOPIC/JOINT/FIELD; it has ' + ', '.join(sorted(names)))
+        series = {name: _series(reader, name) for name in wanted}
     for name, one in series.items():
         if not len(one.publish_ns):
             raise InputError(f'{path}: {name} has no message')
         if not one.stamp_ns.any():
             warnings.warn(f'{path}: {name} has no stamps: its time is that at which it was '
                           'recorded', InputWarning, stacklevel=3)
-    base = time_base(series[wanted[0]])
+    base = time_base(series[wanted[0]], str(path))
     table: Table = {'time': (base.stamp_ns - base.stamp_ns[0]) / 1e9}
     for name, one in series.items():
         for field, values in one.values.items():

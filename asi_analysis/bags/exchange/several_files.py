@@ -19,6 +19,8 @@ from asi_analysis.errors import InputError, InputWarning
 
 # Times that differ by less than this share of a step are equal.
 CLOSE: Final = 1e-3
+# A step between samples so many times the usual one is a gap.
+GAP: Final = 1.5
 Signals = dict[str, tuple[Array, str]]
 
 
@@ -118,12 +120,14 @@ def _held(file: _File, time_s: Array, values: Array, base: Array) -> Array:
     # A difference far below the step of the first file is one of rounding.
     close = CLOSE * float(np.nanmedian(np.diff(base)))
     last = np.searchsorted(times, base + close, side='right') - 1
-    step = float(np.median(np.diff(times)))
+    steps = np.diff(times)
+    step, longest = float(np.median(steps)), float(steps.max())
     held = np.where((last >= 0) & (base <= times[-1] + step), values[np.maximum(last, 0)], np.nan)
     lost = float(np.mean(~np.isfinite(held[np.isfinite(base)])))
     warnings.warn(
         f'{file.path}: begins {times[0] - np.nanmin(base):+.6g} s after the first file; a value '
         f'is held until the next, {step:.4g} s later'
+        + (f', up to {longest:.4g} s across a gap' if longest > GAP * step else '')
         + (f'; {100.0 * lost:.3g} % of the samples have none' if lost else ''),
         InputWarning, stacklevel=2)
     return held

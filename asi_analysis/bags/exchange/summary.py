@@ -39,7 +39,7 @@ class Previews(Result):
                 joined.setdefault(key, f'{signal}={path.stem}/{term}')
         return cls({'files': [each.to_dict() for each in previews],
                     'command': previews[0].command if len(previews) == 1 else
-                    command(paths, list(joined.values()), {})}, previews=previews)
+                    command(paths, list(joined.values()), previews[0].options)}, previews=previews)
 
     def parts(self) -> Iterator[str | Table]:
         for each in self.previews:

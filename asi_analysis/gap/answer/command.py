@@ -3,14 +3,17 @@
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
 from asi_analysis.gap.answer.result import Gap
+from asi_analysis.gap.answer.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.model.group import TOLERANCE
@@ -19,6 +22,7 @@ from asi_analysis.gap.model.model_file import DIRECT
 from asi_analysis.gap.model.simulator import of_simulator
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
+from asi_common import parameter_file
 from asi_common.parameter import ParameterError, Value, completed
 
 PLANTS = ('actuator', 'joint')
@@ -81,6 +85,38 @@ def recorded_model(runs: Sequence[Run]) -> dict[str, Value]:
     return found
 
 
+def parse_tolerances(texts: Sequence[str]) -> tuple[float, dict[str, float]]:
+    """
+    Return the tolerance of the nominal parameters, and those of single ones by dotted name.
+
+    texts: such as '0.3' or 'load.mass=0.5'. Raises InputError for what is no tolerance.
+    """
+    found = {name.strip(): parameter_file.read_scalar(share.strip())
+             for name, _, share in (text.rpartition('=') for text in texts)}
+    own = _tolerances(found)
+    return own.pop('', TOLERANCE), own
+
+
+def _tolerances(found: Mapping[str, Value]) -> dict[str, float]:
+    """Return tolerances by dotted name; '': the usual one. Raises InputError."""
+    for name, share in found.items():
+        if isinstance(share, str) or not LEAST_TOLERANCE <= share < 1.0:
+            raise InputError(f'--tolerance {name}{"=" if name else ""}{share} is not allowed: '
+                             f'a share from {LEAST_TOLERANCE:g}, below 1')
+    return {name: float(share) for name, share in found.items()}
+
+
+def model_tolerances(model: Model | None) -> dict[str, Value]:
+    """Return the tolerances in a model file, by dotted name: `tolerance.NAME` of asi_gap."""
+    if not isinstance(model, str | Path):
+        return {}
+    with suppress(ParameterError):   # of a file that has nothing for it
+        return {name.removeprefix('tolerance.'): value for name, value
+                in parameter_file.read_parameters(Path(model), 'asi_gap').items()
+                if name.startswith('tolerance.')}
+    return {}
+
+
 def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool) -> list[str]:
     """Return notes: where the nominal model is from, and loads of bags that are another one."""
     load = str(values.get('load.type', LOAD.default))
@@ -95,6 +131,34 @@ def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool)
     return notes
 
 
+def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
+    """Return notes: what the nominal model of a joint is."""
+    notes = []
+    for weighed in diagnosis.groups if diagnosis.plant == 'joint' else ():
+        channel, run = weighed.group.channels[0], diagnosis.runs[0]
+        if channel == 'load':
+            p = diagnosis.best(weighed).fitted.record
+            notes.append('nominal joint: ' + ', '.join(
+                f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, True))} '
+                f'({"near the given one" if DOTTED[field] in values else "identified"})'
+                for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
+                ) + ', and a constant force')
+        else:
+            notes.append(f'nominal drive: the {signal_of(channel, run, True)} follows the '
+                         + ('reference at once' if run.command_n is None else
+                            'command at once, in proportion'))
+    return notes
+
+
+def _of_the_tolerances(diagnosis: Diagnosis) -> list[str]:
+    """Return a note of the tolerances, if a nominal parameter has one."""
+    uncertain = any(free.scale == 'nominal' for weighed in diagnosis.groups
+                    for free in weighed.group.nuisance)
+    return [', '.join((f'tolerance of its parameters: {percent(diagnosis.tolerance)}', *(
+        f'{DOTTED[field]} {percent(share)}' for field, share in diagnosis.tolerances.items())
+        ))] if uncertain else []
+
+
 def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
     """Return notes: which equations predicted, and what they do not compute as the simulator."""
     if of_simulator(diagnosis.groups[0].group.nominal):
@@ -107,15 +171,17 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
 
 def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actuator',
              held_out: Sequence[Run] = (), tolerance: float = TOLERANCE, drive: str | None = None,
-             progress: Progress = silent, settings: Sequence[str] = ()) -> Gap:
+             progress: Progress = silent, settings: Sequence[str] = (),
+             tolerances: Mapping[str, float] = MappingProxyType({})) -> Gap:
     """
     Return where recordings of the real machine differ from their model, why, and how far.
 
     model: nominal parameters by name or a ROS parameter file; None: those that the first bag
     tells, else the defaults; settings: 'name=value', which override both. plant:
     'actuator', or 'joint' for any rigid joint or drive. held_out: recordings on which the result
-    is only judged. tolerance: how far the nominal parameters may be off, as a share. drive: of a
-    joint, 'force' or 'position'; None: by its signals. Raises InputError for recordings that
+    is only judged. tolerance: how far the nominal parameters may be off, as a share; tolerances:
+    the same of single ones, by dotted name. drive: of a joint, 'force' or 'position'; None: by its
+    signals. Raises InputError for recordings that
     cannot be judged; `notes` says what is doubtful.
 
     >>> import asi_analysis as asi
@@ -127,9 +193,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
     if drive not in DRIVES:
         raise InputError(f'--drive {drive!r} is not allowed: force or position')
-    if not LEAST_TOLERANCE <= tolerance < 1.0:
-        raise InputError(f'--tolerance {tolerance:g} is not allowed: from {LEAST_TOLERANCE:g}, '
-                         'below 1')
+    own = _tolerances({**model_tolerances(model), **tolerances, '': tolerance})
+    del own['']
     everything = [*runs, *held_out]
     values = (recorded_model(runs) if model is None and plant == 'actuator' else
               nominal_model(model, plant))
@@ -145,7 +210,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     for note in notes[1:]:   # now, for they may say why a recording is refused
         warnings.warn(note, InputWarning, stacklevel=2)
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
-                             [False] * len(runs) + [True] * len(held_out), drive, progress)
+                             [False] * len(runs) + [True] * len(held_out), drive, progress, own)
+    notes += [*_of_the_joint(diagnosis, values), *_of_the_tolerances(diagnosis)]
     if plant == 'actuator':
         notes += _of_the_predictor(diagnosis, values)
     answer = plain(document(diagnosis))
@@ -159,8 +225,9 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
                                         in consequences(diagnosis, values, runs[0])])
         following = answer['next_experiment']
         if isinstance(model, str | Path) and following and following['command']:
-            for key in ('command', 'advice'):
-                following[key] += f' --actuator {model}'
+            longer = f'{following["command"]} --actuator {model}'
+            following['advice'] = following['advice'].replace(following['command'], longer)
+            following['command'] = longer
     return Gap(answer | {'report': None, 'quality': quality_of(everything),
                          'reliable': not doubtful},
                runs=everything, diagnosis=diagnosis,

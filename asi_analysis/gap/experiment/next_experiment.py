@@ -39,7 +39,7 @@ MEASURE = (
     (('supply_pressure', 'internal_leakage'), 'the supply pressure and the flow of oil'),
     (('entrained_air', 'sensor_lag'), 'the pressure in the cylinder'),
     (('transport_delay', 'command_quantisation', 'valve_lag', 'valve_bias', 'valve_deadband'),
-     'the current of the drive (in the coil of the valve)'),
+     'the current in the coil or motor of the drive'),
     (('backlash', 'load_compliance', 'disturbance_force'), 'the position of the load itself'),
     (('coulomb_friction', 'stiction', 'friction_asymmetry', 'viscous_friction',
       'hydraulic_damping'), 'the force on the load beside that of the sensor'),
@@ -166,7 +166,7 @@ def suggestion(excitation: str, command: str | None, separation_: float,
     sensor = next((signal for signal in SENSORS if signal in missing), None)
     steps = [f'record the {sensor.replace("_", " ")} too'] if sensor else []
     if separates:
-        steps.append(command or excitation)
+        steps.append(f'record this: {excitation}' + (f' ({command})' if command else ''))
     elif not steps:
         everywhere = [name for name in ambiguous[0] if all(name in names for names in ambiguous)]
         uncertain = {name for names in ambiguous for name in names if name not in everywhere}

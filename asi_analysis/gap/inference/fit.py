@@ -244,7 +244,7 @@ class Problem:
         return columns
 
 
-def with_known_gain(group: Group, valve: Fitted, tolerance: float) -> Group:
+def with_known_gain(group: Group, valve: Fitted) -> Group:
     """
     Return a group with the static gain limited by the fit of the valve channel.
 
@@ -253,11 +253,12 @@ def with_known_gain(group: Group, valve: Fitted, tolerance: float) -> Group:
     fully the maximum force is identifiable; elsewhere only its ratio to the opening.
     """
     opening, thrust = ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force')
-    if not any(free.field == opening for free in group.nuisance):
+    own = next((free for free in group.nuisance if free.field == opening), None)
+    if own is None:
         return group
     gain = float(valve.record['valve_characteristic_gain']
                  / valve.problem.group.nominal['valve_characteristic_gain'])
-    low, high = 1.0 - tolerance, 1.0 + tolerance
+    low, high = own.low, own.high
     least, most = max(gain / high, low / high), min(gain / low, high / low)
     if least >= most:
         return group

@@ -265,24 +265,24 @@ def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate
     return {names: candidate for names, candidate in found.items() if explains(candidate)}
 
 
-def weigh_groups(groups: Sequence[Group], tolerance: float,
-                 tick: Callable[[], None] = lambda: None) -> list[Weighed]:
+def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: None
+                 ) -> list[Weighed]:
     """Return the groups, in the order of the signal chain, with all probabilities."""
     weighed: list[Weighed] = []
     for group in groups:
         known = weighed and weighed[0].probability[(UNKNOWN,)] < 0.5
         if known and weighed[0].group.channels == ('valve',):
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
-            group = with_known_gain(group, weighed[0].candidates[best].fitted, tolerance)
+            group = with_known_gain(group, weighed[0].candidates[best].fitted)
         null = fit_null(group)
         if (quieter := with_lower_noise(group, null.held_out)) is not group:
             group, null = quieter, fit_null(quieter)
-        group = with_parameter_errors(group, null, tolerance)
+        group = with_parameter_errors(group, null)
         weighed.append(weigh(group, candidates_of(group, null, tick)))
     return weighed
 
 
-def with_parameter_errors(group: Group, null: Fitted, tolerance: float) -> Group:
+def with_parameter_errors(group: Group, null: Fitted) -> Group:
     """
     Return a group with hypotheses of nominal parameters beyond their tolerance.
 
@@ -291,7 +291,8 @@ def with_parameter_errors(group: Group, null: Fitted, tolerance: float) -> Group
     dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
     held = {free.field for effect in group.effects for variant in effect.variants
             for free in variant.free}
-    more = tuple(parameter_error(dotted[field], field, limit, tolerance, tuple(
+    bounds = {free.field: (free.low, free.high) for free in group.nuisance}
+    more = tuple(parameter_error(dotted[field], field, limit, bounds[field], tuple(
                      channel for channel in group.channels if acts_on(field, channel, group)))
                  for field, limit in null.at_limit.items() if field not in held)
     return replace(group, effects=(*group.effects, *more))

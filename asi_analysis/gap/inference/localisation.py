@@ -284,7 +284,7 @@ def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
         most = max(own, key=lambda regime: regime.after)
         least = min(own, key=lambda regime: regime.after)
         if most.after > REPORTED_FACTOR * least.after:
-            parts.append(f'by {kind} it is largest at {most.regime}'
+            parts.append(f'it is largest where the {kind} is {most.regime}'
                         if kind != 'frequency' else f'it is strongest at {most.regime}')
     return ('What is left: ' + '; '.join(parts) + '.' if parts else
             'What is left depends on nothing that was recorded more than on anything else.')

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.gap.inference.beyond_tolerance import with_null_named
 from asi_analysis.gap.inference.fit import Fitted, independent_samples
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
@@ -99,7 +100,7 @@ def _explained(group: Group, tick: Callable[[], None]) -> Weighed | None:
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
     weighed = Weighed(found[()].problem.group, candidates, _probabilities(group, found))
-    return None if _left(found[_most_probable(weighed).names]) else weighed
+    return None if _left(found[_most_probable(weighed).names]) else with_null_named(weighed)
 
 
 def _rivals(valve: Weighed) -> Iterator[Weighed]:
@@ -139,7 +140,7 @@ def _most_probable(weighed: Weighed) -> Candidate:
 
 def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
-    group = replace(group, effects=(*group.effects, *_parameter_errors(group)))
+    group = replace(group, effects=(*group.effects, *parameter_errors(group)))
     problem = Posterior(group, group.nuisance)
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
@@ -159,7 +160,7 @@ def _left(found: Found) -> bool:
     return bool(np.any(left > MARGIN + NOISE_ERROR / math.sqrt(samples)))
 
 
-def _parameter_errors(group: Group) -> list[Effect]:
+def parameter_errors(group: Group) -> list[Effect]:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
     held = {free.field for effect in group.effects for variant in effect.variants
             for free in variant.free}
@@ -274,7 +275,8 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     fits[leader.names] = leader
 
     def polished(found: Found) -> Found:
-        # The sub-step is corrected where it was for the leader. In a thread of the pool.
+        # The sub-step is corrected where it was for the leader. Within a thread of the pool
+        # nothing may wait for another one: all could wait.
         alone = replace(found.problem, group=leader.problem.group, pool=None)
         found = found._replace(problem=alone)
         starts = [found.best.theta, _with_shared(found, leader)]

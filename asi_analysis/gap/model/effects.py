@@ -271,15 +271,17 @@ def has_one_law(name: str) -> bool:
     return name.startswith(PARAMETER) or BY_NAME[name].exact
 
 
-def parameter_error(parameter: str, field: str, limit: str, tolerance: float,
+def parameter_error(parameter: str, field: str, limit: str, bounds: tuple[float, float],
                 channels: tuple[str, ...]) -> Effect:
     """
     Return the hypothesis that a nominal parameter is beyond a limit of its tolerance.
 
-    limit: 'low' or 'high'; field: of the plant's record; channels: where it shows.
+    limit: 'low' or 'high'; field: of the plant's record; bounds: of its tolerance, in multiples of
+    the nominal value; channels: where it shows.
     """
-    free = (Free(field, 1.0, BEYOND, (1.0 + 2.0 * tolerance, 2.0), 'nominal') if limit == 'high'
-            else Free(field, 1.0 / BEYOND, 1.0, (1.0 - 1.5 * tolerance, 0.5), 'nominal'))
+    low, high = bounds
+    free = (Free(field, 1.0, BEYOND, (2.0 * high - 1.0, 2.0), 'nominal') if limit == 'high'
+            else Free(field, 1.0 / BEYOND, 1.0, (1.5 * low - 0.5, 0.5), 'nominal'))
     name = PARAMETER + parameter
     block = block_of(name)
     assert block is not None

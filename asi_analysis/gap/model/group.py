@@ -1,7 +1,7 @@
 """Groups of channels that share parameters: uncertain parameters, noise and error floor."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -155,6 +155,18 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
         for effect in forms.EFFECTS)
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
                  dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact)
+
+
+def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
+    """Return a group in which nominal parameters have tolerances of their own, by field."""
+    def tolerated(free: Free) -> Free:
+        share = own.get(free.field) if free.scale == 'nominal' else None
+        if share is None:
+            return free
+        return (free._replace(low=1.0 - share, high=1.0 + share) if free.prior == math.inf else
+                free._replace(prior=0.5 * share))
+
+    return replace(group, nuisance=tuple(map(tolerated, group.nuisance)))
 
 
 def with_simulated_valve(group: Group, valve: np.void) -> Group:

@@ -100,7 +100,7 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
                       'frequency_hz': found.frequency_hz, 'load': found.load},
         'conditions_tried': count, 'sustained_found': len(cycling),
         'worst_amplitude_n': _finite(cycling[0].amplitude_n) if cycling else 0.0,
-        'worst': [_trial(trial, tuple(rates_hz)) for trial in trials[:WORST]],
+        'worst': [_trial(trial, tuple(rates_hz), actuator) for trial in trials[:WORST]],
         'replayed': [], 'dither': [], 'design': None}
     if replayed:
         from asi_analysis.limit_cycle.quench.replay import replay
@@ -125,7 +125,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _trial(trial: Trial, rates_hz: tuple[float, ...]) -> dict[str, Any]:
+def _trial(trial: Trial, rates_hz: tuple[float, ...], actuator: Values) -> dict[str, Any]:
     return {'amplitude_n': _finite(trial.amplitude_n), 'sustained': trial.sustained,
             'frequency_hz': _finite(trial.found.frequency_hz),
-            'condition': trial.condition.settings(rates_hz)}
+            'condition': trial.condition.settings(rates_hz, actuator)}

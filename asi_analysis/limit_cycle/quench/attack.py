@@ -45,10 +45,10 @@ class Condition(NamedTuple):
 
     numbers: Mapping[str, float]
 
-    def settings(self, rates_hz: tuple[float, ...]) -> dict[str, Any]:
-        """Return parameters of actuator and reference, and the control rate (Hz)."""
+    def settings(self, rates_hz: tuple[float, ...], actuator: Values) -> dict[str, Any]:
+        """Return parameters of actuator (errors about its own) and reference, and rate (Hz)."""
         n = self.numbers
-        actuator = with_errors({}, n)
+        actuator = with_errors(actuator, n)
         actuator['load.type'] = _choice(LOADS, n['load'])
         if actuator['load.type'] != 'locked':
             actuator['load.mass'] = 0.3 * 30.0 ** n['mass']
@@ -115,7 +115,7 @@ def _choice(options: tuple, number: float) -> Any:
 def run_trials(conditions: Sequence[Condition], actuator: Values, controller: Values,
              rates_hz: tuple[float, ...]) -> list[Trial]:
     """Return a trial of each condition; those of one rate run in parallel."""
-    settings = [condition.settings(rates_hz) for condition in conditions]
+    settings = [condition.settings(rates_hz, actuator) for condition in conditions]
     found: dict[int, Trial] = {}
     for rate in {s['rate_hz'] for s in settings}:
         chosen = [k for k, s in enumerate(settings) if s['rate_hz'] == rate]

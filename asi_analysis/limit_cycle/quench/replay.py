@@ -27,7 +27,7 @@ def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
     """
     rows = []
     for number, trial in enumerate(trials):
-        s = trial.condition.settings(rates_hz)
+        s = trial.condition.settings(rates_hz, actuator)
         experiment = checked(Experiment(
             {**actuator, **s['actuator']}, {**controller, **s['reference']},
             EXCITED_S + FREE_S, 'lockstep', s['rate_hz']))

@@ -22,7 +22,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
 
 
 @settings(few, max_examples=200)
-@given(seed=seeds, number=st.integers(0, 9))
+@given(seed=seeds, number=st.integers(0, 10))
 def test_a_damaged_file_is_read_or_refused_in_one_line(files: list[Path], seed: int, number: int
                                                        ) -> None:
     """Any but the last, a MAT file, which is read in a process of its own."""

@@ -10,6 +10,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
+import asi_analysis as asi
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.exchange.preview import preview
@@ -33,6 +34,15 @@ def table(path: Path, header: str, *columns: np.ndarray) -> Path:
     ('t,q,q_des,tau', ['time=t[s]', 'position=q[rad]', 'reference=q_des[rad]', 'force=tau[Nm]']),
     ('clock,supply_bar,p_set_bar,valve_V',
      ['time=clock[s]', 'pressure=supply_bar[bar]', 'reference=p_set_bar[bar]']),
+    ('t_s,force_mN,pos_MM,p_MPa', ['time=t_s[s]', 'force=force_mN[mN]', 'position=pos_MM[mm]',
+                                   'pressure=p_MPa[MPa]']),
+    ('t_s,Position [°],posRef,rpm', ['time=t_s[s]', 'position=Position [°][°]',
+                                     'reference=posRef[°]', 'velocity=rpm[rpm]']),
+    ('t_s,force kN,pos mm,posRef', ['time=t_s[s]', 'force=force kN[kN]', 'position=pos mm[mm]',
+                                    'reference=posRef[mm]']),
+    ('t_s,u_in,x_ft,force', ['time=t_s[s]', 'command=u_in[N]', 'position=x_ft[ft]',
+                             'force=force[N]']),
+    ('t_s,q_deg,tau_m,note', ['time=t_s[s]', 'position=q_deg[deg]', 'force=tau_m[Nm]']),
 ])
 def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):
     found = preview(table(tmp_path / 'log.csv', header, T, np.sin(T), np.cos(T), np.ones(200)))
@@ -63,10 +73,35 @@ def test_the_printed_command_imports_the_file(tmp_path, monkeypatch):
     assert problems(Previews.of([preview('log.csv')]).to_dict(), 'asi import FILE') == []
 
 
+def test_the_printed_command_has_the_options_that_the_files_were_read_with(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, column in (('a', 'force_N'), ('b', 'u_V')):
+        rows = '\n'.join(f'{0.01 * k},{k}' for k in range(50))
+        Path(f'{name}.csv').write_text(f'remark,1\nanother,2\nt_s,{column}\n{rows}\n')
+    for call in (['a.csv', '--skip-lines', '2', '--rate', '100'],
+                 ['a.csv', 'b.csv', '--skip-lines', '2']):
+        printed = CliRunner().invoke(app, ['import', *call]).stdout
+        command = shlex.split(printed.splitlines()[-1].removeprefix('to import: '))
+        assert command[command.index('--skip-lines') + 1] == '2'
+        done = CliRunner().invoke(app, [*command[1:-1], f'bag_{len(call)}_{call[1]}'])
+        assert done.exit_code == 0, done.exception
+
+
 def test_columns_that_say_nothing_are_left_to_the_user(tmp_path):
     found = preview(table(tmp_path / 'log.csv', 'a,b', np.cos(T), np.sin(T)))
     assert 'SIGNAL=a[UNIT]' in found.command and '--rate HZ' in found.command
     assert len(found.notes) == 2
+
+
+@pytest.mark.parametrize('bad', ['err', 'inf'])
+def test_a_column_that_cannot_be_imported_is_named_with_its_row(tmp_path, bad):
+    rows = [f'{0.01 * k},{bad if k == 50 else k},{k}' for k in range(100)]
+    for count, header in ((3, 't,force_N,pos_m'), (2, 't,force_N')):
+        (tmp_path / 'log.csv').write_text('\n'.join(
+            [header, *(row.rsplit(',', 3 - count)[0] for row in rows)]))
+        found = preview(tmp_path / 'log.csv')
+        assert found.mapping == ['time=t[s]', 'position=pos_m[m]'][:count - 1]
+        assert found.notes[0].startswith('left out: column force_N, row 51: ')
 
 
 def two_files(folder: Path, offset: float = 0.0) -> list[Path]:
@@ -85,6 +120,13 @@ def test_a_log_in_two_files_is_joined_at_the_times_of_the_first(tmp_path):
     with pytest.warns(InputWarning, match=r'begins \+0 s after'):
         shifted = import_recording(files, own)
     assert shifted.command_n.tolist() == np.repeat(np.arange(20.0), 10).tolist()
+
+
+def test_a_gap_in_another_file_is_told(tmp_path):
+    state, command = two_files(tmp_path)
+    table(command, 't,u', np.delete(T[::10], slice(5, 9)), np.arange(16.0))
+    with pytest.warns(InputWarning, match='0.1 s later, up to 0.5 s across a gap'):
+        import_recording([state, command], ['time=t', 'position=angle[deg]', 'command=u[Nm]'])
 
 
 @pytest.mark.parametrize('mapping, words', [
@@ -112,6 +154,26 @@ def test_a_reference_without_a_unit_is_asked_for(tmp_path):
     file = table(tmp_path / 'log.csv', 't,q,r', T, T, T)
     with pytest.raises(InputError, match=r'write reference=r\[rad\] if it is that of the posi'):
         import_recording(file, ['time=t', 'position=q[rad]', 'reference=r'])
+
+
+def test_the_x_of_a_wrench_is_no_position(tmp_path):
+    asi.simulate({}, {}, 0.1, out=tmp_path / 'run')
+    found = preview(tmp_path / 'run/bag')
+    assert {'reference=/force_reference/wrench/force/x[N]',
+            'command=/valve_command/wrench/force/x[N]'} <= set(found.mapping)
+    assert 'a joint state has no units: those of a joint that turns are assumed' in found.notes
+
+
+def test_a_bag_that_was_cut_off_is_previewed_as_it_is_imported(tmp_path):
+    asi.simulate({}, {}, 0.1, out=tmp_path / 'run')
+    whole = preview(tmp_path / 'run/bag')
+    (tmp_path / 'run/bag/metadata.yaml').unlink()
+    data = (tmp_path / 'run/bag/bag_0.mcap').read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(data[:len(data) // 2])
+    for path, words in (('run/bag', 'no metadata.yaml'), ('cut.mcap', 'cut off')):
+        with pytest.warns(InputWarning, match=words):
+            found = preview(tmp_path / path)
+        assert found.mapping == whole.mapping and 0 < found.samples <= whole.samples
 
 
 def test_a_ros_1_bag_is_read_as_a_rosbag2(tmp_path):

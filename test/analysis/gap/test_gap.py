@@ -13,7 +13,6 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
 from asi_analysis.gap.check.check import score
@@ -101,7 +100,7 @@ def test_static_gain_keeps_its_tolerance_where_the_valve_opens_fully():
                'valve_characteristic.maximum_force': 300.0}
     groups, _ = actuator_groups([recorded(real=nominal)], nominal, 0.2, [False])
     valve = fit_null(groups[0])
-    group = with_known_gain(groups[1], valve, 0.2)
+    group = with_known_gain(groups[1], valve)
     names = ('valve_characteristic_maximum_force', 'valve_characteristic_full_opening')
     rng = np.random.default_rng(0)
     records = [Problem(group, group.nuisance).record(rng.uniform(size=len(group.nuisance)))
@@ -397,13 +396,6 @@ def test_interval_of_a_determined_and_an_undetermined_parameter():
 def test_diagnosis_does_not_import_the_examiner():
     for path in Path(asi_analysis.gap.__file__).parent.rglob('*.py'):
         assert 'asi_examiner' not in path.read_text(), path
-
-
-def test_ranking_marks_the_verdict_not_the_smallest_residual():
-    drawn = pictures.ranking(['first', 'second'], [0.1, 0.2], 'second', 1.0, 0.01)
-    colours = [bar.get_facecolor() for bar in drawn.axes[0].patches]
-    assert colours[0] != colours[1]
-    assert [bar.get_label() for bar in drawn.axes[0].patches][1] == 'verdict'
 
 
 def _said(verdict: str, probability: float, effect: str, block: str) -> dict[str, object]:

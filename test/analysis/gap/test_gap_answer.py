@@ -3,19 +3,27 @@
 import dataclasses
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from documented import problems
 from test_gap import TEXTBOOK, recorded
 
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.command import diagnose as asi_diagnose
-from asi_analysis.gap.answer.command import recorded_model
-from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain, sentences
+from asi_analysis.gap.answer.command import (
+    model_tolerances,
+    nominal_model,
+    parse_tolerances,
+    recorded_model,
+)
+from asi_analysis.gap.answer.words import between, in_words, sentences, unit_of, with_id
+from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
 from asi_analysis.gap.inference.localisation import by_block, explained
-from asi_analysis.gap.model.effects import BY_NAME
+from asi_analysis.gap.model.effects import BLOCKS, BY_NAME
 
 
 def test_each_effect_of_a_pair_has_the_share_that_it_explains():
@@ -66,14 +74,52 @@ def test_parameter_beyond_its_tolerance_is_an_answer(times, sure):
     if sure:
         assert answer['verdict'] == name
         assert row['parameters']['load_stiffness'] == pytest.approx(2e5 * times, rel=0.1)
-        assert 'load.stiffness is 3' in sentences(answer)[0]
+        assert 'load.stiffness is 1.6' in sentences(answer)[0]
+        assert 'beyond the tolerance of 20 %' in sentences(answer)[0]
+
+
+def test_a_parameter_may_have_a_tolerance_of_its_own(tmp_path):
+    stiff = recorded(real={**TEXTBOOK, 'load.stiffness': 3.2e5})
+    known = diagnose([stiff], TEXTBOOK, tolerances={'load.stiffness': 0.7})
+    assert known.verdict == ()
+    assert document(known)['nuisance']['load']['load_stiffness'] == pytest.approx(3.2e5, rel=0.1)
+    with pytest.raises(InputError, match='--tolerance load.radius: no uncertain .* load.mass'):
+        diagnose([stiff], TEXTBOOK, tolerances={'load.radius': 0.7})
+    assert parse_tolerances(['0.3', 'load.mass=0.5']) == (0.3, {'load.mass': 0.5})
+    for text in ('load.mass=2', 'load.mass', 'load.mass=much', '0'):
+        with pytest.raises(InputError, match=f'--tolerance {text} is not allowed: a share from'):
+            parse_tolerances([text])
+    path = tmp_path / 'model.yaml'
+    path.write_text('asi_actuator: {ros__parameters: {load.mass: 0.5}}\n'
+                    'asi_gap: {ros__parameters: {tolerance: {load.mass: 0.5}}}\n')
+    assert model_tolerances(path) == {'load.mass': 0.5}
+    assert nominal_model(path) == {'load.mass': 0.5}
+
+
+def test_words_of_a_joint_have_no_valve():
+    assert with_id('valve_deadband', False) == 'dead band of the valve (valve_deadband)'
+    assert with_id('backlash', False) == 'backlash'
+    named = [in_words(name, True) for name in (*BY_NAME, *BLOCKS)]
+    assert not any('valve' in each for each in named)
+    torque = Run(np.arange(4.0), command_n=np.zeros(4), position_m=np.zeros(4),
+                 information={'signals': {'command': 'Nm', 'position': 'rad'}})
+    assert [unit_of(unit, 'load', torque, True) for unit in ('N', 'N s/m', 'kg', 's')] == [
+        'Nm', 'Nm s/rad', 'Nm s2/rad', 's']
+
+
+@pytest.mark.parametrize(('value', 'low', 'high', 'text'), [
+    (1.41, 1.38, 1.45, '1.41 m (1.38 to 1.45)'), (150.0, 0.0, 1e4, '150 m (0.00 to 1.00e+04)'),
+    (-30.0, -40.0, -20.0, '-30.0 m (-40.0 to -20.0)'),
+    (2e-4, 1.9996e-4, 2.0004e-4, '0.000200 m ± 0.02 %')])
+def test_a_size_has_three_digits_and_its_interval(value, low, high, text):
+    assert between(value, low, high, 'm') == text
 
 
 @pytest.mark.parametrize(('separation', 'missing', 'words', 'command'), [
-    (8.0, [], 'asi run', True),
+    (8.0, [], 'record this: chirp (asi run)', True),
     (3e-6, [], 'no recording of these signals tells them apart: measure the pressure', False),
     (3e-6, ['position'], 'record the position too', False),
-    (8.0, ['position'], 'record the position too; asi run', True)])
+    (8.0, ['position'], 'record the position too; record this: chirp (asi run)', True)])
 def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, words, command):
     left = [('entrained_air',), ('sensor_lag',)]
     found = suggestion('chirp', 'asi run', separation, {'chirp': separation}, left, missing)

@@ -15,8 +15,10 @@ from asi_actuator.model.actuator import (
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
+from asi_analysis.gap.answer.words import sentences
 from asi_analysis.gap.diagnose import diagnose, document
-from asi_analysis.gap.inference.search import explained_by_simulator
+from asi_analysis.gap.inference.beyond_tolerance import form_of
+from asi_analysis.gap.inference.search import explained_by_simulator, parameter_errors
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import simulator_group, with_simulated_valve
 from asi_analysis.gap.model.model_file import improved_model
@@ -98,6 +100,29 @@ def test_thrust_is_told_from_the_gain_of_the_valve_with_its_size():
     assert answer['verdict'] == 'parameter:valve_characteristic.maximum_force'
     assert answer['which'][0]['parameters']['valve_characteristic_maximum_force'] == (
         pytest.approx(600.0, rel=0.02))
+
+
+def test_every_uncertain_parameter_is_that_of_a_hypothesis():
+    nominal = simulator.simulator_record({'load.type': 'spring'})
+    recordings = prepared([recorded({'load.type': 'spring'}, duration_s=2.0)])
+    for channels in (('valve',), CHANNELS):
+        group = simulator_group(nominal, recordings, channels)
+        group = replace(group, effects=(*group.effects, *parameter_errors(group)))
+        for free in group.nuisance:
+            assert free.field in {each.field for each in form_of(group, free.field)[1].free}
+
+
+def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
+    """The null hypothesis fits it too, beyond the tolerance: it is the same answer."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_characteristic.gain': 1.41})
+    answer = document(diagnose([run], nominal))
+    assert answer['verdict'] == 'parameter:valve_characteristic.gain'
+    assert answer['probability'] > 0.9 and answer['no_gap_probability'] == 0.0
+    assert answer['at_limit'] == []
+    assert 'valve_characteristic.gain is 1.41 times nominal' in sentences(answer)[0]
+    within = document(diagnose([run], nominal, tolerances={'valve_characteristic.gain': 0.6}))
+    assert within['verdict'] == 'no_gap'
 
 
 def test_an_effect_is_named_and_the_improved_model_is_the_machine():

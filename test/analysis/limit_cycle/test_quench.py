@@ -61,7 +61,7 @@ def test_condition_does_the_same_alone_and_beside_another():
 
 def test_condition_is_nothing_but_parameters_so_that_it_can_be_replayed_over_ros():
     trial = search({}, {'gain': 10.0}, (RATE_HZ,), 4, seed=3)[0]
-    settings = trial.condition.settings((RATE_HZ,))
+    settings = trial.condition.settings((RATE_HZ,), {})
     run = simulate_loop(settings['actuator'], {'gain': 10.0, **settings['reference']},
                         EXCITED_S + FREE_S, RATE_HZ)
     # Until it ends something pushes and pulls, then nothing does.
@@ -70,6 +70,13 @@ def test_condition_is_nothing_but_parameters_so_that_it_can_be_replayed_over_ros
     left = run.force_n[-2 * int(WATCHED_S * RATE_HZ):]
     if trial.sustained:
         assert 0.5 * np.ptp(left) == pytest.approx(trial.amplitude_n, rel=0.1)
+
+
+def test_the_attack_is_on_the_actuator_that_was_given():
+    condition = Condition(dict.fromkeys(NAMES, 0.6))
+    own, usual = (run_trials([condition], actuator, {'gain': 9.0}, (RATE_HZ,))[0].amplitude_n
+                  for actuator in ({'valve_characteristic.gain': 0.3}, {}))
+    assert usual > 10.0 and own == 0.0
 
 
 def test_push_lets_go_when_it_should():

@@ -1,11 +1,13 @@
 """A run without nodes: in pieces and as a whole the same, and complete after Ctrl-C."""
 
+import resource
 import warnings
 from pathlib import Path
 
 import pytest
 
 import asi_analysis as asi
+from asi_analysis.errors import InputWarning
 from asi_analysis.experiments.experiment import planned
 from asi_analysis.loop import in_process
 
@@ -40,3 +42,19 @@ def test_after_ctrl_c_the_bag_so_far_is_complete(
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         assert len(asi.read_bag(tmp_path / 'run/bag')) == 400
+
+
+def test_a_full_disk_is_told_with_the_bag(tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    try:
+        with pytest.raises(OSError, match='too large') as told:
+            in_process.run_in_process(planned({}, {}, 0.5, 'lockstep', 5000.0), tmp_path / 'run')
+        assert told.value.filename == str(tmp_path / 'run/bag')
+        with pytest.raises(OSError, match='too large') as told:
+            asi.write_bag(asi.simulate({}, {}, 0.5), tmp_path / 'bag')
+        assert told.value.filename == str(tmp_path / 'bag')
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with pytest.warns(InputWarning):
+        assert len(asi.read_bag(tmp_path / 'run/bag')) > 100

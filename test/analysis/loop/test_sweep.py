@@ -61,8 +61,17 @@ def test_runs_are_those_of_single_experiments_with_their_bags(
 
 
 def test_a_fault_is_told_and_the_other_runs_go_on(tmp_path: Path) -> None:
-    found = asi.sweep({'actuator.force_sensor.offset': [3000.0, 0.0]}, {}, {}, 0.05,
-                      bags=tmp_path)
+    found, alone = (asi.sweep({'actuator.force_sensor.offset': [3000.0, 0.0]}, {}, {}, 0.05,
+                              bags=bags) for bags in (tmp_path, None))
     assert 'limit.force' in found.runs[0]['fault'] and found.runs[1]['fault'] is None
     assert 'limit.force' in str(found)
+    # Also without its bag a run has no figures that the actuator would not give.
+    for with_bag, without in zip(found.runs, alone.runs, strict=True):
+        assert {**with_bag, 'bag': None} == without
+    assert alone.runs[0]['ripple_n'] is None and alone.runs[1]['ripple_n'] is not None
     assert [state.state for state in asi.read_bag(found.runs[0]['bag']).states] == ['fault']
+
+
+def test_a_gain_of_0_is_told_to_be_the_compensators_own() -> None:
+    found = asi.sweep({'controller.gain': [0.0, 1.0]}, {}, {}, 0.05)
+    assert "controller.gain = 0 is the compensator's own gain" in str(found)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from documented import problems
 import asi_analysis as asi
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis import cli
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.quench.attack import VARIED, search, with_errors
 from asi_analysis.tuning import figures as module
@@ -38,6 +40,12 @@ def test_figures_are_those_of_the_search(compared: Comparison) -> None:
     for name, controller in CONTROLLERS.items():
         assert values(compared, 'at 2000 Hz', name) == figures(
             {'load.mass': 2.0}, controller, 2000.0)
+
+
+def test_the_reference_of_a_controller_is_not_part_of_its_figures() -> None:
+    own = {'compensator': 'lead4', 'reference.shape': 'sine', 'reference.offset': 50.0,
+           'reference.end': 0.1}
+    assert figures({}, own, 2000.0) == figures({}, CONTROLLERS['lead4'], 2000.0)
 
 
 def test_of_several_plants_the_middle_and_the_worst(compared: Comparison) -> None:
@@ -77,10 +85,41 @@ def test_recordings_are_analysed_as_by_analyze(compared: Comparison) -> None:
     assert recording['oscillation'] == analysis.oscillation
 
 
+def test_a_recording_of_a_position_is_in_its_own_unit() -> None:
+    time_s = np.arange(1000) * 1e-3
+    lag = np.where(time_s < 0.1, 0.0, 0.5 - 0.5 * np.exp(-(time_s - 0.1) / 0.02))
+    run = Run(time_s, np.where(time_s < 0.1, 0.0, 0.5), position_m=lag,
+              information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    found = compare_controllers({}, {'arm': run})
+    assert '0.5 rad' in str(found) and ' N ' not in str(found).replace(' N s/m', '')
+    figure, _ = found.pictures()['recordings']
+    assert figure.axes[0].get_ylabel() == 'position (rad)' and len(figure.axes[0].lines) == 1
+
+
+def test_a_condition_that_is_named_twice_is_there_once() -> None:
+    found = compare_controllers(
+        {'P': {}}, rates_hz=[1000.0, 1000.0], springs_n_m=[1e5, 1e5], plants=0, noise_n=0.0,
+        attacks=0)
+    rows = [(each['condition'], each['name']) for each in found.figures]
+    assert len(set(rows)) == len(rows)
+
+
+def test_what_is_doubtful_about_a_recording_is_said() -> None:
+    run = asi.simulate({}, {'reference.amplitude': 100.0}, 0.4)
+    force = run.force_n.copy()
+    force[260:275] = np.nan
+    found = compare_controllers({}, {'holes': replace(run, force_n=force)})
+    recording, = found.recordings
+    assert recording['settling_time_2_s'] is None and recording['notes']
+    assert f'note: holes: {recording["notes"][0]}' in str(found)
+    assert f'data: {found.quality[0]["text"]}' in str(found)
+
+
 def test_it_prints_draws_and_writes_what_it_found(compared: Comparison, tmp_path: Path) -> None:
     assert problems(compared.to_dict(), 'asi compare') == []
     text = str(compared)
     assert 'lead4' in text and 'recordings' in text and '* not what' in text
+    assert 'about the reference in simulations, about the level reached in recordings' in text
     page = compared.write_report(tmp_path / 'report').read_text()
     assert page.count('<svg') == len(compared.pictures()) == 6
     compared.write_markdown(tmp_path / 'page.md', 'asi compare P')
@@ -110,7 +149,7 @@ def test_command_reads_names_files_and_bags(
 
 
 @pytest.mark.parametrize('changed, said', [
-    ({'rates_hz': []}, 'rates'), ({'rates_hz': [0.0]}, 'rate'),
+    ({'rates_hz': []}, 'rates'), ({'rates_hz': [0.0]}, 'rate'), ({'rates_hz': [200.0]}, 'rates'),
     ({'springs_n_m': [-1.0]}, 'springs')])
 def test_conditions_that_are_not_allowed_are_named(changed: dict, said: str) -> None:
     with pytest.raises(InputError, match=said):

@@ -7,6 +7,7 @@ import socket
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,12 @@ from nicegui.testing.user_simulation import user_simulation
 
 from asi_actuator.model.effects import EFFECT
 from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.viewing import page as live
-from asi_analysis.viewing.recent import drawn
+from asi_analysis.viewing.recent import Recent, Taken, drawn
 from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
+from asi_common.node import messages as wire
 from asi_common.node.ros_parameters import descriptor
 from asi_controller.parameters import CONTROLLER_NODE_PARAMETERS, REFERENCE_PARAMETERS
 
@@ -142,6 +145,33 @@ def test_a_slider_has_the_range_of_the_parameter() -> None:
     assert Scale(-1.0, 1.0, False, False).value(0.25) == -0.5
     assert (typed('8', 1.0), typed('8', 1), typed('fast', 1.0), typed('8', 'a')) == (
         8.0, 8, 'fast', '8')
+
+
+@pytest.mark.parametrize('reference, start', [
+    (None, 0.0), ([np.nan, np.nan], 0.0), ([20.0, np.nan], 20.0)])
+def test_a_step_is_from_the_reference_that_is_known(reference: Any, start: float) -> None:
+    given: dict[str, Any] = {}
+
+    async def set_(_: str, values: dict[str, Any]) -> None:
+        given.update(values)
+
+    run = Run(np.arange(2) * 1e-3, None if reference is None else np.array(reference),
+              force_n=np.zeros(2))
+    session = SimpleNamespace(nominal={}, link=SimpleNamespace(
+        set=set_, recent=SimpleNamespace(run=lambda _: run)))
+    asyncio.run(live.Session.step(session, 150.0))
+    assert given['reference.offset'] == start
+    assert given['reference.amplitude'] == 150.0 - start
+
+
+def test_a_loop_that_began_again_is_shown_from_there_on() -> None:
+    recent = Recent()
+    for stamps in ([5, 6, 7], [8, 9, 1, 2], [3, 4]):   # ms
+        recent.add('joint_states', [
+            Taken(wire.state(stamp * 10**6, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0)[0], 0, 0)
+            for stamp in stamps])
+    run = recent.run(1.0)
+    assert run is not None and run.signal('position').tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
 def test_fewer_points_keep_the_size_of_an_oscillation() -> None:

@@ -7,9 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import asi_analysis as asi
+from asi_analysis.bags.run import Run
 from asi_analysis.cli import main
 
 RUN = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 0.4)
@@ -43,6 +45,29 @@ def test_a_recording_of_a_force_alone_is_shown(tmp_path: Path) -> None:
     assert {'force', 'plane/0/now', 'spectrum'} <= found and 'command' not in found
     with pytest.raises(asi.InputError, match='none of its signals'):
         view(replace(force, force_n=None), tmp_path / 'none.rrd')
+
+
+def test_a_recording_of_another_joint_is_shown_in_its_units(tmp_path: Path) -> None:
+    pytest.importorskip('rerun')
+    from asi_analysis.viewing import rerun_view
+    turned = Run(RUN.time_s, RUN.reference_n, RUN.command_n, position_m=RUN.force_n,
+                 information={'signals': {'reference': 'rad', 'position': 'rad', 'command': 'V'}})
+    assert rerun_view._views(turned, {'reference', 'command', 'position'}) == {
+        'command (V)': ['command'], 'position (rad)': ['position', 'reference']}
+    rerun_view.view(turned, tmp_path / 'run.rrd')
+    assert {'position', 'reference', 'command', 'spectrum'} <= entities(tmp_path / 'run.rrd')
+
+
+def test_signals_that_are_never_there_together_have_no_loop(tmp_path: Path) -> None:
+    pytest.importorskip('rerun')
+    from asi_analysis.viewing.rerun_view import view
+    early = RUN.time_s < 0.2
+    view(replace(RUN, command_n=np.where(early, RUN.command_n, np.nan),
+                 valve_position_m=np.where(early, np.nan, RUN.valve_position_m)),
+         tmp_path / 'run.rrd')
+    assert 'plane/1/curve' not in entities(tmp_path / 'run.rrd')
+    with pytest.raises(asi.InputError, match='none of its signals'):
+        view(Run(RUN.time_s, force_n=np.full(len(RUN), np.nan)), tmp_path / 'none.rrd')
 
 
 def test_a_missing_library_is_said(monkeypatch: Any, capsys: Any) -> None:

@@ -1,0 +1,206 @@
+"""The answer in words: names of effects, blocks and sizes for people, and the sentences."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
+from asi_common.record import field_name
+
+NAMES: Final = {
+    'transport_delay': 'dead time of the command', 'command_quantisation': 'steps of the command',
+    'valve_hysteresis': 'hysteresis of the valve', 'valve_deadband': 'dead band of the valve',
+    'valve_saturation': 'saturation of the valve', 'valve_bias': 'bias of the valve',
+    'valve_lag': 'lag of the valve', 'coulomb_friction': 'Coulomb friction',
+    'friction_asymmetry': 'asymmetric friction', 'load_compliance': 'compliance of the load',
+    'sensor_offset': 'offset of the force sensor', 'sensor_gain': 'gain of the force sensor',
+    'sensor_lag': 'lag of the force sensor', 'sensor_drift': 'drift of the force sensor',
+    'sensor': 'force sensor', UNKNOWN: 'something that no known effect explains'}
+# Of a joint, whose drive may be electric and whose force may be a torque.
+OF_A_JOINT: Final = (('valve', 'drive'), ('disturbance force', 'disturbance'),
+                     ('force sensor', 'sensor'))
+# Sizes of effects that are no parameter of the simulator; what is not here only shapes the effect.
+SIZES: Final = {
+    'command_delay': 'delay', 'command_quantum': 'step', 'command_bias': 'bias',
+    'loop_width': 'half width', 'command_deadband': 'half width', 'valve_lag': 'time',
+    'valve_limit': 'limit', 'orifice_deadband': 'half width', 'orifice_bias': 'bias',
+    'force_limit': 'limit', 'damping_viscous': 'viscous', 'damping_quadratic': 'quadratic',
+    'damping_opening': 'at full opening', 'supply_drop': 'share lost',
+    'supply_sag': 'share lost with the valve open', 'leakage_linear': 'share lost',
+    'leakage_quadratic': 'share lost at the largest force', 'air_time': 'time at no force',
+    'friction_level': 'sliding friction', 'friction_asymmetry': 'asymmetry',
+    'friction_breakaway': 'share more to break away', 'viscous': 'damping',
+    'viscous_asymmetry': 'asymmetry of the viscous friction', 'backlash': 'half width of the gap',
+    'compliance': 'compliance', 'disturbance': 'constant', 'disturbance_wave': 'wave',
+    'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',
+    'disturbance_start': 'from', 'disturbance_end': 'to', 'sensor_offset': 'offset',
+    'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
+    'drive_delay': 'delay', 'drive_lag': 'time'}
+UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
+DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
+UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
+LEAST_SHARE: Final = 0.05   # of the gap, for a block to be named
+NARROW: Final = 0.02   # share of a value: a smaller interval is shown as ±
+
+
+def in_words(name: str, joint: bool) -> str:
+    """Return an effect, a block, `no_gap` or `unknown` in words of the plant."""
+    words = NAMES.get(name, name.replace('_', ' '))
+    if name.startswith(PARAMETER):
+        return f'{name.removeprefix(PARAMETER)} beyond its tolerance'
+    for ours, theirs in OF_A_JOINT if joint else ():
+        words = words.replace(ours, theirs)
+    return words
+
+
+def with_id(name: str, joint: bool) -> str:
+    """Return an effect in words, with its name in brackets where they differ."""
+    words = in_words(name, joint)
+    same = name.startswith(PARAMETER) or words == name.replace('_', ' ')
+    return words if same else f'{words} ({name})'
+
+
+def signal_of(channel: str, run: Run, joint: bool) -> str:
+    """Return the recorded signal that a channel predicts; `valve` is the drive of a joint."""
+    if channel == 'motion':
+        return 'velocity'
+    if channel != 'valve':
+        return 'force' if run.force_n is not None else 'command'
+    if not joint:
+        return 'valve_position'
+    return 'force' if run.command_n is not None else run.controlled()
+
+
+def unit_of(unit: str, channel: str, run: Run, joint: bool) -> str:
+    """Return the unit of a parameter, given that of the actuator, in those of the recording."""
+    if not joint:
+        return unit
+    force = run.unit(signal_of(channel, run, joint))
+    length = (run.unit('position') if run.position_m is not None else
+              run.unit('velocity').removesuffix('/s'))
+    if channel == 'valve':   # in the unit of what it follows
+        force, length = run.unit('command' if run.command_n is not None else 'reference'), force
+    if (force, length) != ('N', 'm'):
+        unit = unit.replace('kg', 'N s2/m')
+    return re.sub('[Nm]', lambda match: {'N': force, 'm': length}[match[0]], unit)
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent, with three significant digits."""
+    return f'{round(100.0 * share, 3):.3g} %'
+
+
+def chance(probability: float) -> str:
+    """Return a probability in per cent; never 0 or 100."""
+    if probability < 0.001 or probability > 0.999:
+        return 'below 0.1 %' if probability < 0.001 else 'above 99.9 %'
+    return percent(probability)
+
+
+def digits(value: float, unit: str = '') -> str:
+    """Return a value with three significant digits and its unit."""
+    return f'{f"{value:#.3g}".rstrip(".")} {unit}'.rstrip()
+
+
+def between(value: float, low: float, high: float, unit: str = '') -> str:
+    """Return a value with its interval; with ± where three digits hardly show that."""
+    if high - low < NARROW * abs(value):
+        return f'{digits(value, unit)} ± {50.0 * (high - low) / abs(value):.1g} %'
+    return f'{digits(value, unit)} ({digits(low)} to {digits(high)})'
+
+
+def shrink_in_words(row: Mapping[str, Any]) -> str:
+    """Return by how much a gap shrinks, with the 95 % interval."""
+    if row['shrink_low'] > 0.999:
+        return 'more than 99.9 %'
+    return (f'{percent(row["shrink"])} ({percent(row["shrink_low"])} to '
+            f'{percent(row["shrink_high"])})')
+
+
+def size_in_words(row: Mapping[str, Any], field: str) -> str:
+    """Return a size of a row of `which` with name, unit, interval and multiple of the nominal."""
+    plain, _, recording = field.partition('@')
+    value, nominal = row['parameters'][field], row['nominal'].get(field)
+    return ''.join((
+        SIZES.get(plain) or DOTTED[plain], f' in recording {recording}' if recording else '', ' ',
+        between(value, row['parameters_low'][field], row['parameters_high'][field],
+                row['units'][field]),
+        f', {digits(value / nominal)} times nominal' if nominal is not None else '',
+        ', at the limit of its range' if field in row['at_limit'] else ''))
+
+
+def sizes_in_words(row: Mapping[str, Any], known: Sequence[str] = ()) -> str:
+    """Return the sizes of a row of `which`, but for those that are `known`."""
+    return '; '.join(size_in_words(row, field) for field in row['parameters']
+                     if field not in known and field.partition('@')[0] in SIZES | DOTTED)
+
+
+def _named(name: str, answer: Mapping[str, Any], joint: bool) -> str:
+    """Return an effect in words; of a nominal parameter by how much it is off."""
+    if not name.startswith(PARAMETER):
+        return in_words(name, joint)
+    row = next(row for row in answer['which'] if row['effect'] == name)
+    (field, nominal), = row['nominal'].items()
+    value, low, high = (row[key][field] / nominal
+                        for key in ('parameters', 'parameters_low', 'parameters_high'))
+    times = between(value, low, high, 'times nominal')
+    return (f'{DOTTED[field]} is {times}, beyond the tolerance of '
+            f'{percent(row["tolerance"][field])}')
+
+
+def sentences(answer: Mapping[str, Any]) -> list[str]:
+    """Return what was found, how far the gap shrinks, and what is doubtful or next."""
+    joint = answer['plant'] == 'joint'
+    limits = ', '.join(f'{row["parameter"]} ({digits(row["value"], row["unit"])}, '
+                       f'{digits(row["value"] / row["nominal"])} times nominal)'
+                       for row in answer['at_limit'])
+    rest = [_together(verdict, joint) for verdict in answer['ambiguity_set']
+            if verdict != answer['verdict']]
+    following = answer['next_experiment']
+    return [each for each in (
+        _found(answer, joint), _error(answer), answer['unexplained'],
+        limits and f'At the limit of the tolerance: {limits}. If the real value lies beyond it, '
+                   'the answer may be wrong.',
+        f'It could also be {"; or ".join(rest)}.' if rest else
+        answer['verdict'] != NO_GAP and 'Nothing else explains it nearly as well.',
+        following and f'What next: {following["advice"]}.') if each]
+
+
+def _together(verdict: str, joint: bool) -> str:
+    """Return the effects of a verdict in words, the unknown one last."""
+    names = sorted(verdict.split('+'), key=lambda name: name == UNKNOWN)
+    return ' and '.join(in_words(name, joint) for name in names)
+
+
+def _found(answer: Mapping[str, Any], joint: bool) -> str:
+    names = sorted(answer['verdict'].split('+'), key=lambda name: name == UNKNOWN)
+    sure = f'(probability {chance(answer["probability"])})'
+    if names == [NO_GAP]:
+        return f'No gap beyond the noise and the tolerance of the model {sure}.'
+    where = {row['block']: row['share'] for row in answer['where']
+             if row['share'] >= LEAST_SHARE}
+    named = {block for name in names if (block := block_of(name))}
+    blocks = [block for block in where if block in named] or list(where)[:1]
+    found = (f'The gap lies in the {" and the ".join(in_words(each, joint) for each in blocks)}: '
+             f'{" and ".join(_named(name, answer, joint) for name in names)} {sure}.')
+    if len(where) < 2:
+        return found
+    return found + ' Shares of the gap: ' + ', '.join(
+        f'{in_words(block, joint)} {share:.0%}'.replace('%', ' %')
+        for block, share in where.items()) + '.'
+
+
+def _error(answer: Mapping[str, Any]) -> str:
+    gap = answer['gap']
+    before, refitted, after, noise = (percent(gap[f'{name}_nrmse']) for name in (
+        'before', 'refitted', 'after', 'noise_floor'))
+    signal = gap['signal'].replace('_', ' ')
+    if answer['verdict'] == NO_GAP:
+        return (f'The error of the {signal} is {before} of the signal (rms), and {refitted} with '
+                f'the parameters refitted within their tolerance; noise alone makes {noise}.')
+    return (f'On samples used for nothing else the error of the {signal} falls from {before} to '
+            f'{after} of the signal (rms); noise alone makes {noise}. The gap '
+            f'shrinks by {shrink_in_words(gap)}; the 95 % interval is for another recording of '
+            'this kind.')
