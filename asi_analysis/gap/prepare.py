@@ -11,19 +11,17 @@ from scipy.signal import coherence, resample_poly, welch
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap.parts import BURN_OUT_S, balanced_split, reported, split
 from asi_analysis.measures.quality import check_time
 
 Array = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
-BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
-BURN_OUT_S = 0.1        # and at the end, since the motion after it is not known
 MOST_MISSING = 0.05     # share of missing samples that is still bridged
 LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
 JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
 MOST_JUMPED = 0.5       # share of a recording that is left out for that
-PARTS = 12              # of a recording, in turn: fit, model selection, fit, report
 PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
 # than this multiple of the noise's: friction and backlash act on all of the motion that there is.
@@ -38,7 +36,6 @@ RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
 REPEATED = 1e-6         # of its range: how far commands that are the same may differ
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
-OUTSIDE = 0.01          # share of the held-out samples outside the range of the fitted parts
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
@@ -330,45 +327,6 @@ def velocity_of(recording: Recording) -> Array | None:
     return motion.velocity[motion.pad:motion.pad + recording.fit.size]
 
 
-def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
-    """
-    Return which samples to fit on and which to hold out: to choose or to report on.
-
-    Alternating parts cover the whole run; short gaps between them keep neighbours independent.
-    """
-    part = np.arange(count) * parts // count
-    edge = np.arange(count) - np.ceil(part * count / parts)
-    gap = (edge < 0.02 / period) & (part > 0)
-    end = (np.arange(count)[::-1] * period >= BURN_OUT_S)
-    usable = (np.arange(count) * period >= BURN_IN_S) & end & ~gap
-    return usable & (part % 2 == 0), usable & (part % 2 == 1)
-
-
-def _reported(held: Mask) -> Mask:
-    """Return the held-out samples to report on: those of every other held-out part."""
-    begins = held & ~np.append(False, held[:-1])
-    return held & (np.cumsum(begins) % 2 == 0)
-
-
-def _balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
-    """
-    Return a split in which both parts have a similar excitation.
-
-    Samples outside the fitted range are not used for validation, so without balance a saturation
-    at a few peaks, or an effect at a few reversals, would not show.
-    """
-    size = np.abs(driving)
-
-    def imbalance(fit: Mask, held: Mask) -> float:
-        beyond = float(np.mean(size[held] > size[fit].max())) / OUTSIDE
-        ratio = np.mean(size[held] ** 2) / max(np.mean(size[fit] ** 2), 1e-300)
-        return max(beyond, abs(math.log2(max(ratio, 1e-300))) / 2.0, 1.0)
-
-    splits = [split(driving.size, period, parts) for parts in (PARTS, 2 * PARTS, 4 * PARTS)]
-    return min((each for fit, held in splits for each in ((fit, held), (held, fit))),
-               key=lambda each: imbalance(*each))   # the first that is balanced
-
-
 def _ends(count: int, period: float) -> Mask:
     """Return the samples at both ends of a recording in which a high-pass still rings."""
     time = period * np.arange(count)
@@ -470,7 +428,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         force = moving.get('force')
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
-                     _balanced_split(driving, period))
+                     balanced_split(driving, period))
         valid = _recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
             valid = valid & ~_ends(fit.size, period)
@@ -478,7 +436,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         for name in (MEASURED - {'valve_position'}) & moving.keys():
             valid = valid & ~clipped(moving[name])
         # Where whole recordings are held out, the result is reported on those alone.
-        report = (np.zeros_like(fit) if whole else _reported(held)) & valid
+        report = (np.zeros_like(fit) if whole else reported(held)) & valid
         fit, held = fit & valid, held & valid & ~report
         if whole and whole[number]:
             fit, held, report = np.zeros_like(fit), np.zeros_like(fit), fit | held

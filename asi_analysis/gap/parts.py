@@ -1,0 +1,54 @@
+"""Parts of a recording: to fit on, to choose a hypothesis by, and to report on."""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+
+BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
+BURN_OUT_S = 0.1        # and at the end, since the motion after it is not known
+PARTS = 12              # of a recording, in turn: fit, model selection, fit, report
+OUTSIDE = 0.01          # share of the held-out samples outside the range of the fitted parts
+
+
+def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
+    """
+    Return which samples to fit on and which to hold out: to choose or to report on.
+
+    Alternating parts cover the whole run; short gaps between them keep neighbours independent.
+    """
+    part = np.arange(count) * parts // count
+    edge = np.arange(count) - np.ceil(part * count / parts)
+    gap = (edge < 0.02 / period) & (part > 0)
+    end = (np.arange(count)[::-1] * period >= BURN_OUT_S)
+    usable = (np.arange(count) * period >= BURN_IN_S) & end & ~gap
+    return usable & (part % 2 == 0), usable & (part % 2 == 1)
+
+
+def reported(held: Mask) -> Mask:
+    """Return the held-out samples to report on: those of every other held-out part."""
+    begins = held & ~np.append(False, held[:-1])
+    return held & (np.cumsum(begins) % 2 == 0)
+
+
+def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
+    """
+    Return a split in which both parts have a similar excitation.
+
+    Samples outside the fitted range are not used for validation, so without balance a saturation
+    at a few peaks, or an effect at a few reversals, would not show.
+    """
+    size = np.abs(driving)
+
+    def imbalance(fit: Mask, held: Mask) -> float:
+        beyond = float(np.mean(size[held] > size[fit].max())) / OUTSIDE
+        ratio = np.mean(size[held] ** 2) / max(np.mean(size[fit] ** 2), 1e-300)
+        return max(beyond, abs(math.log2(max(ratio, 1e-300))) / 2.0, 1.0)
+
+    splits = [split(driving.size, period, parts) for parts in (PARTS, 2 * PARTS, 4 * PARTS)]
+    return min((each for fit, held in splits for each in ((fit, held), (held, fit))),
+               key=lambda each: imbalance(*each))   # the first that is balanced
