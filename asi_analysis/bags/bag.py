@@ -33,6 +33,7 @@ STATE: Final = ': state'
 # A message may come so many messages late, and so many stamps may be wrong.
 MOST_LATE: Final = 10
 MOST_WRONG: Final = 2
+TOO_CLOSE: Final = 0.75   # of the usual time between two messages
 BLOCK_SAMPLES: Final = 20_000
 
 
@@ -240,7 +241,11 @@ def time_base(series: Series, source: str) -> Series:
     steps = np.diff(ticks)
     if (steps < 0).any():
         places = np.argsort(ticks, kind='stable') - np.arange(len(ticks))
-        if np.sum(np.abs(places) > MOST_LATE) > MOST_WRONG:
+        # Late messages fill a gap in time; those of a second time do not.
+        apart = np.diff(np.sort(ticks))
+        foreign = max(np.sum(apart < TOO_CLOSE * np.median(apart[apart > 0])),
+                      np.sum(ticks < ticks[0]))
+        if min(np.sum(np.abs(places) > MOST_LATE), foreign) > MOST_WRONG:
             k = int(np.argmin(steps))
             raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
                              f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: record what comes before and '

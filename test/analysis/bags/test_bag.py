@@ -122,7 +122,8 @@ def test_a_time_that_goes_back_is_refused_not_mixed(order: list[int], tmp_path: 
 
 
 @pytest.mark.parametrize('order', [
-    [*range(10), 11, 10, *range(12, 50)], [*range(10), 10**6, *range(10, 50)]])
+    [*range(10), 11, 10, *range(12, 50)], [*range(10), 10**6, *range(10, 50)],
+    [*range(10), *range(30, 50), *range(10, 30)]])
 def test_a_late_message_and_a_wrong_stamp_are_put_in_order(order: list[int], tmp_path: Path
                                                            ) -> None:
     rows = [(k * 10**7, wrench(10**9 + stamp * 10**7, float(stamp)))
