@@ -50,6 +50,10 @@ class SlcanBus(slcanBus):
             # return it would look as if there were nothing more to read.
         return None
 
+    def _write(self, string: str) -> None:
+        with can.exceptions.error_check('cannot be written'):
+            super()._write(string)
+
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
     """

@@ -33,7 +33,7 @@ STATE: Final = ': state'
 # A message may come so many messages late, and so many stamps may be wrong.
 MOST_LATE: Final = 10
 MOST_WRONG: Final = 2
-TOO_CLOSE: Final = 0.75   # of the usual time between two messages
+CROWDED: Final = 1.5   # times as many messages in a time as usual: those of two times
 BLOCK_SAMPLES: Final = 20_000
 
 
@@ -239,19 +239,27 @@ def time_base(series: Series, source: str) -> Series:
     """
     ticks = series.stamp_ns if series.stamp_ns.any() else series.publish_ns
     steps = np.diff(ticks)
-    if (steps < 0).any():
-        places = np.argsort(ticks, kind='stable') - np.arange(len(ticks))
-        # Late messages fill a gap in time; those of a second time do not.
-        apart = np.diff(np.sort(ticks))
-        foreign = max(np.sum(apart < TOO_CLOSE * np.median(apart[apart > 0])),
-                      np.sum(ticks < ticks[0]))
-        if min(np.sum(np.abs(places) > MOST_LATE), foreign) > MOST_WRONG:
-            k = int(np.argmin(steps))
-            raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
-                             f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: record what comes before and '
-                             'after as bags of their own')
+    if (steps < 0).any() and _of_two_times(ticks):
+        k = int(np.argmin(steps))
+        raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
+                         f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: record what comes before and '
+                         'after as bags of their own')
     ticks, first = np.unique(ticks, return_index=True)
     return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
+
+
+def _of_two_times(ticks: Nanoseconds) -> bool:
+    """Return whether stamps are of two times, rather than late or wrong for a few messages."""
+    order = np.argsort(ticks, kind='stable')
+    if np.sum(np.abs(order - np.arange(len(ticks))) > MOST_LATE) <= MOST_WRONG:
+        return False
+    if np.sum(ticks < ticks[0]) > MOST_WRONG:
+        return True
+    # Late messages fill a gap in time; those of a second time come among the first.
+    steps, window = np.diff(ticks), 2 * MOST_LATE
+    spans = ticks[order][window:] - ticks[order][:-window]
+    usual = np.median(steps[steps > 0])
+    return bool((spans < window / CROWDED * usual).any())
 
 
 def align(base: Series, series: Series, values: Array, hold: bool) -> Array:

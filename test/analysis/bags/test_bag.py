@@ -111,7 +111,8 @@ def foreign_bag(path: Path, messages: dict[str, list[tuple[int, bytes]]],
 
 @pytest.mark.parametrize('order', [
     [*range(60, 100), *range(40)],                        # a simulation that began again
-    [*range(50), *range(30, 80)], 2 * [*range(50)]])      # a clock set back, a bag played twice
+    [*range(50), *range(30, 80)], 2 * [*range(50)],       # a clock set back, a bag played twice
+    [*range(100), *range(20)]])                           # begun again, and soon stopped
 def test_a_time_that_goes_back_is_refused_not_mixed(order: list[int], tmp_path: Path) -> None:
     rows = [(k * 10**7, wrench(10**9 + stamp * 10**7, float(k))) for k, stamp in enumerate(order)]
     bag = foreign_bag(tmp_path / 'bag', {'/force': rows})
