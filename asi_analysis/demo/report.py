@@ -19,7 +19,7 @@ from asi_analysis.demo.runs import (
 )
 from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.report import chances
-from asi_analysis.gap.answer.words import sentences
+from asi_analysis.gap.words import sentences
 from asi_analysis.reporting import figures
 from asi_analysis.reporting.report import write_report
 from asi_controller.compensator import OWN_GAIN

@@ -10,7 +10,6 @@ import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.gap.answer.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_of, unit_of
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import localisation, plausibility
@@ -37,6 +36,7 @@ from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import by_simulator, simulator_record
 from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_of, unit_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name
@@ -150,7 +150,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     uncertain = sorted({DOTTED[free.field] for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'})
     for name in tolerances.keys() - set(uncertain):
-        raise InputError(f'--tolerance {name}: no uncertain parameter of the nominal model; '
+        raise InputError(f'tolerance {name}: no uncertain parameter of the nominal model; '
                          f'uncertain are: {", ".join(uncertain) or "none"}')
     groups, simulated = ([with_tolerances(group, own) for group in each]
                          for each in (groups, simulated))
@@ -238,11 +238,6 @@ def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]]
     return None
 
 
-def nominal_of(group: Group) -> np.void:
-    """Return the nominal record as it was given."""
-    return group.nominal if group.given is None else group.given
-
-
 def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the fitted parameters of effects, by effect: values, intervals, units, limits."""
     known: dict[int, Likelihood] = {}   # shared by all effects of a hypothesis
@@ -269,7 +264,7 @@ def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, An
                 own.unit or UNITS.get(field, UNIT_OF_SCALE.get(own.scale, '')), group.channels[0],
                 diagnosis.runs[0], diagnosis.plant == 'joint')
             if own.scale == 'nominal':
-                row['nominal'][field] = float(nominal_of(group)[field])
+                row['nominal'][field] = float(group.as_given[field])
                 row['tolerance'][field] = diagnosis.tolerances.get(field, diagnosis.tolerance)
             if share > 1.0 - AT_LIMIT or (share < AT_LIMIT and free.low != 0.0):
                 sizes[name]['at_limit'].append(field)

@@ -13,13 +13,13 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
 from asi_analysis.gap.answer.result import Gap
-from asi_analysis.gap.answer.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_analysis.gap.model.model_file import DIRECT
 from asi_analysis.gap.model.simulator import of_simulator
+from asi_analysis.gap.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common import parameter_file
@@ -101,7 +101,7 @@ def _tolerances(found: Mapping[str, Value]) -> dict[str, float]:
     """Return tolerances by dotted name; '': the usual one. Raises InputError."""
     for name, share in found.items():
         if isinstance(share, str) or not LEAST_TOLERANCE <= share < 1.0:
-            raise InputError(f'--tolerance {name}{"=" if name else ""}{share} is not allowed: '
+            raise InputError(f'tolerance {name}{"=" if name else ""}{share} is not allowed: '
                              f'a share from {LEAST_TOLERANCE:g}, below 1')
     return {name: float(share) for name, share in found.items()}
 

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.tables import LEAST_PROBABILITY, tables
-from asi_analysis.gap.answer.words import in_words, sentences
-from asi_analysis.gap.diagnose import Diagnosis, nominal_of
+from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.words import in_words, sentences
 from asi_analysis.reporting.report import write_report
 from asi_analysis.reporting.result import Pictures, as_html
 from asi_common.parameter import Value
@@ -67,7 +67,7 @@ def _overlay(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
     number = len(weighed.group.recordings) - 1
     recording = weighed.group.recordings[number]
     real = measured(recording, channel)
-    models = {'nominal': predict(recording, channel, nominal_of(weighed.group))}
+    models = {'nominal': predict(recording, channel, weighed.group.as_given)}
     power = (real - models['nominal']) ** 2 * recording.report
     if answer['verdict'] != NO_GAP:
         models['with what was found'] = predict(recording, channel,

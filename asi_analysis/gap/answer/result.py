@@ -5,8 +5,8 @@ from pathlib import Path
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.tables import tables
-from asi_analysis.gap.answer.words import sentences
 from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.words import sentences
 from asi_analysis.reporting.result import Pictures, Result, Table
 from asi_common.parameter import Value
 

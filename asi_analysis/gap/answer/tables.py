@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from asi_analysis.gap.answer.words import (
+from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
+from asi_analysis.gap.words import (
     between,
     chance,
     digits,
@@ -13,7 +14,6 @@ from asi_analysis.gap.answer.words import (
     sizes_in_words,
     with_id,
 )
-from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
 from asi_analysis.reporting.result import Table
 
 LEAST_PROBABILITY: Final = 0.01   # of an effect that is listed

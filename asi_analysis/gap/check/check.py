@@ -25,7 +25,7 @@ from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink
 from asi_analysis.gap.inference.hypotheses import evidence_of
 from asi_analysis.gap.inference.probability import as_plain
 from asi_analysis.gap.model.effects import BLOCK_OF, EFFECTS, NO_GAP, PARAMETER, UNKNOWN, block_of
-from asi_analysis.gap.model.group import another, exact
+from asi_analysis.gap.model.group import exact, prepared_for
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
@@ -46,11 +46,10 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     shrink = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
     group = weighed.group
-    nominal = group.nominal if group.given is None else group.given
-    recording = another(group, prepare([run])[0])
+    recording = prepared_for(group, prepare([run])[0])
     valid = recording.valid
     errors = []
-    for p in (nominal, diagnosis.best(weighed).fitted.record):
+    for p in (group.as_given, diagnosis.best(weighed).fitted.record):
         left = measured(recording, shrink.channel) - predict(recording, shrink.channel,
                                                              exact(group, p))
         errors.append(math.sqrt(float(np.mean(left[valid] ** 2))))

@@ -47,8 +47,7 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
     square = np.concatenate([measured(r, channel)[r.report] ** 2 for r in group.recordings])
     size = math.sqrt(float(square.mean())) or 1.0
     errors = {name: stretches_error(group, channel, p)
-              for name, p in (('nominal', group.nominal if group.given is None
-                               else group.given), ('refitted', refitted),
+              for name, p in (('nominal', group.as_given), ('refitted', refitted),
                               ('after', after))}
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
     floor = group.noise[channel]

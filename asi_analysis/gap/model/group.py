@@ -81,6 +81,11 @@ class Group:
         return sum(float((r.held_out | r.report).sum()) * r.period_s for r in self.recordings)
 
     @property
+    def as_given(self) -> np.void:
+        """Return the nominal record without what another group has found."""
+        return self.nominal if self.given is None else self.given
+
+    @property
     def measures_valve(self) -> bool:
         """Return whether every recording holds the valve position."""
         return all(recording.valve_position is not None for recording in self.recordings)
@@ -178,16 +183,16 @@ def with_simulated_valve(group: Group, valve: np.void) -> Group:
     p = group.nominal.copy()
     for name in simulator.VALVE_FIELDS:
         p[name] = valve[name]
-    p['maximum_substep'] = group.exact_substep_s
-    recordings = [replace(r, valve_estimate=simulator.estimated_valve(r, p), corrections={},
-                          cache={}) for r in group.recordings]
+    group = replace(group, nominal=p, given=group.nominal)
+    recordings = [replace(prepared_for(group, r), corrections={}, cache={})
+                  for r in group.recordings]
     recordings, p['maximum_substep'] = simulator.with_corrections(
         recordings, group.channels, p, group.error_floor, group.exact_substep_s)
-    return replace(group, nominal=p, given=group.nominal, recordings=recordings)
+    return replace(group, recordings=recordings)
 
 
-def another(group: Group, recording: Recording) -> Recording:
-    """Return a further recording, ready to be predicted by records of a group."""
+def prepared_for(group: Group, recording: Recording) -> Recording:
+    """Return a recording with what the records of a group need to predict it."""
     if not simulator.of_simulator(group.nominal):
         return recording
     return replace(recording, valve_estimate=simulator.estimated_valve(

@@ -17,13 +17,13 @@ from asi_analysis.gap.answer.command import (
     parse_tolerances,
     recorded_model,
 )
-from asi_analysis.gap.answer.words import between, in_words, sentences, unit_of, with_id
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
 from asi_analysis.gap.inference.localisation import by_block, explained
 from asi_analysis.gap.model.effects import BLOCKS, BY_NAME
+from asi_analysis.gap.words import between, in_words, sentences, unit_of, with_id
 
 
 def test_each_effect_of_a_pair_has_the_share_that_it_explains():
@@ -83,11 +83,11 @@ def test_a_parameter_may_have_a_tolerance_of_its_own(tmp_path):
     known = diagnose([stiff], TEXTBOOK, tolerances={'load.stiffness': 0.7})
     assert known.verdict == ()
     assert document(known)['nuisance']['load']['load_stiffness'] == pytest.approx(3.2e5, rel=0.1)
-    with pytest.raises(InputError, match='--tolerance load.radius: no uncertain .* load.mass'):
+    with pytest.raises(InputError, match='tolerance load.radius: no uncertain .* load.mass'):
         diagnose([stiff], TEXTBOOK, tolerances={'load.radius': 0.7})
     assert parse_tolerances(['0.3', 'load.mass=0.5']) == (0.3, {'load.mass': 0.5})
     for text in ('load.mass=2', 'load.mass', 'load.mass=much', '0'):
-        with pytest.raises(InputError, match=f'--tolerance {text} is not allowed: a share from'):
+        with pytest.raises(InputError, match=f'tolerance {text} is not allowed: a share from'):
             parse_tolerances([text])
     path = tmp_path / 'model.yaml'
     path.write_text('asi_actuator: {ros__parameters: {load.mass: 0.5}}\n'

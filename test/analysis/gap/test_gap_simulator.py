@@ -15,7 +15,6 @@ from asi_actuator.model.actuator import (
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
-from asi_analysis.gap.answer.words import sentences
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.search import explained_by_simulator, parameter_errors
@@ -24,6 +23,7 @@ from asi_analysis.gap.model.group import simulator_group, with_simulated_valve
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare as prepared
+from asi_analysis.gap.words import sentences
 from asi_analysis.loop.closed_loop import simulate_loop
 
 NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
