@@ -78,7 +78,7 @@ class _Recorded:
         self.offered = [RELIABLE]
         self.number = 0
         self.lost = 0
-        self.one_publisher = True
+        self.one_publisher = name not in TOPICS or TOPICS[name].publisher != 'both'
         self._publishers = node.count_publishers
         self.reliability = ReliabilityPolicy.RELIABLE
         self.subscription = self._subscription(node, group)
