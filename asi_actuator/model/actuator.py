@@ -150,6 +150,12 @@ def jump(state, command, p):
     So that the first sub-step begins with the values just after, and stays second order.
     """
     valve_jump(state, command, p)
+    motion_jump(state, p)
+
+
+@jit
+def motion_jump(state, p):
+    """Let all behind the valve jump to the position (m) to which the valve has jumped."""
     state.static_force = valve_characteristic(state.valve_position, p)
     if p.valve_characteristic_supply_sag > 0.0:
         state.static_force *= 1.0 - p.valve_characteristic_supply_sag * state.supply_load
@@ -182,6 +188,12 @@ def valve_substep(state, command, p, steady):
 def substep(state, command, p, steady):
     """Advance `state` by a sub-step at a constant valve command (N)."""
     valve_substep(state, command, p, steady)
+    motion_substep(state, p, steady)
+
+
+@inlined
+def motion_substep(state, p, steady):
+    """Advance all behind the valve by a sub-step that ends at the valve's position (m)."""
     static_before = state.static_force
     state.static_force = valve_characteristic(state.valve_position, p)
     opening = valve_opening(state.valve_position, p)
@@ -213,14 +225,32 @@ def advance(state, command, p, steady):
 
 
 @jit
-def advance_valve(state, command, p, steady):
-    """Advance the valve alone by one control period at a constant valve command (N), in place."""
+def advance_valve(state, command, p, steady, positions):
+    """
+    Advance the valve alone by one control period at a constant valve command (N), in place.
+
+    positions: is filled with its positions, m: after the jump, and after each sub-step.
+    """
     limited = sent(state, command, p)
     delayed = p.command_path_delay > 0.0
     valve_jump(state, arrived(state, 0, steady.command) if delayed else limited, p)
+    positions[0] = state.valve_position
     for number in range(steady.substeps):
         valve_substep(state, arrived(state, number, steady.command) if delayed else limited, p,
                       steady)
+        positions[number + 1] = state.valve_position
+    state.sample += 1
+
+
+@jit
+def advance_motion(state, positions, p, steady):
+    """Advance all behind a valve with these `positions` (see advance_valve) by one period."""
+    state.valve_position = positions[0]
+    motion_jump(state, p)
+    for number in range(steady.substeps):
+        state.ring_index = (state.ring_index + 1) & (RING - 1)
+        state.valve_position = positions[number + 1]
+        motion_substep(state, p, steady)
     state.sample += 1
 
 

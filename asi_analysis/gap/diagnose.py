@@ -210,9 +210,9 @@ def hypothesis_name(names: Names) -> str:
 
 
 def main_shrink(diagnosis: Diagnosis) -> Shrink:
-    """Return the shrink of the channel in which the verdict explains most."""
+    """Return the shrink of the channel in which the verdict explains most, in noise floors."""
     def explained(shrink: Shrink) -> float:
-        return shrink.refitted ** 2 - shrink.after ** 2
+        return (shrink.refitted ** 2 - shrink.after ** 2) / max(shrink.noise_floor, 1e-9) ** 2
 
     shown = list(diagnosis.shrinks)
     if not diagnosis.verdict or UNKNOWN in diagnosis.verdict:

@@ -89,7 +89,7 @@ class Recording:
     # By channel: what a shorter sub-step adds to the simulator's predictions with a longer one.
     corrections: dict[str, Array] = field(default_factory=dict)
     corrected_substep_s: float = 0.0
-    cache: dict[Any, Array] = field(default_factory=dict)   # parts of predictions
+    cache: dict[Any, Any] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:
         """Return into how many steps, none longer than `longest_s` s, a period is cut."""

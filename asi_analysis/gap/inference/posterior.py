@@ -31,6 +31,7 @@ ROUNDS = 12       # of the optimiser
 GAIN, CONVERGED = 0.05, 3e-4
 TRIES = 5         # of a step, with more damping each
 SLOW = 0.003      # of the cost: an updated derivative that gains less is computed anew
+HOPE = 2.0        # times what a linear problem would gain: a fit may gain no more
 LONGEST_STEP = 0.3
 PART, BENT = 0.1, 0.4   # of a step: to see how the residual bends along it; the most that it may
 
@@ -119,8 +120,8 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     Sethna, arXiv:1201.5885): sums of parameters are known far better than each, so the way to
     the minimum is long, narrow and bent. known: derivatives to begin with, by field. After each
     step all are updated by what it showed (Broyden's method); they are computed anew where that
-    does not lead on, at most `rounds` times. goal: a cost; a fit that at its present rate does
-    not reach it is given up.
+    does not lead on, at most `rounds` times. goal: a cost; a fit that will not reach it, as its
+    present rate or its derivatives tell, is given up.
     """
     mean, precision = problem.prior
 
@@ -135,6 +136,10 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost
+        if fresh and math.isfinite(goal):
+            _, most = least_step(square, slope, -theta, 1.0 - theta)
+            if cost - HOPE * most > goal:
+                return Best(theta, cost, value)
         for _ in range(TRIES if fresh else 1):
             there = _next(problem, theta, value, slopes, square, slope, damping)
             value_there = problem.residual(there)

@@ -150,7 +150,7 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     if not _left(null) and given < -max(EFFECT, BEYOND):
         return {(): null}
     group.scale.update(initial_guesses(_fitted(null)))
-    return {(): null} | _singles(as_given, tick)
+    return {(): null} | _singles(as_given, null, tick)
 
 
 def _left(found: Found) -> bool:
@@ -178,18 +178,22 @@ def _beyond(field: str, group: Group) -> Effect:
 
 
 class _Explained:
-    """What the parameters of a fit explain of a signal, by linear least squares."""
+    """What parameters of a fit explain of signals, by linear least squares."""
 
     def __init__(self, slopes: Array, precision: Array) -> None:
         size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
         self._scaled = slopes / size
-        self._factor = cho_factor(self._scaled.T @ self._scaled + np.diag(
-            precision / size ** 2 + RIDGE))
+        self._square = self._scaled.T @ self._scaled + np.diag(precision / size ** 2 + RIDGE)
 
-    def of(self, signal: Array) -> Array:
-        """Return the part (n samples) of a signal that they explain."""
-        part: Array = self._scaled @ cho_solve(self._factor, self._scaled.T @ signal)
-        return part
+    def along(self, signal: Array) -> Array:
+        """Return the products of a signal (n samples) with the derivatives of the parameters."""
+        product: Array = self._scaled.T @ signal
+        return product
+
+    def common(self, one: Array, other: Array, keep: list[int]) -> float:
+        """Return the product of what some parameters explain of two signals, of their `along`."""
+        factor = cho_factor(self._square[np.ix_(keep, keep)])
+        return float(one[keep] @ cho_solve(factor, other[keep]))
 
 
 class _Start(NamedTuple):
@@ -227,11 +231,16 @@ def _starts(base: Found) -> list[_Start]:
     return work
 
 
-def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
-    """Return the fits of the effects with the highest gain in the linear screen, from `base`."""
+def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+    """
+    Return the fits of the effects with the highest gain in the linear screen.
+
+    base: the nominal model as it was given; null: fitted.
+    """
     problem, residual = base.problem, base.best.residual
     slopes, precision = problem.jacobian(base.best.theta), problem.prior[1]
-    everything = _Explained(slopes, precision)
+    explained = _Explained(slopes, precision)
+    along_residual = explained.along(residual)
 
     def gain(start: _Start) -> float:
         own = {free.field for free in start.variant.free}
@@ -239,15 +248,14 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
         if not np.isfinite(change).all():
             return -math.inf
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
-        others = everything if len(keep) == len(problem.free) else _Explained(
-            slopes[:, keep], precision[keep])
-        size = float(change @ change - change @ others.of(change))
-        if size <= RIDGE * float(change @ change):
+        along_change, all_of_it = explained.along(change), float(change @ change)
+        size = all_of_it - explained.common(along_change, along_change, keep)
+        if size <= RIDGE * all_of_it:
             return -math.inf
-        along = float((residual - others.of(residual)) @ change)
+        along = float(residual @ change) - explained.common(along_residual, along_change, keep)
         amount = min(max(-along / size, 0.0), LARGEST)
         # What other parameters explain by themselves is the same for all but those without one.
-        return 0.5 * float(residual @ others.of(residual)) - amount * along - (
+        return 0.5 * explained.common(along_residual, along_residual, keep) - amount * along - (
             0.5 * amount ** 2 * size)
 
     work = _starts(base)
@@ -279,7 +287,10 @@ def _singles(base: Found, tick: Callable[[], None]) -> dict[Names, Found]:
         # nothing may wait for another one: all could wait.
         alone = replace(found.problem, group=leader.problem.group, pool=None)
         found = found._replace(problem=alone)
+        without = _with_shared(found, null, nominal=True)
         starts = [found.best.theta, _with_shared(found, leader)]
+        if np.all((without >= 0.0) & (without <= 1.0)):   # else no effect is no value of it
+            starts.append(without)
         theta = min(starts, key=lambda each: float(np.sum(alone.residual(each) ** 2)))
         goal = leader.best.cost + REACH
         return _converged(found._replace(best=most_probable(alone, theta, goal=goal)), goal)
@@ -338,10 +349,14 @@ def _best_starts(ranked: Sequence[_Start]) -> list[_Start]:
     return [start for forms in chosen.values() for start in forms.values()]
 
 
-def _with_shared(found: Found, other: Found) -> Array:
-    """Return the parameters of a fit with those that another one has too taken from there."""
+def _with_shared(found: Found, other: Found, nominal: bool = False) -> Array:
+    """
+    Return the parameters of a fit with those that another one has too taken from there.
+
+    nominal: and the parameters of the effect as they are without it.
+    """
     values = other.problem.record(other.best.theta)
-    known = {free.field for free in other.problem.free}
+    known = {free.field for free in (found if nominal else other).problem.free}
     return np.array([found.problem.parameter(free).share(float(values[free.field]))
                      if free.field in known else share
                      for free, share in zip(found.problem.free, found.best.theta, strict=True)])

@@ -1,13 +1,14 @@
 """
-The simulator as the predictor: its own `advance`, run on the recorded command.
+The simulator as the predictor: its own steps, run on the recorded command.
 
-Where the valve position was measured, the simulated valve is corrected to it at each sample: by a
-bias, so that between samples the simulator's valve moves and nothing is interpolated. Piston and
-load are simulated open loop from the measured state at the start: the output-error form of the
+Where the valve position was measured, its error is added to the simulated position, period by
+period: between samples the simulator's valve moves, and nothing is interpolated. Piston and load
+are simulated open loop from the measured state at the start: the output-error form of the
 prediction-error method (Ljung, System Identification, 2nd ed., ch. 7).
 """
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +19,7 @@ from scipy.signal import welch
 
 from asi_actuator.model.actuator import (
     STATE_DTYPE,
-    advance,
+    advance_motion,
     advance_valve,
     measure,
     prepare,
@@ -38,27 +39,37 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
-CACHED = 4
+# Predictions that are kept, of each kind: at least one for each thread.
+CACHED = 2 + len(os.sched_getaffinity(0))
 PLACE_ERROR = 0.002  # of velocity and position (rms), when the mean position is compared
 LEAST_KEPT = 0.5   # of a missed part's power that is not noise: below it, all of it is noise
 
 
 @jit
-def _valve(state, command, p, period, out):
+def _valve(state, command, p, period):
+    """Return the valve positions (m) after the jump and each sub-step of n periods."""
     steady = prepare(p, period)
-    for k in range(out.size):
-        out[k] = state.valve_position
-        advance_valve(state, command[k], p, steady)
+    positions = np.empty((command.size, steady.substeps + 1))
+    for k in range(command.size):
+        advance_valve(state, command[k], p, steady, positions[k])
+    return positions
 
 
 @jit
-def _follow(state, command, bias, p, period, out):
-    """Fill `out` (force, velocity, position; n samples); the valve's bias becomes `bias`."""
+def _follow(state, deflection, unit, error, p, period, out):
+    """
+    Fill `out` (force, velocity, position; n samples) along positions of the valve (m).
+
+    deflection: in each period after the jump and each sub-step, N; unit: m/N; error: of the
+    position in each period, m.
+    """
     steady = prepare(p, period)
+    positions = np.empty(deflection.shape[1])
     for k in range(out.shape[1]):
         out[0, k], _, out[2, k], out[1, k] = measure(state, p)
-        p.valve_flexure_bias = bias[k]
-        advance(state, command[k], p, steady)
+        for j in range(positions.size):
+            positions[j] = unit * deflection[k, j] + error[k]
+        advance_motion(state, positions, p, steady)
 
 
 def simulator_record(nominal: Mapping[str, Value]) -> np.void:
@@ -84,8 +95,8 @@ def _actuator(p: np.void) -> np.void:
     return np.frombuffer(p.tobytes(), ACTUATOR_DTYPE, 1)[0].copy()
 
 
-def _cached(recording: Recording, key: bytes, make: Callable[[], Array]) -> Array:
-    known = recording.cache   # of several threads
+def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Array]) -> Array:
+    known = recording.cache.setdefault(kind, {})   # of several threads
     made = known.get(key)
     if made is None:
         made = make()
@@ -97,18 +108,31 @@ def _cached(recording: Recording, key: bytes, make: Callable[[], Array]) -> Arra
 
 
 def simulated_valve(recording: Recording, p: np.void) -> Array:
-    """Return the valve position (m, n samples) that the recorded command gives."""
-    command = recording.command
-    out = np.zeros(recording.fit.size)
+    ends = _deflection(recording, p)[:-1, -1]
+    return _metres_per_newton(p) * np.concatenate([[0.0], ends])
+
+
+def _metres_per_newton(p: np.void) -> float:
+    """Return the valve position (m) at a deflection of 1 N of valve command."""
+    return float(p['valve_characteristic_gain'] * p['valve_characteristic_full_opening']
+                 / p['valve_characteristic_maximum_force'])
+
+
+def _deflection(recording: Recording, p: np.void) -> Array:
+    """
+    Return the valve's deflection (N of valve command) that the recorded command gives.
+
+    In each of n periods after the command's jump and after each sub-step. It is the same for all
+    gains of the valve, and kept.
+    """
+    q, command = _actuator(p), recording.command
+    q['valve_flexure_travel_limit'] /= _metres_per_newton(p)
+    for name in ('gain', 'maximum_force', 'full_opening'):
+        q[f'valve_characteristic_{name}'] = 1.0
     if command is None:
-        return out
-    key = b'valve' + b''.join(p[name].tobytes() for name in VALVE_FIELDS)
-
-    def run() -> Array:
-        _valve(np.zeros(1, STATE_DTYPE)[0], command, _actuator(p), recording.period_s, out)
-        return out
-
-    return _cached(recording, key, run)
+        command = np.zeros(recording.fit.size)
+    return _cached(recording, 'valve', b''.join(q[name].tobytes() for name in VALVE_FIELDS),
+                   lambda: _valve(np.zeros(1, STATE_DTYPE)[0], command, q, recording.period_s))
 
 
 def estimated_valve(recording: Recording, p: np.void) -> Array | None:
@@ -134,24 +158,18 @@ def estimated_valve(recording: Recording, p: np.void) -> Array | None:
 def simulated_motion(recording: Recording, p: np.void) -> Array:
     """Return force (N), velocity (m/s) and position (m), 3 x n samples."""
     def run() -> Array:
-        q, count = _actuator(p), recording.fit.size
-        command = recording.command if recording.command is not None else np.zeros(count)
-        bias = np.full(count, float(q['valve_flexure_bias']))
-        estimate = recording.valve_estimate
-        if estimate is not None:
-            error = estimate - simulated_valve(recording, p)
-            # Over a period: the mean of both ends; as a valve command.
-            error[:-1] = 0.5 * (error[:-1] + error[1:])
-            bias += error * float(q['valve_characteristic_maximum_force'] / (
-                q['valve_characteristic_gain'] * q['valve_characteristic_full_opening']))
         state = np.zeros(1, STATE_DTYPE)[0]
         state['position'], state['velocity'] = _start(recording)
         state['load_position'], state['load_velocity'] = state['position'], state['velocity']
-        out = np.empty((3, count))
-        _follow(state, command, bias, q, recording.period_s, out)
+        out, error = np.empty((3, recording.fit.size)), np.zeros(recording.fit.size)
+        if recording.valve_estimate is not None:
+            error = recording.valve_estimate - simulated_valve(recording, p)
+            error[:-1] = 0.5 * (error[:-1] + error[1:])   # over a period: the mean of both ends
+        _follow(state, _deflection(recording, p), _metres_per_newton(p), error, _actuator(p),
+                recording.period_s, out)
         return out
 
-    return _cached(recording, b'motion' + p.tobytes(), run)
+    return _cached(recording, 'motion', p.tobytes(), run)
 
 
 def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
@@ -283,6 +301,6 @@ def valve_response(recording: Recording, p: np.void, samples: int, count: int) -
     for name in ('command_path_quantum', 'valve_flexure_deadband', 'valve_flexure_bias',
                  'valve_flexure_travel_limit'):
         q[name] = 0.0
-    command, out = np.ones(samples), np.empty(samples)
-    _valve(np.zeros(1, STATE_DTYPE)[0], command, q, recording.period_s, out)
+    ends = _valve(np.zeros(1, STATE_DTYPE)[0], np.ones(samples), q, recording.period_s)[:, -1]
+    out = np.concatenate([[0.0], ends[:-1]])
     return np.fft.rfft(np.diff(out, append=out[-1]), count)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from asi_actuator.model.actuator import (
-    STATE_DTYPE,
     advance,
+    advance_motion,
     advance_valve,
+    measure,
     prepare,
     rest,
 )
@@ -43,15 +44,21 @@ def recorded(machine, rate_hz=1000.0, noise=1.0, duration_s=2.5):
     return Run(**signals)
 
 
-def test_the_valve_alone_moves_as_in_the_whole_actuator():
-    p = as_record({'command_path.delay': 0.0013, 'valve_flexure.lag_time': 0.002})
-    whole, alone = rest(), np.zeros(1, STATE_DTYPE)[0]
+@pytest.mark.parametrize('load', ['locked', 'spring', 'free', 'prescribed'])
+def test_valve_and_what_follows_it_move_alone_as_in_the_whole_actuator(load):
+    p = as_record({'command_path.delay': 0.0013, 'valve_flexure.lag_time': 0.002,
+                   'load.type': load, 'load.velocity': 0.1, 'force_sensor.delay': 0.0007,
+                   'valve_characteristic.supply_sag': 0.2, 'force_sensor.mass_share': 0.3})
+    whole, valve, motion = rest(), rest(), rest()
     steady = prepare(p, 1e-3)
+    positions = np.empty(steady.substeps + 1)
     for k in range(200):
         command = 300.0 * np.sin(0.2 * k)
         advance(whole, command, p, steady)
-        advance_valve(alone, command, p, steady)
-        assert alone['valve_position'] == whole['valve_position']
+        advance_valve(valve, command, p, steady, positions)
+        advance_motion(motion, positions, p, steady)
+        assert valve['valve_position'] == whole['valve_position']
+        assert measure(motion, p) == measure(whole, p)
 
 
 @pytest.mark.parametrize(('load', 'rate_hz'), [('spring', 1000.0), ('locked', 2000.0),
