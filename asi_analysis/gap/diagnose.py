@@ -1,5 +1,7 @@
 """Diagnose recordings against a nominal model: `diagnose`, and its JSON document."""
 
+import itertools
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -64,18 +66,24 @@ class Diagnosis:
     chain: dict[str, float] | None
 
     def best(self, weighed: Weighed) -> Candidate:
-        """Return the hypothesis of a group that agrees with the verdict."""
-        names = _part(weighed, self.verdict)
-        if names in weighed.candidates:
+        """Return the hypothesis of a group that agrees with the verdict, but for `unknown`."""
+        part = next(part for part, group in zip(_parts(self.groups, self.verdict), self.groups,
+                                                strict=True) if group is weighed)
+        names = tuple(name for name in part if name != UNKNOWN)
+        if names or not part:
             return weighed.candidates[names]
         known = [n for n in weighed.probability if n in weighed.candidates]
         return weighed.candidates[max(known, key=lambda n: weighed.probability[n])]
 
 
-def _part(weighed: Weighed, names: Names) -> Names:
-    """Return the part of a joint hypothesis that is a hypothesis of a group."""
-    fits = [part for part in weighed.probability if set(part) <= set(names)]
-    return max(fits, key=lambda part: (len(part), weighed.probability[part]))
+def _parts(groups: Sequence[Weighed], names: Names) -> tuple[Names, ...]:
+    """Return the most probable hypothesis of each group that together are a joint one."""
+    fits = [[part for part in weighed.probability if set(part) <= set(names)]
+            for weighed in groups]
+    return max((parts for parts in itertools.product(*fits)
+                if {name for part in parts for name in part} == set(names)),
+               key=lambda parts: math.prod(weighed.probability[part] for weighed, part in zip(
+                   groups, parts, strict=True)))
 
 
 def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance: float,
@@ -97,13 +105,17 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     else:
         notes.append('without command and valve position the valve cannot be told from the '
                      'hydraulics by its own signal')
-    moves = has['motion'] and has['force'] and nominal.get('load.type') != 'prescribed'
+    cut_off = [note for run in runs for note in plausibility.check_cut_off(run)]
+    moves = (has['motion'] and has['force'] and not cut_off
+             and nominal.get('load.type') != 'prescribed')
     channels = tuple(name for name, there in (
         ('force', has['force'] and (has['valve_position'] or has['command'])),
         ('load', moves))
         if there)
     if not has['force']:
         notes.append('without the force nothing is said of hydraulics, mechanics and sensor')
+    elif has['motion'] and cut_off:
+        notes += cut_off
     elif not moves:
         notes.append('without the motion of the piston, backlash, compliance, a disturbance and '
                      'the gain of the force sensor cannot be told apart from other causes; it is '

@@ -30,9 +30,17 @@ from asi_analysis.gap.inference.probability import (
     Evidence,
     Names,
     join_probabilities,
+    log_odds_against,
+    marginals,
     probabilities,
 )
-from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant, parameter_error
+from asi_analysis.gap.model.effects import (
+    PARAMETER,
+    UNKNOWN,
+    Effect,
+    Variant,
+    parameter_error,
+)
 from asi_analysis.gap.model.group import Group, Values, acts_on, channels_of, with_lower_noise
 from asi_analysis.gap.model.predict import propagated_noise
 from asi_common.record import field_name
@@ -234,7 +242,17 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         independent_samples(group, best.fitted.record), group.held_out_s, residual,
         {names: len({free.field.partition('@')[0] for variant in candidate.variants
                      for free in variant.free})
-         for names, candidate in found.items()})
+         for names, candidate in found.items()},
+        {names: _far_off(candidate, group) for names, candidate in found.items()})
+
+
+def _far_off(candidate: Candidate, group: Group) -> float:
+    """Return the log prior odds against the parameters beyond their tolerance, so far beyond."""
+    return sum(log_odds_against(candidate.fitted.values[free.field]
+                                / float(group.nominal[free.field]))
+               for effect in group.effects if effect.name in candidate.names
+               and effect.name.startswith(PARAMETER) for variant in effect.variants
+               if variant in candidate.variants for free in variant.free)
 
 
 def _propagated_noise(group: Group, fitted: Fitted) -> Values:
@@ -270,7 +288,7 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
     """Return the groups, in the order of the signal chain, with all probabilities."""
     weighed: list[Weighed] = []
     for group in groups:
-        known = weighed and weighed[0].probability[(UNKNOWN,)] < 0.5
+        known = weighed and marginals(weighed[0].probability)[UNKNOWN] < 0.5
         if known and weighed[0].group.channels == ('valve',):
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
             group = with_known_gain(group, weighed[0].candidates[best].fitted)

@@ -86,10 +86,11 @@ def _shares(groups: list[Weighed], counts: Callable[[Names], bool]) -> dict[str,
 def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
                ) -> dict[str, float]:
     """Return the share of each block in a channel's gap under a hypothesis; their sum is 1."""
+    names = tuple(name for name in names if name != UNKNOWN)
     if len(names) > 1 and names in weighed.candidates and probability > LEAST_PROBABILITY:
         parts = explained(weighed, names, channel)
     else:
-        parts = {name: 1.0 for name in names if name != UNKNOWN}
+        parts = dict.fromkeys(names, 1.0)
     blocks: dict[str, float] = {}
     for name, part in parts.items():
         block = str(block_of(name))

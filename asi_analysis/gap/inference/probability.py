@@ -8,6 +8,7 @@ the noise and the effective sample size. doc/explanation/gap.md, point 5.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from asi_analysis.gap.model.effects import (
@@ -39,19 +40,19 @@ class Constants(NamedTuple):
     nominal nonlinearities mask, where their formulation makes the whole error floor.
     """
 
-    samples: float = 21.0
-    price: float = 2.9
-    second: float = 4.85
+    samples: float = 22.0
+    price: float = 4.0
+    second: float = 5.4
     formulation: float = 0.08
     exact: float = 0.025
-    fitted_floor: float = 0.38
-    trust: float = 0.27
+    fitted_floor: float = 0.355
+    trust: float = 0.43
     parameter: float = 0.53
     indistinct: float = 0.29
     formulation_samples: float = 100.0
-    unknown_offset: float = -2.5
-    unknown_floor: float = 1.45
-    unknown_gap: float = 1.17
+    unknown_offset: float = -4.0
+    unknown_floor: float = 1.42
+    unknown_gap: float = 0.73
     masked: float = 0.17
 
 
@@ -60,6 +61,12 @@ NOISE_SHARE = 0.1   # of the mean square noise: a smaller difference of residual
 LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
 USUAL_S = 5.0
 BEYOND_TOLERANCE = 1.1   # log prior odds of an effect against a parameter beyond its tolerance
+USUAL_FACTOR = 2.0       # by which such a parameter differs: the spread of its log
+
+
+def log_odds_against(ratio: float) -> float:
+    """Return the log prior odds against a parameter so many times its nominal value."""
+    return 0.5 * (math.log(ratio) / math.log(USUAL_FACTOR)) ** 2
 
 
 class Evidence(NamedTuple):
@@ -68,7 +75,8 @@ class Evidence(NamedTuple):
 
     noise, error_floor, formulation: mean squares, as in `Group`; independent: effective sample
     size; residual: mean square on the held-out parts; all by channel. parameters: number of free
-    parameters of the effects.
+    parameters of the effects. far: log prior odds against nominal parameters so far beyond their
+    tolerance.
     """
 
     noise: Values
@@ -78,6 +86,7 @@ class Evidence(NamedTuple):
     held_out_s: float
     residual: dict[Names, Values]
     parameters: dict[Names, int]
+    far: Mapping[Names, float] = MappingProxyType({})
 
 
 def as_plain(e: Evidence) -> dict[str, Any]:
@@ -86,7 +95,8 @@ def as_plain(e: Evidence) -> dict[str, Any]:
     return {'noise': e.noise, 'floor': e.error_floor, 'formulation': e.formulation,
             'independent': e.independent, 'held_out_s': e.held_out_s,
             'left': [e.residual[n] for n in names],
-            'parameters': [e.parameters[n] for n in names], 'names': [list(n) for n in names]}
+            'parameters': [e.parameters[n] for n in names], 'names': [list(n) for n in names],
+            'far': [e.far.get(n, 0.0) for n in names]}
 
 
 def as_evidence(plain: Mapping[str, Any]) -> Evidence:
@@ -94,7 +104,8 @@ def as_evidence(plain: Mapping[str, Any]) -> Evidence:
     names = [tuple(n) for n in plain['names']]
     return Evidence(plain['noise'], plain['floor'], plain['formulation'], plain['independent'],
                     plain['held_out_s'], dict(zip(names, plain['left'], strict=True)),
-                    dict(zip(names, plain['parameters'], strict=True)))
+                    dict(zip(names, plain['parameters'], strict=True)),
+                    dict(zip(names, plain['far'], strict=True)))
 
 
 def _log_evidence(e: Evidence, c: Constants) -> dict[Names, float]:
@@ -108,6 +119,7 @@ def _log_evidence(e: Evidence, c: Constants) -> dict[Names, float]:
     """
     evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
                 - BEYOND_TOLERANCE * sum(name.startswith(PARAMETER) for name in names)
+                - e.far.get(names, 0.0)
                 for names in e.residual}
     for channel, noise in e.noise.items():
         best = min(e.residual, key=lambda names: e.residual[names][channel])
@@ -179,7 +191,11 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
 
 
 def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
-    """Return the probability of every hypothesis of a group, `unknown` among them."""
+    """
+    Return the probability of every hypothesis of a group, with and without something unknown.
+
+    Beside something unknown, effects are real with the share of the gap (rms) that they explain.
+    """
     which = _log_evidence(e, c)
     most = max(map(len, which))
     score = {0: 0.0}
@@ -199,8 +215,18 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
                    if len(other) == count)
         chance[names] = (weight[count] / sum(weight.values())
                          * math.exp(value - which[best[count]]) / same)
-    unknown = unknown_probability(e, max(chance, key=lambda names: chance[names]), c)
-    return {names: (1.0 - unknown) * p for names, p in chance.items()} | {(UNKNOWN,): unknown}
+    likely = max(chance, key=lambda names: chance[names])
+    unknown = unknown_probability(e, likely, c)
+    share = max(1.0 - math.sqrt(e.residual[likely][channel] / e.residual[()][channel])
+                for channel in e.noise)
+    beside = {_and_unknown(names): unknown * share * p / (1.0 - chance[()])
+              for names, p in chance.items() if names and share > 0.0}
+    return ({names: (1.0 - unknown) * p for names, p in chance.items()} | beside
+            | {(UNKNOWN,): unknown - sum(beside.values())})
+
+
+def _and_unknown(names: Names) -> Names:
+    return tuple(sorted((*names, UNKNOWN)))
 
 
 def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, float]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,11 @@ from asi_analysis.gap.inference.fit import (
     with_known_gain,
 )
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
-from asi_analysis.gap.inference.probability import Evidence, probabilities
+from asi_analysis.gap.inference.probability import (
+    Evidence,
+    log_odds_against,
+    probabilities,
+)
 from asi_analysis.gap.inference.uncertainty import Likelihood, end
 from asi_analysis.gap.model.effects import BY_NAME
 from asi_analysis.gap.model.predict import plant_record, predict, propagated_noise
@@ -240,6 +245,35 @@ def test_second_effect_must_exceed_the_formulation_error_of_the_first(first, sec
     chance = probabilities(evidence)
     assert max(chance, key=lambda names: chance[names]) == (
         pair if BY_NAME[first].exact else (first,))
+
+
+def evidence_of_one(residual, **more):
+    """Return the evidence of no gap and of hypotheses with these residuals (N, rms)."""
+    names = list(residual)
+    return Evidence(
+        noise={'force': 1.0}, error_floor={'force': 2.0}, formulation={'force': 0.0},
+        independent={'force': 4000.0}, held_out_s=5.0,
+        residual={each: {'force': residual[each] ** 2} for each in names},
+        parameters={each: len(each) for each in names}, **more)
+
+
+def test_an_effect_that_explains_most_is_told_beside_what_is_unknown():
+    chance = probabilities(evidence_of_one({(): 60.0, ('sensor_gain',): 15.0}))
+    both, alone = chance['sensor_gain', 'unknown'], chance['unknown',]
+    assert both == pytest.approx(0.75 * (both + alone))   # its share of the gap
+    assert sum(chance.values()) == pytest.approx(1.0)
+    assert both == max(chance.values())
+    little = probabilities(evidence_of_one({(): 60.0, ('sensor_gain',): 57.0}))
+    assert little['unknown',] > 0.9
+
+
+def test_a_parameter_far_beyond_its_tolerance_is_less_likely():
+    effect, parameter = ('sensor_gain',), ('parameter:load.mass',)
+    same = {(): 60.0, effect: 1.0, parameter: 1.0}
+    near = probabilities(evidence_of_one(same))
+    far = probabilities(evidence_of_one(same, far={parameter: log_odds_against(0.125)}))
+    assert far[parameter] / far[effect] == pytest.approx(
+        math.exp(-4.5) * near[parameter] / near[effect])
 
 
 @pytest.mark.parametrize('seed', [
