@@ -133,7 +133,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
 def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                     tolerance: float = TOLERANCE) -> Group:
     """Return a group of channels that the simulator itself predicts, ready to be fitted."""
-    scale = scales(recordings)
+    scale = _with_valve_force(scales(recordings), nominal)
     # Of a coupling: that with which the load's mass oscillates at 100 Hz.
     scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
               'inverse_force': 1.0 / scale['force']}
@@ -264,6 +264,20 @@ def scales(recordings: Sequence[Recording]) -> Values:
         'compliance': position / force, 'drift': force / duration,
         'drift_curve': force / duration ** 2, 'drift_bend': force / duration ** 3,
     }
+
+
+def _with_valve_force(scale: Values, nominal: np.void) -> Values:
+    """
+    Return scales whose force is at least what the valve gives.
+
+    Before the sensor of a free load the oil, the seals and the damping hold most of that.
+    """
+    opening = min(scale['valve_position'] / float(nominal['valve_characteristic_full_opening']),
+                  1.0)
+    ratio = max(opening * float(nominal['valve_characteristic_maximum_force']) / scale['force'],
+                1.0)
+    return scale | {name: ratio * scale[name] for name in ('force', 'damping',
+                                                           'damping_quadratic')}
 
 
 def _is_modelled(name: str, nominal: np.void) -> bool:
