@@ -76,6 +76,16 @@ def test_what_the_true_parameters_leave_is_the_noise(load, rate_hz):
         assert np.std(left[recording.valid]) == pytest.approx(level, rel=0.06)
 
 
+def test_effects_of_a_free_load_are_sought_at_the_size_of_the_valve_force():
+    recordings = prepared([recorded({'load.type': 'free'})])
+    group = simulator_group(simulator.simulator_record({'load.type': 'free'}), recordings,
+                            CHANNELS)
+    # The sensor feels what moves the mass; the valve gives far more, and the damping holds it.
+    assert group.scale['force'] > 5.0 * np.abs(recordings[0].force).max()
+    assert group.scale['damping'] == pytest.approx(
+        group.scale['force'] / group.scale['velocity'])
+
+
 def test_a_longer_sub_step_is_corrected():
     nominal = {'load.type': 'spring'}
     recordings = prepared([recorded(nominal, duration_s=2.0)])
