@@ -191,11 +191,7 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
 
 
 def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
-    """
-    Return the probability of every hypothesis of a group, with and without something unknown.
-
-    Beside something unknown, effects are real with the share of the gap (rms) that they explain.
-    """
+    """Return the probability of each hypothesis of a group, with and without something unknown."""
     which = _log_evidence(e, c)
     most = max(map(len, which))
     score = {0: 0.0}
@@ -217,16 +213,24 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
                          * math.exp(value - which[best[count]]) / same)
     likely = max(chance, key=lambda names: chance[names])
     unknown = unknown_probability(e, likely, c)
-    share = max(1.0 - math.sqrt(e.residual[likely][channel] / e.residual[()][channel])
-                for channel in e.noise)
-    beside = {_and_unknown(names): unknown * share * p / (1.0 - chance[()])
-              for names, p in chance.items() if names and share > 0.0}
+    return with_unknown(chance, unknown, max(
+        1.0 - math.sqrt(e.residual[likely][channel] / e.residual[()][channel])
+        for channel in e.noise))
+
+
+def with_unknown(chance: Mapping[Names, float], unknown: float, share: float
+                 ) -> dict[Names, float]:
+    """
+    Return the probability of every hypothesis with and without something unknown.
+
+    chance: without; unknown: probability of something unknown; share: of the gap (rms) that the
+    effects explain: so likely they are real beside something unknown.
+    """
+    effects = 1.0 - chance[()]
+    beside = {tuple(sorted((*names, UNKNOWN))): unknown * share * p / effects
+              for names, p in chance.items() if names and share > 0.0 and effects > 0.0}
     return ({names: (1.0 - unknown) * p for names, p in chance.items()} | beside
             | {(UNKNOWN,): unknown - sum(beside.values())})
-
-
-def _and_unknown(names: Names) -> Names:
-    return tuple(sorted((*names, UNKNOWN)))
 
 
 def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, float]:

@@ -27,7 +27,7 @@ from asi_analysis.gap.inference.posterior import (
     mean_squares,
     most_probable,
 )
-from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.inference.probability import Names, with_unknown
 from asi_analysis.gap.model.effects import (
     PARAMETER,
     UNKNOWN,
@@ -43,6 +43,7 @@ from asi_analysis.gap.model.group import (
     recorrected,
     with_simulated_valve,
 )
+from asi_analysis.gap.model.predict import measured
 from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
@@ -55,9 +56,12 @@ LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
 # Fields of contacts and couplings.
 STIFF = {'backlash_gap', 'coupling_stiffness'}
-# Prior log odds of an effect, and of a parameter beyond its tolerance, against their absence.
-EFFECT, BEYOND = -4.0, -3.0
+# Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
+# together 4 %, so that an unchanged machine is hardly ever accused.
+ODDS_AGAINST = 7.0
 MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
+FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
+MISSED = 0.2            # probability that the search has missed what explains a recording
 NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
 # Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
 # differences: three standard errors of its variance are about this over the root of the samples.
@@ -73,34 +77,54 @@ class Found(NamedTuple):
     best: Best
 
 
-def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None]
-                           ) -> list[Weighed] | None:
+def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
+                           alone: bool = False) -> list[Weighed] | None:
     """
     Return the groups, weighed, if the simulator explains them down to their noise; else None.
 
     As it is, with parameters within their tolerance, or with one effect or one parameter beyond
-    its tolerance.
+    its tolerance. alone: nothing else predicts such recordings, so what is left is `unknown`.
     """
     valve, rest = groups
-    first = _explained(valve, tick)
+    first = _explained(valve, tick, alone)
     if first is None:
         return None
+    answer = None
     for weighed in (first, *_rivals(first)):
         best = _most_probable(weighed)
-        second = _explained(with_simulated_valve(rest, best.fitted.record), tick)
+        second = _explained(with_simulated_valve(rest, best.fitted.record), tick, alone)
         if second is not None and len(best.names) + len(_most_probable(second).names) < 2:
             return [weighed, second]
-    return None
+        answer = answer or (second and [weighed, second])
+    return answer if alone else None
 
 
-def _explained(group: Group, tick: Callable[[], None]) -> Weighed | None:
+def _explained(group: Group, tick: Callable[[], None], alone: bool) -> Weighed | None:
     """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
     found = _hypotheses(group, tick)
-    if all(map(_left, found.values())):
+    if not alone and all(map(_left, found.values())):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
     weighed = Weighed(found[()].problem.group, candidates, _probabilities(group, found))
-    return None if _left(found[_most_probable(weighed).names]) else with_null_named(weighed)
+    best = found[_most_probable(weighed).names]
+    if not _left(best):
+        return with_null_named(weighed)
+    if not alone or not _follows(found[()]):
+        return None
+    shares = 1.0 - np.sqrt(mean_squares(best.problem, best.best.residual)
+                           / mean_squares(found[()].problem, found[()].best.residual))
+    chance = {names: weighed.probability[names] for names in candidates}
+    return weighed._replace(probability=with_unknown(
+        chance, 1.0 - MISSED, float(shares.max())))
+
+
+def _follows(null: Found) -> bool:
+    """Return whether the nominal model follows the signals at all: else it is another machine."""
+    group = null.problem.group
+    power = np.array([np.mean(np.concatenate(
+        [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
+        / group.error_floor[channel] for channel in group.channels])
+    return bool(np.all(mean_squares(null.problem, null.best.residual) < FOLLOWED * power))
 
 
 def _rivals(valve: Weighed) -> Iterator[Weighed]:
@@ -147,7 +171,7 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     null = _converged(as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS)))
     # What the nominal parameters had to give is the most that an effect could gain.
     given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
-    if not _left(null) and given < -max(EFFECT, BEYOND):
+    if not _left(null) and given < ODDS_AGAINST:
         return {(): null}
     group.scale.update(initial_guesses(_fitted(null)))
     return {(): null} | _singles(as_given, null, tick)
@@ -404,7 +428,7 @@ def _log_posterior(found: Found, counts: Array, level: Array, model: Array) -> f
     return (-0.5 * float(counts @ np.log((left + model) / (level + model)))
             - 0.5 * float(precision @ (found.best.theta - mean) ** 2)
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
-            + sum(BEYOND if name.startswith(PARAMETER) else EFFECT for name in found.names))
+            - ODDS_AGAINST * len(found.names))
 
 
 def _log_volume(found: Found, share: Array, model: Array) -> float:
