@@ -39,8 +39,8 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
-# Predictions that are kept, of each kind: at least one for each thread.
-CACHED = 2 + len(os.sched_getaffinity(0))
+# Predictions that are kept, of each kind: at least one for each thread; and their most bytes.
+CACHED, CACHED_BYTES = 2 + len(os.sched_getaffinity(0)), 2 ** 28
 PLACE_ERROR = 0.002  # of velocity and position (rms), when the mean position is compared
 LEAST_KEPT = 0.5   # of a missed part's power that is not noise: below it, all of it is noise
 
@@ -100,7 +100,7 @@ def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Arra
     made = known.get(key)
     if made is None:
         made = make()
-        while len(known) >= CACHED:
+        while known and (len(known) >= CACHED or len(known) * made.nbytes > CACHED_BYTES):
             with suppress(KeyError, RuntimeError):
                 del known[next(iter(known))]
         known[key] = made
@@ -108,6 +108,7 @@ def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Arra
 
 
 def simulated_valve(recording: Recording, p: np.void) -> Array:
+    """Return the valve position (m, n samples) that the recorded command gives."""
     ends = _deflection(recording, p)[:-1, -1]
     return _metres_per_newton(p) * np.concatenate([[0.0], ends])
 
