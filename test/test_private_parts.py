@@ -30,7 +30,7 @@ PARTS = {
     'rosbags': storages,
     'numba': lambda _: {'on_start', 'on_end'} <= vars(numba.core.event.Listener).keys(),
     'python-can': lambda _: all(name in inspect.getsource(can.interfaces.slcan) for name in (
-        'def _read(', 'LINE_TERMINATOR', '_buffer', 'serialPortOrig', '_ERROR')),
+        'def _read(', 'def _write(', 'LINE_TERMINATOR', '_buffer', 'serialPortOrig', '_ERROR')),
     'rclpy': lambda _: '_guard' in inspect.getsource(rclpy.executors) and all(
         hasattr(rclpy_implementation, name)
         for name in ('WaitSet', 'RCLError', 'rcl_time_point_t')),

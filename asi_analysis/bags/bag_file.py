@@ -205,7 +205,7 @@ def _number(file: Path) -> tuple[int, str]:
 
 def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) -> None:
     size = file.stat().st_size
-    decoder = _McapDecoder(select, contents, _most_unpacked(file))
+    decoder = _McapDecoder(select, contents, most_unpacked(file))
     expected = None
     with file.open('rb') as stream:
         try:
@@ -414,7 +414,7 @@ def _extract(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
 
 def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Contents) -> None:
     """Read sqlite3 and compressed files, which have no times of publication."""
-    left = _most_unpacked(path)
+    left = most_unpacked(path)
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
             left -= len(_unzipped(packed, left))
@@ -445,7 +445,7 @@ def _packed(reader: Reader, select: Callable[[str], bool]
             yield from storage.messages(selected)
 
 
-def _most_unpacked(path: Path) -> int:
+def most_unpacked(path: Path) -> int:
     """Return the limit of what a file, or the files of a bag, may unpack to, bytes."""
     files = path.iterdir() if path.is_dir() else [path]
     return max(MOST_UNPACKED, MOST_RATIO * sum(file.stat().st_size for file in files))

@@ -1,18 +1,21 @@
 """A ROS 1 bag of any robot as columns by name, named as those of a rosbag2 (`bag_table.py`)."""
 
+import bz2
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag1 import ReaderError
+from rosbags.rosbag1 import ReaderError, reader
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from asi_analysis.bags.bag import Series, align, time_base
-from asi_analysis.bags.bag_file import BROKEN
+from asi_analysis.bags.bag_file import BROKEN, TOO_MUCH, most_unpacked
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 
@@ -20,13 +23,31 @@ from asi_analysis.errors import InputError, InputWarning
 @contextmanager
 def opened(path: Path) -> Iterator[AnyReader]:
     """Open a bag of ROS 1 or 2. Raises InputError, also for what is found damaged later."""
+    unlimited = dict(reader.decompressors)
+    reader.decompressors |= {name: partial(_unpacked, new, most_unpacked(path))
+                             for name, new in _DECOMPRESSORS.items()}
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            yield reader
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+            yield bag
     except InputError:
         raise
     except (AnyReaderError, ReaderError, TypesysError, OSError, SyntaxError, *BROKEN) as error:
         raise InputError(f'{path} cannot be read: {str(error) or type(error).__name__}') from None
+    finally:
+        reader.decompressors.update(unlimited)
+
+
+# Of a chunk, by the name of its compression: rosbags' own have no limit.
+_DECOMPRESSORS = {'bz2': bz2.BZ2Decompressor, 'lz4': lz4.frame.LZ4FrameDecompressor}
+
+
+def _unpacked(new: Callable[[], Any], most_bytes: int, packed: bytes) -> bytes:
+    """Return what a chunk unpacks to. Raises ValueError if it is too much, or not whole."""
+    decompressor = new()
+    found: bytes = decompressor.decompress(packed, max_length=most_bytes)
+    if not decompressor.eof:
+        raise ValueError(TOO_MUCH if len(found) >= most_bytes else 'a chunk is cut off')
+    return found
 
 
 def read_ros1_table(path: Path, columns: Sequence[str]) -> Table:

@@ -11,6 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 import asi_analysis as asi
+from asi_analysis.bags import bag_file
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.exchange.preview import preview
@@ -207,3 +208,26 @@ def test_a_ros_1_bag_is_read_as_a_rosbag2(tmp_path):
     file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(InputError, match='cannot be read'):
         preview(file)
+
+
+@pytest.mark.parametrize('form', [Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4])
+def test_chunks_of_a_ros_1_bag_are_unpacked_up_to_a_limit(form, tmp_path, monkeypatch):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    number, text = (store.types[name] for name in ('std_msgs/msg/Float64', 'std_msgs/msg/String'))
+    for name, size in (('small', 10), ('bomb', 10_000_000)):
+        writer = Writer(tmp_path / f'{name}.bag')
+        writer.set_compression(form)
+        with writer:
+            topics = [writer.add_connection(topic, of.__msgtype__, typestore=store)
+                      for topic, of in (('/u', number), ('/text', text))]
+            for k in range(50):
+                writer.write(topics[0], 10**11 + k * 10**7, store.serialize_ros1(
+                    number(float(k)), number.__msgtype__))
+            writer.write(topics[1], 2 * 10**11, store.serialize_ros1(
+                text(size * '0'), text.__msgtype__))
+    monkeypatch.setattr(bag_file, 'MOST_UNPACKED', 1_000_000)
+    with pytest.warns(InputWarning, match='has no stamps'):
+        run = import_recording(tmp_path / 'small.bag', ['command=/u/data[N]'])
+    assert run.command_n.tolist() == [*range(50)]
+    with pytest.raises(InputError, match=r'bomb.bag cannot be read: it unpacks to more than'):
+        import_recording(tmp_path / 'bomb.bag', ['command=/u/data[N]'])
