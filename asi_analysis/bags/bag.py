@@ -244,7 +244,11 @@ def time_base(series: Series, source: str) -> Series:
         raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
                          f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: record what comes before and '
                          'after as bags of their own')
+    count = len(ticks)
     ticks, first = np.unique(ticks, return_index=True)
+    if repeated := count - len(ticks):
+        warnings.warn(f'{source}: {repeated} of {count} messages repeat the stamp of another one, '
+                      'and are left out', InputWarning, stacklevel=3)
     return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
 
 

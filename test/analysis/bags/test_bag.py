@@ -133,6 +133,19 @@ def test_a_late_message_and_a_wrong_stamp_are_put_in_order(order: list[int], tmp
     assert run.force_n.tolist() == sorted(map(float, order))
 
 
+@pytest.mark.parametrize('again', [0, 3])
+def test_messages_that_repeat_a_stamp_are_left_out_with_a_note(again: int, tmp_path: Path) -> None:
+    order = [*range(20), *range(20 - again, 20)]
+    rows = [(k * 10**7, wrench(10**9 + stamp * 10**7, float(stamp)))
+            for k, stamp in enumerate(order)]
+    bag = foreign_bag(tmp_path / 'bag', {'/force': rows})
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always')
+        assert read_bag(bag).force_n.tolist() == [*range(20)]
+    assert [str(each.message).split(': ')[1] for each in said] == [
+        '3 of 23 messages repeat the stamp of another one, and are left out'][:again]
+
+
 def test_round_trip_is_exact(tmp_path: Path) -> None:
     run = a_run()
     write_bag(run, tmp_path / 'bag')
