@@ -298,7 +298,9 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
             field: column for field, column in known.items() if field not in own})
         return Found((start.name,), (start.variant,), start.problem, best)
 
+    forms: dict[Names, list[Found]] = {}
     for found in problem.each(rough, _best_starts([work[n] for n in order])):
+        forms.setdefault(found.names, []).append(found)
         if found.names not in fits or found.best.cost < fits[found.names].best.cost:
             fits[found.names] = found
         tick()
@@ -309,15 +311,17 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
     def polished(found: Found) -> Found:
         # The sub-step is corrected where it was for the leader. Within a thread of the pool
         # nothing may wait for another one: all could wait.
-        alone = replace(found.problem, group=leader.problem.group, pool=None)
-        found = found._replace(problem=alone)
-        without = _with_shared(found, null, nominal=True)
-        starts = [found.best.theta, _with_shared(found, leader)]
-        if np.all((without >= 0.0) & (without <= 1.0)):   # else no effect is no value of it
-            starts.append(without)
-        theta = min(starts, key=lambda each: float(np.sum(alone.residual(each) ** 2)))
+        starts = []
+        for form in forms[found.names]:
+            form = form._replace(problem=replace(
+                form.problem, group=leader.problem.group, pool=None))
+            starts += [(form, form.best.theta), (form, _with_shared(form, leader))]
+            if all(free.scale == 'nominal' for variant in form.variants for free in variant.free):
+                starts.append((form, _with_shared(form, null, nominal=True)))
+        form, theta = min(starts, key=lambda start: float(np.sum(
+            start[0].problem.residual(start[1]) ** 2)))
         goal = leader.best.cost + REACH
-        return _converged(found._replace(best=most_probable(alone, theta, goal=goal)), goal)
+        return _converged(form._replace(best=most_probable(form.problem, theta, goal=goal)), goal)
 
     # What takes the longest first, so that no core is idle at the end.
     for found in problem.each(polished, sorted(rivals[:POLISHED], key=_is_coarse)):
@@ -375,12 +379,13 @@ def _best_starts(ranked: Sequence[_Start]) -> list[_Start]:
 
 def _with_shared(found: Found, other: Found, nominal: bool = False) -> Array:
     """
-    Return the parameters of a fit with those that another one has too taken from there.
+    Return the parameters of a fit with the nominal ones of another fit, not those of its effect.
 
     nominal: and the parameters of the effect as they are without it.
     """
     values = other.problem.record(other.best.theta)
-    known = {free.field for free in (found if nominal else other).problem.free}
+    known = {free.field for free in (found if nominal else other).problem.free} - {
+        free.field for variant in other.variants for free in variant.free}
     return np.array([found.problem.parameter(free).share(float(values[free.field]))
                      if free.field in known else share
                      for free, share in zip(found.problem.free, found.best.theta, strict=True)])
