@@ -59,6 +59,7 @@ STIFF = {'backlash_gap', 'coupling_stiffness'}
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.
 ODDS_AGAINST = 7.0
+SUSPICIOUS = 4.0        # log prior cost of the nominal parameters from which effects are tried
 MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
 MISSED = 0.2            # probability that the search has missed what explains a recording
@@ -169,9 +170,9 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
     null = _converged(as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS)))
-    # What the nominal parameters had to give is the most that an effect could gain.
+    # Where the nominal parameters had to give little, an effect can hardly gain.
     given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
-    if not _left(null) and given < ODDS_AGAINST:
+    if not _left(null) and given < SUSPICIOUS:
         return {(): null}
     group.scale.update(initial_guesses(_fitted(null)))
     return {(): null} | _singles(as_given, null, tick)
