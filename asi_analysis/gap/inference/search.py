@@ -59,7 +59,7 @@ STIFF = {'backlash_gap', 'coupling_stiffness'}
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.
 ODDS_AGAINST = 7.0
-SUSPICIOUS = 4.0        # log prior cost of the nominal parameters from which effects are tried
+SUSPICIOUS = 3.0        # log prior cost of the nominal parameters from which effects are tried
 MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
 MISSED = 0.2            # probability that the search has missed what explains a recording
