@@ -82,4 +82,4 @@ def _runs(rig: Rig) -> bool:
     rig.enable()
     since = time.monotonic()
     until(lambda: rig.diagnostics['asi_actuator']['at'] > since, 'the actuator to say how it is')
-    return bool(rig.diagnostics['asi_actuator']['text'] == 'running')
+    return rig.runs('asi_actuator')
