@@ -410,6 +410,8 @@ def test_clipped_and_constant_signals_are_left_out_with_a_warning():
     with pytest.warns(UserWarning, match='force is cut off'):
         diagnosis = diagnose([spoilt], TEXTBOOK)
     assert any('position is constant' in note for note in diagnosis.notes)
+    assert any('the motion of the load, which follows from it, is not judged' in note
+               for note in diagnosis.notes)
     assert set(diagnosis.verdict) <= {'unknown'}   # no effect is made up
 
 
