@@ -135,7 +135,8 @@ def _rivals(valve: Weighed) -> Iterator[Weighed]:
     Thrust and full opening act on the force too, so what follows the valve tells them apart.
     """
     best, gain = _most_probable(valve), 'valve_characteristic_gain'
-    if best.names != (PARAMETER + 'valve_characteristic.gain',):
+    if (best.names != (PARAMETER + 'valve_characteristic.gain',)
+            or valve.probability.get((UNKNOWN,), 0.0) > 0.0):
         return
     nominal = valve.group.nominal
     ratio = float(best.fitted.record[gain] / nominal[gain])
