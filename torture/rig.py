@@ -33,6 +33,8 @@ PATIENCE_S: Final = 60.0
 # A thread that sleeps for so long and wakes so much later has seen the machine stand still, s.
 NAP_S: Final = 0.01
 LATE_S: Final = 0.05
+# A node complains of late periods and lost samples for so long, s.
+COMPLAINS_S: Final = 10.0
 
 
 class NotThere(Exception):  # noqa: N818
@@ -88,6 +90,7 @@ class Rig:
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
         # How long this machine has stood still so far, s.
         self.stood_still_s = 0.0
+        self._late_at_s = -math.inf   # when the machine was last late by a nap
         self._threads = [threading.Thread(target=self._executor.spin),
                          threading.Thread(target=self._watch_machine)]
         for thread in self._threads:
@@ -157,8 +160,10 @@ class Rig:
               f'{name} to say that it runs')
 
     def runs(self, name: str) -> bool:
-        """Return whether a node said last that its loop runs, however late on a busy machine."""
-        return str(self.diagnostics[name]['text']).startswith('running')
+        """Return whether a node said last that its loop runs; late if the machine itself was."""
+        said = str(self.diagnostics[name]['text'])
+        busy = time.monotonic() - self._late_at_s < COMPLAINS_S
+        return said == 'running' or (busy and said.startswith('running, but '))
 
     def listen(self, kind: type, topic: str) -> list[Any]:
         """Return a list that gets the messages of a topic."""
@@ -177,6 +182,7 @@ class Rig:
             now = time.monotonic()
             late_s, before = now - before - NAP_S, now
             self.stood_still_s += late_s if late_s > LATE_S else 0.0
+            self._late_at_s = now if late_s > NAP_S else self._late_at_s
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         status = message.status[0]
