@@ -229,7 +229,9 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
 
     shown = list(diagnosis.shrinks)
     if not diagnosis.verdict or UNKNOWN in diagnosis.verdict:
-        return max(shown, key=lambda shrink: shrink.refitted / max(shrink.noise_floor, 1e-9))
+        return max(shown, key=lambda shrink: (
+            shrink.refitted if diagnosis.verdict else shrink.nominal
+        ) / max(shrink.noise_floor, 1e-9))
     named = {channel for weighed in diagnosis.groups if diagnosis.best(weighed).names
              for channel in weighed.group.channels}
     return max([shrink for shrink in shown if shrink.channel in named] or shown, key=explained)

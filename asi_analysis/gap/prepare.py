@@ -39,6 +39,7 @@ CLIPPED = 0.005         # share of samples at an extreme, above which a signal i
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
+START_S = 0.02          # of a recording, for which it stands still if it begins at rest
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
@@ -83,6 +84,7 @@ class Recording:
     held_out: Mask               # samples for model selection
     report: Mask                 # validation samples; only the reported result uses them
     number: int = 0              # whose values the fields of a recording have
+    at_rest: bool = True     # begins at rest
     origin_m: float | None = None   # of the piston's position, if it starts at rest; taken off
     raw_velocity: Array | None = None   # m/s, as measured
     valve_estimate: Array | None = None   # m, measured valve position with less noise
@@ -354,6 +356,14 @@ def _origin(signals: Mapping[str, Array], period: float) -> float | None:
     return origin if abs(origin) > level else 0.0
 
 
+def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
+    """Return whether valve, piston and force stand still at the start, within their noise."""
+    count = max(int(START_S / period), 2)
+    return all(abs(values[:count].mean()) <= AT_REST * noise_of(values) / math.sqrt(count)
+               for name, values in signals.items() if name in ('force', 'velocity',
+                                                               'valve_position'))
+
+
 def _centre(signals: dict[str, Array], drive: str, run: Run) -> None:
     """Move the origin of a joint's coordinate, which is arbitrary, to the middle of its motion."""
     if drive == 'position' and run.controlled() == 'position' and 'reference' in signals:
@@ -444,7 +454,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             source=run.source, period_s=period, command=moving.get('command'), force=force,
             valve_position=moving.get('valve_position'), velocity=velocity,
             raw_velocity=moving.get('velocity'),
-            motion=motion, origin_m=origin,
+            motion=motion, at_rest=_begins_at_rest(moving, period), origin_m=origin,
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},
             fit=fit, held_out=held, report=report,

@@ -11,6 +11,7 @@ import math
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,8 +47,9 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     shrink = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
     group = weighed.group
-    recording = prepared_for(group, prepare([run])[0])
-    valid = recording.valid
+    recording = prepare([run])[0]
+    valid, none = recording.valid, np.zeros_like(recording.fit)
+    recording = prepared_for(group, replace(recording, fit=none))   # its start was not fitted
     errors = []
     for p in (group.as_given, diagnosis.best(weighed).fitted.record):
         left = measured(recording, shrink.channel) - predict(recording, shrink.channel,

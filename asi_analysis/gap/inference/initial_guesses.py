@@ -37,6 +37,7 @@ OFFSET_RANGE = 1e3  # times the residual: the range of a free offset
 # motion, together with at least that share.
 MOST_LINES, LINE_POWER, LINES_POWER = 3, 0.1, 0.8
 ORDER = 3          # highest order of harmonics
+REGULAR = 1e-12    # of the energy of all parameters: less is rounding
 RESPONSE_S = 0.2   # length of the step response of a valve
 
 
@@ -87,7 +88,9 @@ def _unexplained(fitted: Fitted, channel: str, recording: Recording) -> tuple[Ar
             columns.append(
                 (_predicted(recording, channel, fitted.problem.record(moved)) - base) / step)
     ranges = np.array(columns).T * judged[:, None]
-    triangle = np.linalg.cholesky(ranges.T @ ranges + residual @ residual * np.eye(len(columns)))
+    energy = ranges.T @ ranges
+    ridge = residual @ residual + REGULAR * np.trace(energy)
+    triangle = np.linalg.cholesky(energy + ridge * np.eye(len(columns)))
     known = np.linalg.solve(triangle, ranges.T).T
     return residual - known @ (known.T @ residual), known
 

@@ -6,6 +6,7 @@ evidence. The answer counts only if it leaves no more than the noise: then the m
 the simulator's own equations, and no other formulation needs to be tried.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -41,9 +42,11 @@ from asi_analysis.gap.model.group import (
     acts_on,
     channels_of,
     recorrected,
+    with_fitted_start,
     with_simulated_valve,
 )
 from asi_analysis.gap.model.predict import measured
+from asi_analysis.gap.model.start import start_fields
 from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
@@ -59,7 +62,7 @@ STIFF = {'backlash_gap', 'coupling_stiffness'}
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.
 ODDS_AGAINST = 7.0
-SUSPICIOUS = 3.0        # log prior cost of the nominal parameters from which effects are tried
+SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
 MISSED = 0.2            # probability that the search has missed what explains a recording
@@ -167,16 +170,33 @@ def _most_probable(weighed: Weighed) -> Candidate:
 def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
     group = replace(group, effects=(*group.effects, *parameter_errors(group)))
+    group = _begun(group)
     problem = Posterior(group, group.nuisance)
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
     null = _converged(as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS)))
-    # Where the nominal parameters had to give little, an effect can hardly gain.
-    given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
-    if not _left(null) and given < SUSPICIOUS:
-        return {(): null}
     group.scale.update(initial_guesses(_fitted(null)))
-    return {(): null} | _singles(as_given, null, tick)
+    # Nominal parameters that had to give much may hide an effect: then it is sought without them.
+    given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
+    hidden = _left(null) or given > SUSPICIOUS
+    return {(): null} | _singles(as_given if hidden else null, null, tick)
+
+
+def _begun(group: Group) -> Group:
+    """Return a group whose recordings begin as they would with the nominal parameters."""
+    for number in {recording.number for recording in group.recordings}:
+        free = tuple(free for free in group.nuisance if free.field in start_fields(number))
+        if not free:
+            continue
+        problem = Posterior(group, free)
+        # Several: the seals may be deflected either way.
+        best = min((most_probable(problem, np.array([problem.start(each, value)
+                                                     for each, value in zip(free, values,
+                                                                            strict=True)]))
+                    for values in itertools.product(*(each.starts for each in free))),
+                   key=lambda best: best.cost)
+        group = with_fitted_start(group, problem.record(best.theta))
+    return group
 
 
 def _left(found: Found) -> bool:
@@ -190,7 +210,8 @@ def parameter_errors(group: Group) -> list[Effect]:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
     held = {free.field for effect in group.effects for variant in effect.variants
             for free in variant.free}
-    return [_beyond(free.field, group) for free in group.nuisance if free.field not in held]
+    return [_beyond(free.field, group) for free in group.nuisance
+            if free.scale == 'nominal' and free.field not in held]
 
 
 def _beyond(field: str, group: Group) -> Effect:
@@ -207,13 +228,17 @@ class _Explained:
     """What parameters of a fit explain of signals, by linear least squares."""
 
     def __init__(self, slopes: Array, precision: Array) -> None:
-        size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
+        self._size = size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
         self._scaled = slopes / size
         self._square = self._scaled.T @ self._scaled + np.diag(precision / size ** 2 + RIDGE)
 
-    def along(self, signal: Array) -> Array:
-        """Return the products of a signal (n samples) with the derivatives of the parameters."""
-        product: Array = self._scaled.T @ signal
+    def along(self, signal: Array, prior: Array | float = 0.0) -> Array:
+        """
+        Return the products of a signal (n samples) with the derivatives of the parameters.
+
+        prior: the slope of the log prior of each, if the signal is the residual.
+        """
+        product: Array = self._scaled.T @ signal + prior / self._size
         return product
 
     def common(self, one: Array, other: Array, keep: list[int]) -> float:
@@ -261,12 +286,15 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
     """
     Return the fits of the effects with the highest gain in the linear screen.
 
-    base: the nominal model as it was given; null: fitted.
+    base: the nominal model as it was given, or fitted; null: fitted. From there, an effect that
+    promises less than the odds against it is not fitted.
     """
     problem, residual = base.problem, base.best.residual
-    slopes, precision = problem.jacobian(base.best.theta), problem.prior[1]
+    if base is null and base.best.cost < ODDS_AGAINST:
+        return {}
+    (mean, precision), slopes = problem.prior, problem.jacobian(base.best.theta)
     explained = _Explained(slopes, precision)
-    along_residual = explained.along(residual)
+    along_residual = explained.along(residual, precision * (base.best.theta - mean))
 
     def gain(start: _Start) -> float:
         own = {free.field for free in start.variant.free}
@@ -291,6 +319,8 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         if n % 10 == 0:
             tick()
     order = sorted(range(len(work)), key=lambda n: -gains[n])
+    if base is null and gains[order[0]] < ODDS_AGAINST:
+        return {}
     fits: dict[Names, Found] = {}
     known = {free.field: column for free, column in zip(problem.free, slopes.T, strict=True)}
 

@@ -9,6 +9,12 @@ import numpy as np
 from asi_analysis.gap.model import forms, simulator
 from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
+from asi_analysis.gap.model.start import (
+    FLUX,
+    START_FIELDS,
+    start_parameters,
+    with_start_fields,
+)
 from asi_analysis.gap.prepare import Array, Recording, noise_of
 from asi_common.jit import FULL, LINEAR
 
@@ -138,7 +144,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
               'inverse_force': 1.0 / scale['force']}
     count = 1 + max(recording.number for recording in recordings)
-    p = for_recordings(nominal.copy(), count)
+    p = for_recordings(with_start_fields(nominal.copy(), recordings), count)
     recordings = [replace(r, valve_estimate=r.valve_position) for r in recordings]
     noise = {channel: max(_noise(recording, channel, p) for recording in recordings)
              for channel in channels}
@@ -155,6 +161,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     nuisance = tuple(Free(name, 0.05, 5.0, (1.0,), 'nominal', prior=0.5 * tolerance)
                      for name in dict.fromkeys(names)
                      if nominal[name] != 0.0 and _is_modelled(name, nominal))
+    nuisance += tuple(start_parameters(nominal, recordings, channels))
     effects = tuple(effect._replace(variants=tuple(
         variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
         for effect in forms.EFFECTS)
@@ -181,14 +188,27 @@ def with_simulated_valve(group: Group, valve: np.void) -> Group:
     The estimate is the simulated position, plus its error where that stands out of the noise.
     """
     p = group.nominal.copy()
-    for name in simulator.VALVE_FIELDS:
-        p[name] = valve[name]
+    for name in p.dtype.names or ():
+        if _is_of_valve(name):
+            p[name] = valve[name]
     group = replace(group, nominal=p, given=group.nominal)
     recordings = [replace(prepared_for(group, r), corrections={}, cache={})
                   for r in group.recordings]
     recordings, p['maximum_substep'] = simulator.with_corrections(
         recordings, group.channels, p, group.error_floor, group.exact_substep_s)
     return replace(group, recordings=recordings)
+
+
+def with_fitted_start(group: Group, p: np.void) -> Group:
+    """Return a group whose recordings begin as those of a record do."""
+    def begun(record: np.void) -> np.void:
+        record = record.copy()
+        for name in record.dtype.names or ():
+            if name.partition('@')[0] in START_FIELDS:
+                record[name] = p[name]
+        return record
+
+    return replace(group, nominal=begun(group.nominal), given=begun(group.as_given))
 
 
 def prepared_for(group: Group, recording: Recording) -> Recording:
@@ -327,6 +347,10 @@ def _formulation_error(recordings: Sequence[Recording], channel: str, p: np.void
     return error
 
 
+def _is_of_valve(field: str) -> bool:
+    return field in simulator.VALVE_FIELDS or field.partition('@')[0] == FLUX
+
+
 def channels_of(variant: Variant, group: Group) -> set[str]:
     """Return the channels of a group that a variant shows in; none if it does not apply."""
     if any(group.nominal[name] == 0.0 for name in variant.needs):
@@ -364,7 +388,7 @@ def acts_on(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
     field = field.partition('@')[0]
     if simulator.of_simulator(group.nominal):
-        if field in simulator.VALVE_FIELDS and field not in forms.UNCERTAIN['force']:
+        if _is_of_valve(field) and field not in forms.UNCERTAIN['force']:
             return channel == 'valve' or not group.measures_valve
         return channel == 'force' or (channel == 'motion' and (
             not field.startswith('force_sensor_')))

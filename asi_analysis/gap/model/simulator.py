@@ -26,14 +26,14 @@ from asi_actuator.model.actuator import (
 )
 from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
+from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_start
+from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 
 # Sub-steps that are tried, the longest first, and their largest error, in error floors (rms).
 SUBSTEPS_S, SUBSTEP_ERROR = (5e-4, 2.5e-4, 1e-4, 5e-5), 0.2
-STARTED = 5.0            # standard errors: a position or velocity at the start that is not 0
-START_S = 0.02          # of a recording, from which position and velocity at its start are taken
 # Fields that the valve position depends on.
 VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startswith((
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
@@ -109,8 +109,7 @@ def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Arra
 
 def simulated_valve(recording: Recording, p: np.void) -> Array:
     """Return the valve position (m, n samples) that the recorded command gives."""
-    ends = _deflection(recording, p)[:-1, -1]
-    return _metres_per_newton(p) * np.concatenate([[0.0], ends])
+    return _metres_per_newton(p) * _deflection(recording, p)[:-1, -1]
 
 
 def _metres_per_newton(p: np.void) -> float:
@@ -123,8 +122,8 @@ def _deflection(recording: Recording, p: np.void) -> Array:
     """
     Return the valve's deflection (N of valve command) that the recorded command gives.
 
-    In each of n periods after the command's jump and after each sub-step. It is the same for all
-    gains of the valve, and kept.
+    In the period before the recording and in each of its n periods, after the command's jump and
+    after each sub-step. It is the same for all gains of the valve, and kept.
     """
     q, command = _actuator(p), recording.command
     q['valve_flexure_travel_limit'] /= _metres_per_newton(p)
@@ -132,8 +131,15 @@ def _deflection(recording: Recording, p: np.void) -> Array:
         q[f'valve_characteristic_{name}'] = 1.0
     if command is None:
         command = np.zeros(recording.fit.size)
-    return _cached(recording, 'valve', b''.join(q[name].tobytes() for name in VALVE_FIELDS),
-                   lambda: _valve(np.zeros(1, STATE_DTYPE)[0], command, q, recording.period_s))
+    state, before = before_valve(recording, p, command)
+
+    def run() -> Array:
+        found = _valve(state, np.concatenate([before, command]), q, recording.period_s)
+        first = found[before.size - 1] if before.size else np.zeros(found.shape[1])
+        return np.concatenate([first[None], found[before.size:]])
+
+    key = b''.join(q[name].tobytes() for name in VALVE_FIELDS) + state['flux'].tobytes()
+    return _cached(recording, 'valve', key, run)
 
 
 def estimated_valve(recording: Recording, p: np.void) -> Array | None:
@@ -147,6 +153,8 @@ def estimated_valve(recording: Recording, p: np.void) -> Array | None:
         return None
     simulated = simulated_valve(recording, p)
     missed = recording.valve_position - simulated
+    if not recording.at_rest:   # what it was before still shows
+        missed[:int(BURN_IN_S / recording.period_s)] = 0.0
     frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
     noise = 2.0 * recording.noise['valve_position'] ** 2
     keep = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
@@ -159,18 +167,17 @@ def estimated_valve(recording: Recording, p: np.void) -> Array | None:
 def simulated_motion(recording: Recording, p: np.void) -> Array:
     """Return force (N), velocity (m/s) and position (m), 3 x n samples."""
     def run() -> Array:
-        state = np.zeros(1, STATE_DTYPE)[0]
-        state['position'], state['velocity'] = _start(recording)
-        state['load_position'], state['load_velocity'] = state['position'], state['velocity']
+        deflection, unit = _deflection(recording, p), _metres_per_newton(p)
+        state = state_at_start(recording, p, unit * deflection[0, -1])
         out, error = np.empty((3, recording.fit.size)), np.zeros(recording.fit.size)
         if recording.valve_estimate is not None:
-            error = recording.valve_estimate - simulated_valve(recording, p)
+            error = recording.valve_estimate - unit * deflection[:-1, -1]
             error[:-1] = 0.5 * (error[:-1] + error[1:])   # over a period: the mean of both ends
-        _follow(state, _deflection(recording, p), _metres_per_newton(p), error, _actuator(p),
-                recording.period_s, out)
+        _follow(state, deflection[1:], unit, error, _actuator(p), recording.period_s, out)
         return out
 
-    return _cached(recording, 'motion', p.tobytes(), run)
+    own = b''.join(p[name].tobytes() for name in START_FIELDS if name in (p.dtype.names or ()))
+    return _cached(recording, 'motion', _actuator(p).tobytes() + own, run)
 
 
 def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
@@ -215,23 +222,6 @@ def _predictions(recordings: Sequence[Recording], channels: Sequence[str], p: np
     q['maximum_substep'] = substep
     return [{channel: predict(replace(recording, corrections={}), channel, q)
              for channel in channels} for recording in recordings]
-
-
-def _start(recording: Recording) -> tuple[float, float]:
-    """Return position (m) and velocity (m/s) at the start; 0 where they are within the noise."""
-    motion = recording.motion
-    if motion is None or not motion.measured:
-        return 0.0, 0.0
-    count = max(int(START_S / recording.period_s), 2)
-    inner = slice(motion.pad, motion.pad + count)
-    noise = recording.noise
-    level = noise.get('position', noise.get('velocity', 0.0) * recording.period_s)
-    found = []
-    for mean, error in ((motion.position[inner].mean(), level),
-                        (motion.velocity[inner].mean(),
-                         noise.get('velocity', level / recording.period_s))):
-        found.append(float(mean) if abs(mean) > STARTED * error / math.sqrt(count) else 0.0)
-    return found[0], found[1]
 
 
 def predict(recording: Recording, channel: str, p: np.void) -> Array:

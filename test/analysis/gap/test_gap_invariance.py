@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from test_gap import TEXTBOOK, recorded
 from test_gap_joint import joint
+from test_gap_simulator import recorded as simulated
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose, document
@@ -73,3 +74,27 @@ def test_second_recording_may_have_another_offset():
     found = answer['which'][0]['parameters']
     assert found['sensor_offset'] == pytest.approx(40.0, abs=2.0)
     assert found['sensor_offset@2'] == pytest.approx(-25.0, abs=2.0)
+
+
+@pytest.mark.parametrize('load', ['locked', 'spring', 'free'])
+def test_recording_may_begin_in_motion(load):
+    """A machine without a gap has none in any part of its recording, whatever it did before."""
+    nominal = {'load.type': load}
+    run = simulated(nominal, duration_s=4.0)
+    parts = run[:2000], run[1337:]
+    for runs in (parts[1:], parts):
+        answer = document(diagnose(runs, nominal))
+        assert answer['verdict'] == 'no_gap'
+        assert answer['probability'] > 0.9
+        assert all(channel['after_nrmse'] < 1.1 * channel['noise_floor_nrmse']
+                   for channel in answer['channels'])
+
+
+def test_effect_is_found_in_a_recording_that_begins_in_motion():
+    nominal = {'load.type': 'spring'}
+    run = simulated(nominal | {'valve_flexure.lag_time': 0.004}, duration_s=4.0)
+    for runs in ([run], [run[1337:]], [run[:2000], run[2000:]]):
+        answer = document(diagnose(runs, nominal))
+        assert answer['verdict'] == 'valve_lag'
+        assert answer['which'][0]['parameters']['valve_flexure_lag_time'] == pytest.approx(
+            0.004, rel=0.02)

@@ -1,0 +1,101 @@
+"""
+The state in which a recording begins: at rest, or in motion.
+
+What was measured tells most of it. What was not (the flux of the magnetic circuit, the deflection
+of the seals) and the errors of what was are free in every fit, in each recording by itself.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from asi_actuator.model.actuator import STATE_DTYPE
+from asi_actuator.model.friction import BEHIND_SENSOR
+from asi_analysis.gap.model.effects import Free, of_recording
+from asi_analysis.gap.parts import BURN_IN_S
+from asi_analysis.gap.prepare import Array, Recording
+from asi_common.jit import FULL
+
+# As shares of what a seal, or the loop of the hysteresis, can hold; and of the measured range.
+FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
+    'start_flux', 'start_seal', 'start_position', 'start_velocity')
+SEALS = (0.0, -0.7, 0.7)   # starts of a fit
+WIDE = 3.0       # times the measured range: the bounds of position and velocity
+ESTIMATE_S = 0.02   # of a recording, whose means are the estimates
+
+
+def with_start_fields(p: np.void, recordings: Sequence[Recording]) -> np.void:
+    """Return a record with the fields of the start, if a recording begins in motion."""
+    if all(recording.at_rest for recording in recordings):
+        return p
+    wide = np.zeros(1, np.dtype(p.dtype.descr + [(name, np.float64) for name in START_FIELDS]))[0]
+    for name in p.dtype.names or ():
+        wide[name] = p[name]
+    return wide
+
+
+def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequence[str]
+                     ) -> list[Free]:
+    """Return the free parameters of the recordings that begin in motion."""
+    found: list[Free] = []
+    for recording in recordings:
+        if recording.at_rest or not recording.fit.any():
+            continue
+        own = []
+        if ('valve' in channels or recording.valve_position is None) and (
+                p['valve_hysteresis_model'] == FULL):
+            own.append(Free(FLUX, -1.0, 1.0, (0.0,)))
+        if 'force' in channels:
+            own += [Free(SEAL, -1.0, 1.0, SEALS)] if p['friction_model'] == FULL else []
+            own += [Free(POSITION, -WIDE, WIDE, (0.0,), 'position'),
+                    Free(VELOCITY, -WIDE, WIDE, (0.0,), 'velocity')] if recording.motion else []
+        found += [free._replace(field=of_recording(free.field, recording.number)) for free in own]
+    return found
+
+
+def start_fields(number: int) -> list[str]:
+    """Return the fields of the start of the recording `number`."""
+    return [of_recording(name, number) for name in START_FIELDS]
+
+
+def _fitted(recording: Recording, p: np.void, name: str) -> float:
+    """Return a field of the start; 0 of a recording that nothing was fitted on."""
+    return float(p[name]) if name in (p.dtype.names or ()) and recording.fit.any() else 0.0
+
+
+def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.void, Array]:
+    """
+    Return the valve's state some time before a recording, and the commands (N) since then.
+
+    Where it begins in motion, its first command is taken to have been held.
+    """
+    state = np.zeros(1, STATE_DTYPE)[0]
+    if recording.at_rest:
+        return state, command[:0]
+    state['command_filtered'] = command[0]
+    state['flux'] = command[0] + _fitted(recording, p, FLUX) * p['valve_hysteresis_radius']
+    return state, np.full(math.ceil(BURN_IN_S / recording.period_s), command[0])
+
+
+def state_at_start(recording: Recording, p: np.void, valve_position: float) -> np.void:
+    """Return the state at the first sample, with the valve at a position (m)."""
+    state = np.zeros(1, STATE_DTYPE)[0]
+    if recording.at_rest:
+        return state
+    state['valve_position'] = valve_position
+    motion = recording.motion
+    if motion is not None:
+        inner = slice(motion.pad, motion.pad + max(int(ESTIMATE_S / recording.period_s), 2))
+        position = motion.position[inner].mean() if motion.measured else 0.0
+        state['position'] = position + _fitted(recording, p, POSITION)
+        state['velocity'] = motion.velocity[inner].mean() + _fitted(recording, p, VELOCITY)
+    state['load_position'], state['load_velocity'] = state['position'], state['velocity']
+    holds = max(p[f'friction_{name}'] for name in ('coulomb', 'stiction_push', 'stiction_pull'))
+    state['seal'] = _fitted(recording, p, SEAL) * holds / p['friction_presliding_stiffness']
+    if recording.force is not None:
+        for name in ('hydraulic_force', 'sensor', 'card', 'sensed', 'sensor_input', 'sensor_ring'):
+            state[name] = recording.force[0]
+        if p['friction_model'] == FULL and p['friction_location'] != BEHIND_SENSOR:
+            state['hydraulic_force'] += p['friction_presliding_stiffness'] * state['seal']
+    return state
