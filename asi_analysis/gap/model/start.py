@@ -14,7 +14,7 @@ from asi_actuator.model.actuator import STATE_DTYPE
 from asi_actuator.model.friction import BEHIND_SENSOR
 from asi_analysis.gap.model.effects import Free, of_recording
 from asi_analysis.gap.parts import BURN_IN_S
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import START_S, Array, Recording
 from asi_common.jit import FULL
 
 # As shares of what a seal, or the loop of the hysteresis, can hold; and of the measured range.
@@ -22,7 +22,6 @@ FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
     'start_flux', 'start_seal', 'start_position', 'start_velocity')
 SEALS = (0.0, -0.7, 0.7)   # starts of a fit
 WIDE = 3.0       # times the measured range: the bounds of position and velocity
-ESTIMATE_S = 0.02   # of a recording, whose means are the estimates
 
 
 def with_start_fields(p: np.void, recordings: Sequence[Recording]) -> np.void:
@@ -86,7 +85,7 @@ def state_at_start(recording: Recording, p: np.void, valve_position: float) -> n
     state['valve_position'] = valve_position
     motion = recording.motion
     if motion is not None:
-        inner = slice(motion.pad, motion.pad + max(int(ESTIMATE_S / recording.period_s), 2))
+        inner = slice(motion.pad, motion.pad + max(int(START_S / recording.period_s), 2))
         position = motion.position[inner].mean() if motion.measured else 0.0
         state['position'] = position + _fitted(recording, p, POSITION)
         state['velocity'] = motion.velocity[inner].mean() + _fitted(recording, p, VELOCITY)
