@@ -264,7 +264,10 @@ def _starts(base: Found) -> list[_Start]:
     work = []
     for effect in group.effects:
         for variant in effect.variants:
-            if not channels_of(variant, group):
+            # A wave or pulse of a disturbance is only guessed where the motion was measured.
+            guessed = all(free.scale in group.scale for free in variant.free
+                          if free.scale.startswith('residual_'))
+            if not channels_of(variant, group) or not guessed:
                 continue
             own = {free.field for free in variant.free}
             # Contacts and couplings are stiffer than what the sub-step was chosen by.
