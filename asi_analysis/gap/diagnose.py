@@ -26,7 +26,7 @@ from asi_analysis.gap.inference.uncertainty import (
     interval,
     likelihood,
 )
-from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN, Free, block_of
+from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, UNKNOWN, Free, block_of
 from asi_analysis.gap.model.group import (
     TOLERANCE,
     Group,
@@ -129,10 +129,22 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
 
 def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tolerance: float
                      ) -> list[Group]:
-    """Return the same channels as the simulator predicts them; the load's is the motion."""
+    """
+    Return the same channels as the simulator predicts them; the load's is the motion.
+
+    None if it does not: of a simplified model, without the command, or if some recordings hold
+    the velocity, and others only the position.
+    """
+    recordings = groups[0].recordings
+    moved = [channel for channel in MOTIONS
+             if all(getattr(r, f'raw_{channel}') is not None for r in recordings)]
+    moves = any('load' in group.channels for group in groups)
+    if (not by_simulator(nominal) or any(r.command is None for r in recordings)
+            or (moves and not moved)):
+        return []
     p = simulator_record(nominal)
     return [simulator_group(p, group.recordings, tuple(
-        'motion' if channel == 'load' else channel for channel in group.channels), tolerance)
+        moved[0] if channel == 'load' else channel for channel in group.channels), tolerance)
         for group in groups]
 
 
@@ -157,8 +169,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         groups, notes = actuator_groups(runs, model, tolerance, out)
     notes = [note for run in runs for note in plausibility.check_signals(run)] + notes
     own = {field_name(name): share for name, share in tolerances.items()}
-    simulated = (simulated_groups(groups, model, tolerance)
-                 if plant == 'actuator' and by_simulator(model) and len(groups) == 2 else [])
+    simulated = simulated_groups(groups, model, tolerance) if plant == 'actuator' else []
     uncertain = sorted({DOTTED[free.field] for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'})
     for name in tolerances.keys() - set(uncertain):

@@ -87,6 +87,7 @@ class Recording:
     at_rest: bool = True     # begins at rest
     origin_m: float | None = None   # of the piston's position, if it starts at rest; taken off
     raw_velocity: Array | None = None   # m/s, as measured
+    raw_position: Array | None = None   # m, as measured, from `origin_m`
     valve_estimate: Array | None = None   # m, measured valve position with less noise
     # By channel: what a shorter sub-step adds to the simulator's predictions with a longer one.
     corrections: dict[str, Array] = field(default_factory=dict)
@@ -453,7 +454,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         recordings.append(Recording(
             source=run.source, period_s=period, command=moving.get('command'), force=force,
             valve_position=moving.get('valve_position'), velocity=velocity,
-            raw_velocity=moving.get('velocity'),
+            raw_velocity=moving.get('velocity'), raw_position=moving.get('position'),
             motion=motion, at_rest=_begins_at_rest(moving, period), origin_m=origin,
             force_judged=judged(force, motion) if force is not None and motion else None,
             noise={name: noise_of(values) for name, values in moving.items()},

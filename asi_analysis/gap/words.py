@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_common.record import field_name
 
 NAMES: Final = {
@@ -64,8 +64,8 @@ def with_id(name: str, joint: bool) -> str:
 
 def signal_of(channel: str, run: Run, joint: bool) -> str:
     """Return the recorded signal that a channel predicts; `valve` is the drive of a joint."""
-    if channel == 'motion':
-        return 'velocity'
+    if channel in MOTIONS:
+        return channel
     if channel != 'valve':
         return 'force' if run.force_n is not None else 'command'
     if not joint:

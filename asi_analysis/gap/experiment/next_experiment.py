@@ -12,6 +12,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import MOTIONS
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import predict
 from asi_analysis.gap.prepare import Recording, prepare
@@ -124,7 +125,7 @@ def separation(group: Group, recording: Recording, first: np.void, second: np.vo
     valid = recording.valid
     apart = 0.0
     for channel in group.channels:
-        if channel in ('load', 'motion') and recording.motion is None:   # nothing moves there
+        if channel in ('load', *MOTIONS) and recording.motion is None:   # nothing moves there
             continue
         difference = (predict(recording, channel, first) - predict(recording, channel, second))
         apart += float(np.mean(difference[valid] ** 2)) / group.error_floor[channel]

@@ -14,7 +14,7 @@ from scipy.fft import next_fast_len
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import dead_zone, in_steps
-from asi_analysis.gap.model.effects import of_recording
+from asi_analysis.gap.model.effects import MOTIONS, of_recording
 from asi_analysis.gap.model.group import Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
@@ -52,10 +52,11 @@ def initial_guesses(fitted: Fitted) -> Values:
     """
     group = fitted.problem.group
     found: Values = {}
-    channel = 'motion' if 'motion' in group.channels else 'load'
-    for recording in group.recordings if channel in group.channels else ():
+    moves = {'load', *MOTIONS}.intersection(group.channels)
+    for recording in group.recordings if moves else ():
         if not recording.fit.any():
             continue
+        channel, = moves
         residual, known = _unexplained(fitted, channel, recording)
         raw = _output(recording, channel) - _predicted(recording, channel, fitted.record)
         own = _wave(residual, recording) | _pulse(residual, _judged(recording), known, raw,
@@ -97,14 +98,14 @@ def _unexplained(fitted: Fitted, channel: str, recording: Recording) -> tuple[Ar
 
 def _output(recording: Recording, channel: str) -> Array:
     """Return the measured output of a channel; of a motion, the force that it takes."""
-    if channel != 'motion':
+    if channel not in MOTIONS:
         return measured(recording, channel)
     return np.zeros(recording.fit.size)
 
 
 def _predicted(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the same, predicted; of a motion, the force that what it misses takes."""
-    if channel != 'motion':
+    if channel not in MOTIONS:
         return predict(recording, channel, p)
     return simulator.missed_force(recording, p)
 

@@ -12,7 +12,7 @@ from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.blocks import impedance, load_constants
-from asi_analysis.gap.model.effects import BLOCKS, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import BLOCKS, MOTIONS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass, velocity_of
@@ -20,7 +20,7 @@ from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass, velocity_
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
 # Blocks of each channel: they share its gap if no effect is named.
 ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
-         'load': ('mechanics', 'sensor'), 'motion': ('mechanics', 'hydraulics')}
+         'load': ('mechanics', 'sensor'), **dict.fromkeys(MOTIONS, ('mechanics', 'hydraulics'))}
 
 
 LEAST_SHARE = 0.01     # of the samples in a regime, and of a gap

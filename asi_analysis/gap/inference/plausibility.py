@@ -12,6 +12,7 @@ from scipy.signal import correlate
 
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap.model.effects import MOTIONS
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import (
@@ -41,7 +42,7 @@ IMPROVED = 0.1         # by which a shift of the clock must raise the correlatio
 # The output and the input of each channel.
 COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
             'load': ('force', 'velocity or position'),
-            'motion': ('velocity', 'command')}
+            'velocity': ('velocity', 'command'), 'position': ('position', 'command')}
 
 
 def check_signals(run: Run) -> list[str]:
@@ -203,7 +204,7 @@ def check_against_model(group: Group) -> list[str]:
             if correlation < -SHAPE_CORRELATION:
                 raise InputError(f'{where}: the sign is reversed (correlation {correlation:.2f}); '
                                  f'check the sign of {output} and of {driven}')
-            least = 1.0 / FACTOR if channel not in ('load', 'motion') else 1.0 / (SOFTER * FACTOR)
+            least = 1.0 / FACTOR if channel not in ('load', *MOTIONS) else 1.0 / (SOFTER * FACTOR)
             implausible = not 1.0 / LARGEST_FACTOR < slope < LARGEST_FACTOR
             if implausible or (correlation > SHAPE_CORRELATION and not least < slope < FACTOR):
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '

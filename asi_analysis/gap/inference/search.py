@@ -86,13 +86,15 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     """
     Return the groups, weighed, if the simulator explains them down to their noise; else None.
 
+    groups: the valve and what follows it; or one, if the valve position was not recorded.
     As it is, with parameters within their tolerance, or with one effect or one parameter beyond
     its tolerance. alone: nothing else predicts such recordings, so what is left is `unknown`.
     """
-    valve, rest = groups
+    valve, *others = groups
     first = _explained(valve, tick, alone)
-    if first is None:
-        return None
+    if first is None or not others:
+        return first and [first]
+    rest, = others
     answer = None
     for weighed in (first, *_rivals(first)):
         best = _most_probable(weighed)

@@ -34,6 +34,9 @@ class Free(NamedTuple):
     prior: float = math.inf   # standard deviation about the nominal value, as a share of it
 
 
+# Channels of a motion that the simulator predicts; as it was measured.
+MOTIONS = ('velocity', 'position')
+
 # Fields with an own value in each recording.
 OF_A_RECORDING = (
     'load_offset', 'disturbance', 'disturbance_wave', 'disturbance_frequency', 'disturbance_phase',

@@ -9,10 +9,10 @@ from asi_actuator.model import effects as declared
 from asi_actuator.model.backlash import MASS, SPRING_ALONE, SPRING_AND_DAMPER
 from asi_actuator.model.command_path import EDGE, NEAREST, ZERO
 from asi_actuator.parameters import ACTUATOR_DTYPE
-from asi_analysis.gap.model.effects import Effect, Free, Variant
+from asi_analysis.gap.model.effects import MOTIONS, Effect, Free, Variant
 from asi_common.jit import FULL
 
-VALVE, MOVED, SENSOR = ('valve',), ('force', 'motion'), ('force',)
+VALVE, MOVED, SENSOR = ('valve',), ('force', *MOTIONS), ('force',)
 SMALL = (0.005, 0.02, 0.06, 0.15)
 LARGE = (0.5, 0.7, 0.85, 0.95)
 TIMES = (0.0005, 0.002, 0.008)

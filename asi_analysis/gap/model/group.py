@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asi_analysis.gap.model import forms, simulator
-from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant, in_each
+from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effect, Free, Variant, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
 from asi_analysis.gap.model.start import (
     FLUX,
@@ -15,7 +15,7 @@ from asi_analysis.gap.model.start import (
     start_parameters,
     with_start_fields,
 )
-from asi_analysis.gap.prepare import Array, Recording, noise_of
+from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL, LINEAR
 
 Values = dict[str, float]
@@ -254,8 +254,8 @@ def _noise(recording: Recording, channel: str, p: np.void) -> float:
     noise, motion = recording.noise, recording.motion
     if channel == 'valve':
         return noise['valve_position']
-    if channel == 'motion':
-        return noise_of(measured(recording, 'motion'))
+    if channel in MOTIONS:
+        return noise[channel]
     share = 1.0
     if channel == 'load':
         assert motion is not None
@@ -390,7 +390,7 @@ def acts_on(field: str, channel: str, group: Group) -> bool:
     if simulator.of_simulator(group.nominal):
         if _is_of_valve(field) and field not in forms.UNCERTAIN['force']:
             return channel == 'valve' or not group.measures_valve
-        return channel == 'force' or (channel == 'motion' and (
+        return channel == 'force' or (channel in MOTIONS and (
             not field.startswith('force_sensor_')))
     through = channel == 'force' and not group.measures_valve and 'valve' in ACTS_ON[field]
     inert = (field in ('load_mass', 'piston_share')

@@ -12,7 +12,7 @@ from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import Complex
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
-from asi_analysis.gap.prepare import Array, Recording, velocity_of
+from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 
@@ -253,8 +253,7 @@ def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, 
 def measured(recording: Recording, channel: str) -> Array:
     """Return the measured output of a channel."""
     signal = {'valve': recording.valve_position, 'force': recording.force,
-              'load': recording.force_judged, 'motion': (
-                  velocity_of(recording) if recording.raw_velocity is None else
-                  recording.raw_velocity)}[channel]
+              'load': recording.force_judged, 'velocity': recording.raw_velocity,
+              'position': recording.raw_position}[channel]
     assert signal is not None
     return signal

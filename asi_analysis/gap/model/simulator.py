@@ -231,16 +231,13 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     if channel == 'valve':
         return simulated_valve(recording, p) + correction
     force, velocity, position = simulated_motion(recording, p)
-    motion = recording.motion
     if channel == 'force':
         return force + correction
-    correction = correction + _out_of_place(recording, position, p)
-    if recording.raw_velocity is not None or motion is None:
-        return velocity + correction
-    # The measured velocity is that of a smoothed position.
-    count = velocity.size + 2 * motion.pad
-    smooth = np.fft.rfft(np.pad(velocity, motion.pad, 'reflect')) * motion.smooth
-    return np.fft.irfft(smooth, count)[motion.pad:motion.pad + velocity.size] + correction
+    if channel == 'velocity':
+        return velocity + correction + _out_of_place(recording, position, p)
+    assert recording.raw_position is not None
+    off = np.mean((position - recording.raw_position)[recording.valid])
+    return position + correction - (1.0 - 1.0 / math.sqrt(recording.valid.sum())) * off
 
 
 def _out_of_place(recording: Recording, position: Array, p: np.void) -> float:

@@ -31,7 +31,7 @@ NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity
 LOOP = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'multisine',
         'reference.frequency': 0.5, 'reference.end_frequency': 60.0,
         'reference.amplitude': 200.0, 'reference.start': 0.05}
-CHANNELS = ('force', 'motion')
+CHANNELS = ('force', 'velocity')
 
 
 def recorded(machine, rate_hz=1000.0, noise=1.0, duration_s=2.5):
@@ -70,7 +70,7 @@ def test_what_the_true_parameters_leave_is_the_noise(load, rate_hz):
     valve = simulator_group(p, recordings, ('valve',))
     rest_ = with_simulated_valve(simulator_group(p, recordings, CHANNELS), valve.nominal)
     for group, channel, level in ((valve, 'valve', 1e-7), (rest_, 'force', 1.0),
-                                  (rest_, 'motion', 5e-4)):
+                                  (rest_, 'velocity', 5e-4)):
         recording = group.recordings[0]
         left = measured(recording, channel) - predict(recording, channel, group.nominal)
         assert np.std(left[recording.valid]) == pytest.approx(level, rel=0.06)
