@@ -23,16 +23,18 @@ from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
 from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import exact
 from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.start import MEMORIES
 from asi_analysis.gap.prepare import Array
 
 STEP = 1e-4       # of a parameter's range, for the derivatives
 ROUNDS = 12       # of the optimiser
 # Of the log posterior, and as a share of it: a round that gains less than their sum is the last.
 GAIN, CONVERGED = 0.05, 3e-4
-TRIES = 5         # of a step, with more damping each
+DAMPING, TRIES = 1e-4, 5   # of a step: to begin with, and how often with more
 SLOW = 0.003      # of the cost: an updated derivative that gains less is computed anew
 HOPE = 2.0        # times what a linear problem would gain: a fit may gain no more
 LONGEST_STEP = 0.3
+SCANNED = 9       # values of what a derivative does not tell of
 PART, BENT = 0.1, 0.4   # of a step: to see how the residual bends along it; the most that it may
 
 NONE: Mapping[str, Array] = MappingProxyType({})
@@ -120,8 +122,10 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     Sethna, arXiv:1201.5885): sums of parameters are known far better than each, so the way to
     the minimum is long, narrow and bent. known: derivatives to begin with, by field. After each
     step all are updated by what it showed (Broyden's method); they are computed anew where that
-    does not lead on, at most `rounds` times. goal: a cost; a fit that will not reach it, as its
-    present rate or its derivatives tell, is given up.
+    does not lead on, at most `rounds` times. Memories of the start are then sought in their whole
+    range: what they change ends with a reversal of the motion, so that derivatives mislead.
+    goal: a cost; a fit that will not reach it, as its present rate or its derivatives tell, is
+    given up.
     """
     mean, precision = problem.prior
 
@@ -129,7 +133,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         return 0.5 * float(value @ value) + 0.5 * float(precision @ (theta - mean) ** 2)
 
     theta, value = start, problem.residual(start)
-    cost, damping = cost_of(theta, value), 1e-4
+    cost, damping = cost_of(theta, value), DAMPING
     slopes, fresh = problem.jacobian(theta, known, value), not known
     since = cost   # the cost when the derivatives were last computed
     while True:
@@ -155,10 +159,28 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             fresh = False
             continue
         rounds -= 1
-        if rounds < 1 or fresh and before - cost <= GAIN + CONVERGED * before or (
-                cost - rounds * (since - cost) > goal):
+        ends = fresh and before - cost <= GAIN + CONVERGED * before
+        if ends and rounds > 0:
+            there = min(_elsewhere(problem, theta), default=theta, key=lambda each: cost_of(
+                each, problem.residual(each)))
+            value_there = problem.residual(there)
+            cost_there = cost_of(there, value_there)
+            if cost - cost_there > GAIN + CONVERGED * cost:
+                theta, value, cost, ends = there, value_there, cost_there, False
+        if rounds < 1 or ends or cost - rounds * (since - cost) > goal:
             return Best(theta, cost, value)
         slopes, fresh, since = problem.jacobian(theta, base=value), True, cost
+        damping = min(damping, DAMPING)   # what failed with old derivatives may do with new ones
+
+
+def _elsewhere(problem: Posterior, theta: Array) -> Iterator[Array]:
+    """Yield the parameters with one that a derivative does not tell of anywhere in its range."""
+    for number, free in enumerate(problem.free):
+        if free.field.partition('@')[0] in MEMORIES:
+            for share in np.linspace(0.0, 1.0, SCANNED):
+                there = theta.copy()
+                there[number] = share
+                yield there
 
 
 def _next(problem: Posterior, theta: Array, value: Array, slopes: Array, square: Array,

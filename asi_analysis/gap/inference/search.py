@@ -6,7 +6,6 @@ evidence. The answer counts only if it leaves no more than the noise: then the m
 the simulator's own equations, and no other formulation needs to be tried.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -21,6 +20,7 @@ from asi_analysis.gap.inference.fit import Fitted, independent_samples
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
+    GAIN,
     ROUNDS,
     Best,
     Posterior,
@@ -46,7 +46,7 @@ from asi_analysis.gap.model.group import (
     with_simulated_valve,
 )
 from asi_analysis.gap.model.predict import measured
-from asi_analysis.gap.model.start import start_fields
+from asi_analysis.gap.model.start import SEAL
 from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
@@ -55,6 +55,7 @@ ROUGH = 1         # derivatives of a fit after the linear screen
 # Times that a sub-step is corrected anew, until the log posterior changes by less than this.
 CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
+SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
 # Fields of contacts and couplings.
@@ -172,33 +173,54 @@ def _most_probable(weighed: Weighed) -> Candidate:
 def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
     group = replace(group, effects=(*group.effects, *parameter_errors(group)))
-    group = _begun(group)
+    problem = Posterior(group, group.nuisance)
+    begun = min((most_probable(problem, start, rounds=2) for start in _beginnings(problem)),
+                key=lambda best: best.cost)
+    null = _converged(Found((), (), problem, most_probable(problem, begun.theta,
+                                                           rounds=2 * ROUNDS)))
+    # The start of a recording in motion is as that fit found it.
+    group = with_fitted_start(group, null.problem.record(null.best.theta))
+    null = null._replace(problem=replace(null.problem, group=with_fitted_start(
+        null.problem.group, group.nominal)))
     problem = Posterior(group, group.nuisance)
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
-    null = _converged(as_given._replace(best=most_probable(problem, mean, rounds=2 * ROUNDS)))
     group.scale.update(initial_guesses(_fitted(null)))
     # Nominal parameters that had to give much may hide an effect: then it is sought without them.
     given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
     hidden = _left(null) or given > SUSPICIOUS
-    return {(): null} | _singles(as_given if hidden else null, null, tick)
+    singles = _singles(as_given if hidden else null, null, tick)
+    return {(): _without_effects(null, list(singles.values()))} | singles
 
 
-def _begun(group: Group) -> Group:
-    """Return a group whose recordings begin as they would with the nominal parameters."""
-    for number in {recording.number for recording in group.recordings}:
-        free = tuple(free for free in group.nuisance if free.field in start_fields(number))
-        if not free:
-            continue
-        problem = Posterior(group, free)
-        # Several: the seals may be deflected either way.
-        best = min((most_probable(problem, np.array([problem.start(each, value)
-                                                     for each, value in zip(free, values,
-                                                                            strict=True)]))
-                    for values in itertools.product(*(each.starts for each in free))),
-                   key=lambda best: best.cost)
-        group = with_fitted_start(group, problem.record(best.theta))
-    return group
+def _without_effects(null: Found, singles: Sequence[Found]) -> Found:
+    """Return the fit without effects, from where a fit with one shows that it can be better."""
+    problem, (mean, precision) = null.problem, null.problem.prior
+    starts = [_with_shared(null, found) for found in singles]
+    costs = [0.5 * float(np.sum(problem.residual(start) ** 2) + precision @ (start - mean) ** 2)
+             for start in starts]
+    if min(costs, default=math.inf) > null.best.cost - GAIN:
+        return null
+    start = starts[int(np.argmin(costs))]
+    return _converged(null._replace(best=most_probable(problem, start)))
+
+
+def _beginnings(problem: Posterior) -> Iterator[Array]:
+    """Yield the nominal parameters with recordings that begin in several ways, if in motion."""
+    mean = problem.prior[0]
+    yield mean
+    started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
+    if not started:
+        return
+    alone = Posterior(problem.group, tuple(problem.free[n] for n in started))
+    begun = mean.copy()
+    begun[started] = most_probable(alone, alone.prior[0]).theta
+    yield begun
+    seals = [n for n in started if problem.free[n].field.startswith(SEAL)]
+    for share in SEALS if seals else ():
+        begun = mean.copy()
+        begun[seals] = share
+        yield begun
 
 
 def _left(found: Found) -> bool:
@@ -345,24 +367,23 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
     leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
     fits[leader.names] = leader
 
-    def polished(found: Found) -> Found:
+    def polished(form: Found) -> Found:
         # The sub-step is corrected where it was for the leader. Within a thread of the pool
         # nothing may wait for another one: all could wait.
-        starts = []
-        for form in forms[found.names]:
-            form = form._replace(problem=replace(
-                form.problem, group=leader.problem.group, pool=None))
-            starts += [(form, form.best.theta), (form, _with_shared(form, leader))]
-            if all(free.scale == 'nominal' for variant in form.variants for free in variant.free):
-                starts.append((form, _with_shared(form, null, nominal=True)))
-        form, theta = min(starts, key=lambda start: float(np.sum(
-            start[0].problem.residual(start[1]) ** 2)))
+        form = form._replace(problem=replace(
+            form.problem, group=leader.problem.group, pool=None))
+        starts = [form.best.theta, _with_shared(form, leader)]
+        if all(free.scale == 'nominal' for variant in form.variants for free in variant.free):
+            starts.append(_with_shared(form, null, nominal=True))
+        theta = min(starts, key=lambda start: float(np.sum(form.problem.residual(start) ** 2)))
         goal = leader.best.cost + REACH
         return _converged(form._replace(best=most_probable(form.problem, theta, goal=goal)), goal)
 
     # What takes the longest first, so that no core is idle at the end.
-    for found in problem.each(polished, sorted(rivals[:POLISHED], key=_is_coarse)):
-        fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
+    left = [form for found in rivals[:POLISHED] for form in forms[found.names]]
+    for found in problem.each(polished, sorted(left, key=_is_coarse)):
+        if found.best.cost < fits[found.names].best.cost:
+            fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return fits
 

@@ -20,7 +20,7 @@ from asi_common.jit import FULL
 # As shares of what a seal, or the loop of the hysteresis, can hold; and of the measured range.
 FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
     'start_flux', 'start_seal', 'start_position', 'start_velocity')
-SEALS = (0.0, -0.7, 0.7)   # starts of a fit
+MEMORIES = (FLUX, SEAL)
 WIDE = 3.0       # times the measured range: the bounds of position and velocity
 
 
@@ -46,16 +46,11 @@ def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequ
                 p['valve_hysteresis_model'] == FULL):
             own.append(Free(FLUX, -1.0, 1.0, (0.0,)))
         if 'force' in channels:
-            own += [Free(SEAL, -1.0, 1.0, SEALS)] if p['friction_model'] == FULL else []
+            own += [Free(SEAL, -1.0, 1.0, (0.0,))] if p['friction_model'] == FULL else []
             own += [Free(POSITION, -WIDE, WIDE, (0.0,), 'position'),
                     Free(VELOCITY, -WIDE, WIDE, (0.0,), 'velocity')] if recording.motion else []
         found += [free._replace(field=of_recording(free.field, recording.number)) for free in own]
     return found
-
-
-def start_fields(number: int) -> list[str]:
-    """Return the fields of the start of the recording `number`."""
-    return [of_recording(name, number) for name in START_FIELDS]
 
 
 def _fitted(recording: Recording, p: np.void, name: str) -> float:
