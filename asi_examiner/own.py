@@ -88,7 +88,8 @@ def draw_own(seed: int) -> OwnCase:
     if kind > 0.5 * (1.0 + UNCHANGED):
         effect = EFFECTS_ON[rng.integers(len(EFFECTS_ON))]
         changed, factor = effect.name, float(rng.uniform(*SIZE))
-        machine |= {name: factor * value if isinstance(value, float) else value
+        highest = {p.name: p.high for p in ACTUATOR_PARAMETERS}
+        machine |= {name: min(factor * value, highest[name]) if isinstance(value, float) else value
                     for name, value in effect.example.items()}
     elif kind > UNCHANGED:
         changed = str(rng.choice([name for name in CHANGED
