@@ -1,4 +1,4 @@
-"""What cannot matter does not change the verdict: origin, sample rate, a further recording."""
+"""What cannot matter does not change the verdict: origin, rate, cut, order, signals left out."""
 
 import dataclasses
 
@@ -93,8 +93,30 @@ def test_recording_may_begin_in_motion(load):
 def test_effect_is_found_in_a_recording_that_begins_in_motion():
     nominal = {'load.type': 'spring'}
     run = simulated(nominal | {'valve_flexure.lag_time': 0.004}, duration_s=4.0)
-    for runs in ([run], [run[1337:]], [run[:2000], run[2000:]]):
+    for runs in ([run], [run[1337:]], [run[:2000], run[2000:]], [run[2000:], run[:2000]]):
         answer = document(diagnose(runs, nominal))
         assert answer['verdict'] == 'valve_lag'
         assert answer['which'][0]['parameters']['valve_flexure_lag_time'] == pytest.approx(
             0.004, rel=0.02)
+
+
+@pytest.mark.parametrize('missing', [
+    ('velocity_m_s',), ('position_m',), ('valve_position_m',), ('position_m', 'velocity_m_s'),
+    ('valve_position_m', 'velocity_m_s')])
+def test_what_was_not_recorded_makes_no_gap(missing):
+    nominal = {'load.type': 'spring'}
+    run = dataclasses.replace(simulated(nominal), **dict.fromkeys(missing))
+    answer = document(diagnose([run], nominal))
+    assert answer['verdict'] == 'no_gap'
+    assert answer['probability'] > 0.9
+
+
+@pytest.mark.parametrize('missing', ['velocity_m_s', 'valve_position_m'])
+def test_effect_is_found_without_one_signal(missing):
+    nominal = {'load.type': 'spring'}
+    machine = nominal | {'valve_flexure.lag_time': 0.004}
+    run = dataclasses.replace(simulated(machine), **{missing: None})
+    answer = document(diagnose([run], nominal))
+    assert answer['verdict'] == 'valve_lag'
+    assert answer['which'][0]['parameters']['valve_flexure_lag_time'] == pytest.approx(
+        0.004, rel=0.05)
