@@ -271,6 +271,12 @@ class _Explained:
         return float(one[keep] @ cho_solve(factor, other[keep]))
 
 
+def _promise(along: float, size: float) -> float:
+    """Return by how much the best amount of a change of the residual lowers the cost."""
+    amount = min(max(-along / size, 0.0), LARGEST)
+    return -amount * along - 0.5 * amount ** 2 * size
+
+
 class _Start(NamedTuple):
     """A form of an effect at one of its starts: its problem and parameters."""
 
@@ -323,21 +329,24 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
     explained = _Explained(slopes, precision)
     along_residual = explained.along(residual, precision * (base.best.theta - mean))
 
-    def gain(start: _Start) -> float:
+    def gain(start: _Start) -> tuple[float, float]:
+        # With all other parameters free, and alone. Of a large gap the first promises too much:
+        # parameters whose small changes act linearly seem to explain anything.
         own = {free.field for free in start.variant.free}
         change = start.problem.residual(start.theta) - residual
         if not np.isfinite(change).all():
-            return -math.inf
+            return -math.inf, -math.inf
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
         along_change, all_of_it = explained.along(change), float(change @ change)
         size = all_of_it - explained.common(along_change, along_change, keep)
         if size <= RIDGE * all_of_it:
-            return -math.inf
-        along = float(residual @ change) - explained.common(along_residual, along_change, keep)
-        amount = min(max(-along / size, 0.0), LARGEST)
+            return -math.inf, -math.inf
+        along = float(residual @ change)
+        alone = _promise(along, all_of_it)
+        along -= explained.common(along_residual, along_change, keep)
         # What other parameters explain by themselves is the same for all but those without one.
-        return 0.5 * explained.common(along_residual, along_residual, keep) - amount * along - (
-            0.5 * amount ** 2 * size)
+        return 0.5 * explained.common(along_residual, along_residual, keep) + _promise(
+            along, size), alone
 
     work = _starts(base)
     gains = []
@@ -345,9 +354,10 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         gains.append(value)
         if n % 10 == 0:
             tick()
-    order = sorted(range(len(work)), key=lambda n: -gains[n])
-    if base is null and gains[order[0]] < ODDS_AGAINST:
+    if base is null and max(first for first, _ in gains) < ODDS_AGAINST:
         return {}
+    ranks = (sorted(range(len(work)), key=lambda n: -gains[n][kind]) for kind in (0, 1))
+    order = [n for both in zip(*ranks, strict=True) for n in both]
     fits: dict[Names, Found] = {}
     known = {free.field: column for free, column in zip(problem.free, slopes.T, strict=True)}
 
@@ -372,15 +382,21 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         # nothing may wait for another one: all could wait.
         form = form._replace(problem=replace(
             form.problem, group=leader.problem.group, pool=None))
-        starts = [form.best.theta, _with_shared(form, leader)]
+        shared = [_with_shared(form, leader)]
         if all(free.scale == 'nominal' for variant in form.variants for free in variant.free):
-            starts.append(_with_shared(form, null, nominal=True))
-        theta = min(starts, key=lambda start: float(np.sum(form.problem.residual(start) ** 2)))
+            shared.append(_with_shared(form, null, nominal=True))
+        starts = [min(shared, key=lambda start: float(np.sum(form.problem.residual(start) ** 2)))]
+        # Far from the nominal model, what an effect is not may mislead.
+        if far and form.best is best_forms[form.names]:
+            starts.append(form.best.theta)
         goal = leader.best.cost + REACH
-        return _converged(form._replace(best=most_probable(form.problem, theta, goal=goal)), goal)
+        best = min((most_probable(form.problem, start, goal=goal) for start in starts),
+                   key=lambda best: best.cost)
+        return _converged(form._replace(best=best), goal)
 
     # What takes the longest first, so that no core is idle at the end.
     left = [form for found in rivals[:POLISHED] for form in forms[found.names]]
+    best_forms, far = {names: found.best for names, found in fits.items()}, _left(null)
     for found in problem.each(polished, sorted(left, key=_is_coarse)):
         if found.best.cost < fits[found.names].best.cost:
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
@@ -427,7 +443,7 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
 
 
 def _best_starts(ranked: Sequence[_Start]) -> list[_Start]:
-    """Return the first start of each form of the first effects."""
+    """Return the first start of each form of the first effects; a start may be ranked twice."""
     chosen: dict[str, dict[Variant, _Start]] = {}
     for start in ranked:
         if start.name in chosen or len(chosen) < FITTED:
