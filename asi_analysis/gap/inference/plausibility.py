@@ -144,8 +144,8 @@ def _moves_something(recording: Recording) -> bool:
 
 def _moves_freely(recording: Recording) -> bool:
     """Return whether a load without force moves, as a free piston does."""
-    velocity = velocity_of(recording)
-    return velocity is not None and bool(np.std(velocity) > LEAST_SWING * noise_of(velocity))
+    return any(np.std(moved) > LEAST_SWING * noise_of(moved)
+               for moved in (velocity_of(recording), recording.raw_position) if moved is not None)
 
 
 def check_motion(run: Run) -> list[str]:

@@ -57,9 +57,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
                      'valve_hysteresis_saturation': 1e9}),
     ),
     'valve_deadband': (
-        _form(VALVE, Free('valve_flexure_deadband', 0.0, 0.5, SMALL, 'command', 'N')),
-        _form(MOVED, Free('valve_characteristic_deadband', 0.0, 0.5, SMALL, 'valve_position',
-                          'm')),
+        _form(VALVE, Free('valve_flexure_deadband', 0.0, 1.0, (*SMALL, 0.4), 'command', 'N')),
+        _form(MOVED, Free('valve_characteristic_deadband', 0.0, 1.0, (*SMALL, 0.4),
+                          'valve_position', 'm')),
     ),
     'valve_saturation': (
         _form(VALVE, Free('valve_flexure_travel_limit', 0.2, 1.3, LARGE, 'valve_position', 'm')),
