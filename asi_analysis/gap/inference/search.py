@@ -96,14 +96,17 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     if first is None or not others:
         return first and [first]
     rest, = others
-    answer = None
+    answers = []
     for weighed in (first, *_rivals(first)):
-        best = _most_probable(weighed)
-        second = _explained(with_simulated_valve(rest, best.fitted.record), tick, alone)
-        if second is not None and len(best.names) + len(_most_probable(second).names) < 2:
-            return [weighed, second]
-        answer = answer or (second and [weighed, second])
-    return answer if alone else None
+        record = _most_probable(weighed).fitted.record
+        second = _explained(with_simulated_valve(rest, record), tick, alone)
+        if second is not None:
+            answers.append([weighed, second])
+    best = [answer for answer in answers
+            if sum(len(_most_probable(weighed).names) for weighed in answer) < 2]
+    if best:   # rivals explain the valve equally well
+        return min(best, key=lambda answer: _most_probable(answer[1]).fitted.cost)
+    return answers[0] if answers and alone else None
 
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> Weighed | None:
