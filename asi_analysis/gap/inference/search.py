@@ -177,15 +177,17 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
     group = replace(group, effects=(*group.effects, *parameter_errors(group)))
     problem = Posterior(group, group.nuisance)
-    begun = min((most_probable(problem, start, rounds=2) for start in _beginnings(problem)),
-                key=lambda best: best.cost)
-    null = _converged(Found((), (), problem, most_probable(problem, begun.theta,
+    starts = list(_beginnings(problem))
+    if len(starts) > 1:
+        starts = [min((most_probable(problem, start, rounds=2) for start in starts),
+                      key=lambda best: best.cost).theta]
+    null = _converged(Found((), (), problem, most_probable(problem, starts[0],
                                                            rounds=2 * ROUNDS)))
     # The start of a recording in motion is as that fit found it.
     group = with_fitted_start(group, null.problem.record(null.best.theta))
     null = null._replace(problem=replace(null.problem, group=with_fitted_start(
         null.problem.group, group.nominal)))
-    problem = Posterior(group, group.nuisance)
+    problem = replace(problem, group=group)
     mean = problem.prior[0]
     as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
     group.scale.update(initial_guesses(_fitted(null)))
@@ -215,7 +217,7 @@ def _beginnings(problem: Posterior) -> Iterator[Array]:
     started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
     if not started:
         return
-    alone = Posterior(problem.group, tuple(problem.free[n] for n in started))
+    alone = replace(problem, free=tuple(problem.free[n] for n in started))
     begun = mean.copy()
     begun[started] = most_probable(alone, alone.prior[0]).theta
     yield begun
