@@ -46,6 +46,7 @@ class Answer(NamedTuple):
     visibility: float       # in multiples of the noise
     sizes: dict[str, float]   # of effects that the diagnosis estimates, by its names and units
     rate_hz: float = 1000.0
+    also: tuple[str, ...] = ()   # small effects: naming one besides is not wrong
 
 
 # Parameters of the plant with the same meaning in the diagnosis, and their names there.
@@ -89,7 +90,7 @@ def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answ
                   [EFFECTS[name] for name in case.effects if name in EFFECTS], case.excitation,
                   case.world, case.load, signals, case.visibility,
                   {name: float(case.plant[key]) for key, name in SHARED_PARAMETERS.items()
-                   if case.plant[key] != case.without[key]})
+                   if case.plant[key] != case.without[key]}, also=case.small)
 
 
 def write_own(seed: int, out: Path, number: int) -> Answer:

@@ -112,6 +112,7 @@ class Case(NamedTuple):
     reference: Array
     bench: Bench
     recording: Array              # 5 x n
+    small: tuple[str, ...] = ()   # effects that are there too, at a fiftieth of their size
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -344,4 +345,4 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
     actual = plant(values)
     recording = simulate(actual, reference, bench, seed)
     return Case(seed, world, excitation, load, chosen, kind, weakest, nominal, actual, without,
-                reference, bench, recording)
+                reference, bench, recording, small)

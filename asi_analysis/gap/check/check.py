@@ -117,7 +117,14 @@ def truth_of(answer: Mapping[str, Any]) -> str:
 def is_right(row: Row, answer: Mapping[str, Any]) -> bool:
     """Return whether a verdict is right; for too small an effect, `no_gap` or its name is."""
     small = answer['kind'] == 'small' and row['verdict'] in answer['effects']
-    return row['verdict'] == truth_of(answer) or small
+    return is_truth(row['verdict'], answer) or small
+
+
+def is_truth(verdict: str, answer: Mapping[str, Any]) -> bool:
+    """Return whether a verdict is the truth, perhaps with small effects that are there too."""
+    truth = truth_of(answer)
+    besides = set(answer.get('also', ())) - set(truth.split('+'))
+    return set(verdict.split('+')) - besides == set(truth.split('+'))
 
 
 def sizes_held(row: Row, answer: Mapping[str, Any]) -> list[bool]:
@@ -175,7 +182,8 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
                                    (NO_GAP, UNKNOWN) for r, a in single]),
         'visible_effect_accuracy': _share([first(r) == a['effects'][0] and r['verdict'] not in
                                            (NO_GAP, UNKNOWN) for r, a in visible]),
-        'ambiguity_coverage': _share([truth_of(a) in r['ambiguity_set'] for r, a in single]),
+        'ambiguity_coverage': _share([any(is_truth(names, a) for names in r['ambiguity_set'])
+                                      for r, a in single]),
         'mean_ambiguity_size': float(np.mean([len(r['ambiguity_set']) for r, _ in single]))
         if single else None,
         'false_alarm_rate': _share([r['verdict'] not in (NO_GAP, 'refused')
