@@ -132,8 +132,8 @@ def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tole
     """
     Return the same channels as the simulator predicts them; the load's is the motion.
 
-    None if it does not: of a simplified model, without the command, or if some recordings hold
-    the velocity, and others only the position.
+    An empty list if it does not: of a simplified model, without the command, or if some
+    recordings hold the velocity, and others only the position.
     """
     recordings = groups[0].recordings
     moved = [channel for channel in MOTIONS

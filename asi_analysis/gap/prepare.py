@@ -360,6 +360,9 @@ def _origin(signals: Mapping[str, Array], period: float) -> float | None:
 def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
     """Return whether valve, piston and force stand still at the start, within their noise."""
     count = max(int(START_S / period), 2)
+    position = signals.get('position')
+    if position is not None and np.ptp(position[:count]) > 2.0 * AT_REST * noise_of(position):
+        return False
     return all(abs(values[:count].mean()) <= AT_REST * noise_of(values) / math.sqrt(count)
                for name, values in signals.items() if name in ('force', 'velocity',
                                                                'valve_position'))

@@ -201,7 +201,8 @@ def _pulse(residual: Array, judged: Array, known: Array, raw: Array, period: flo
 
 def _steps(fitted: Fitted, channel: str) -> Values:
     """Return the command quantum that explains most, for each kind of rounding."""
-    recording, p = fitted.problem.group.recordings[0], fitted.record
+    recording = next(r for r in fitted.problem.group.recordings if r.fit.any())
+    p = fitted.record
     command = recording.command
     assert command is not None
     own = simulator.of_simulator(p)

@@ -193,14 +193,14 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
 def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
     """Return the probability of each hypothesis of a group, with and without something unknown."""
     which = _log_evidence(e, c)
-    most = max(map(len, which))
     score = {0: 0.0}
     best: dict[int, Names] = {0: ()}
-    for count in range(1, most + 1):
+    for before, count in itertools.pairwise(sorted({0} | {len(names) for names in which})):
         best[count] = max((names for names in which if len(names) == count),
                           key=lambda names: which[names])
-        score[count] = (score[count - 1] - (c.second if count > 1 else c.price)
-                        + _evidence_gain(e, c, best[count - 1], best[count]))
+        prices = sum(c.price if number == 1 else c.second
+                     for number in range(before + 1, count + 1))
+        score[count] = score[before] - prices + _evidence_gain(e, c, best[before], best[count])
     highest = max(score.values())
     score[0] = max(0.0, highest - _evidence_limit(e, c))
     weight = {count: math.exp(value - highest) for count, value in score.items()}

@@ -94,7 +94,7 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     valve, *others = groups
     first = _explained(valve, tick, alone)
     if first is None or not others:
-        return first and [first]
+        return None if first is None else [first]
     rest, = others
     answers = []
     for weighed in (first, *_rivals(first)):
@@ -175,7 +175,8 @@ def _most_probable(weighed: Weighed) -> Candidate:
 
 def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
-    group = replace(group, effects=(*group.effects, *parameter_errors(group)))
+    group = replace(group, effects=(*group.effects, *parameter_errors(group)),
+                    scale=dict(group.scale))
     problem = Posterior(group, group.nuisance)
     starts = list(_beginnings(problem))
     if len(starts) > 1:
@@ -306,7 +307,7 @@ def _starts(base: Found) -> list[_Start]:
                 continue
             own = {free.field for free in variant.free}
             # Contacts and couplings are stiffer than what the sub-step was chosen by.
-            fixed = (*variant.fixed, exact) if own & STIFF else variant.fixed
+            fixed = (*problem.fixed, *variant.fixed, *((exact,) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)
             for varied in variant.free:   # one at its starts, the others at their first
@@ -324,8 +325,8 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
     """
     Return the fits of the effects with the highest gain in the linear screen.
 
-    base: the nominal model as it was given, or fitted; null: fitted. From there, an effect that
-    promises less than the odds against it is not fitted.
+    base: the nominal model as it was given, or fitted; null: fitted. From there, none is
+    fitted if all promise less than the odds against them.
     """
     problem, residual = base.problem, base.best.residual
     if base is null and base.best.cost < ODDS_AGAINST:
@@ -380,6 +381,7 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         tick()
     leader, *rivals = sorted(fits.values(), key=lambda f: f.best.cost)
     leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
+    best_forms, far = {names: found.best for names, found in fits.items()}, _left(null)
     fits[leader.names] = leader
 
     def polished(form: Found) -> Found:
@@ -401,9 +403,10 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
 
     # What takes the longest first, so that no core is idle at the end.
     left = [form for found in rivals[:POLISHED] for form in forms[found.names]]
-    best_forms, far = {names: found.best for names, found in fits.items()}, _left(null)
     for found in problem.each(polished, sorted(left, key=_is_coarse)):
-        if found.best.cost < fits[found.names].best.cost:
+        # What is not fitted to the end has the corrections of another sub-step: not compared.
+        unfinished = fits[found.names].best is best_forms[found.names]
+        if unfinished or found.best.cost < fits[found.names].best.cost:
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return fits

@@ -17,7 +17,7 @@ from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import START_S, Array, Recording
 from asi_common.jit import FULL
 
-# As shares of what a seal, or the loop of the hysteresis, can hold; and of the measured range.
+# The first two as shares of what the loop of the hysteresis, or a seal, can hold; m; m/s.
 FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
     'start_flux', 'start_seal', 'start_position', 'start_velocity')
 MEMORIES = (FLUX, SEAL)

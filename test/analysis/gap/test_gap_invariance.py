@@ -90,6 +90,21 @@ def test_recording_may_begin_in_motion(load):
                    for channel in answer['channels'])
 
 
+def test_free_load_that_moves_without_force_does_not_begin_at_rest():
+    nominal = {'load.type': 'free'}
+    run = dataclasses.replace(simulated(nominal, duration_s=4.0), velocity_m_s=None,
+                              valve_position_m=None)[2000:]
+    answer = document(diagnose([run], nominal))
+    assert (answer['verdict'], answer['probability'] > 0.9) == ('no_gap', True)
+
+
+def test_first_recording_may_be_held_out():
+    nominal = {'load.type': 'spring'}
+    run = simulated(nominal)
+    answer = document(diagnose([run, run], nominal, held_out=[True, False]))
+    assert answer['verdict'] == 'no_gap'
+
+
 def test_effect_is_found_in_a_recording_that_begins_in_motion():
     nominal = {'load.type': 'spring'}
     run = simulated(nominal | {'valve_flexure.lag_time': 0.004}, duration_s=4.0)
