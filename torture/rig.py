@@ -33,6 +33,8 @@ PATIENCE_S: Final = 60.0
 # A thread that sleeps for so long and wakes so much later has seen the machine stand still, s.
 NAP_S: Final = 0.01
 LATE_S: Final = 0.05
+# So much later, the periods of a node on this machine may be late too, s.
+BUSY_S: Final = 0.002
 # A node complains of late periods and lost samples for so long, s.
 COMPLAINS_S: Final = 10.0
 
@@ -182,7 +184,7 @@ class Rig:
             now = time.monotonic()
             late_s, before = now - before - NAP_S, now
             self.stood_still_s += late_s if late_s > LATE_S else 0.0
-            self._late_at_s = now if late_s > NAP_S else self._late_at_s
+            self._late_at_s = now if late_s > BUSY_S else self._late_at_s
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         status = message.status[0]
