@@ -22,17 +22,17 @@ PATIENT: dict[str, Value] = {'mode': 'realtime', 'rate_hz': 200.0, 'state_timeou
 
 
 @pytest.fixture
-def diagnostics(ros_node: Any) -> Callable[[str, str], Any]:
+def diagnostics(ros_node: Any) -> Callable[..., Any]:
     """Return a function that waits for the next diagnostic status of a node with a text."""
     from diagnostic_msgs.msg import DiagnosticArray
     listener = Listener(ros_node, DiagnosticArray, '/diagnostics')
 
-    def status(node: str, text: str) -> Any:
+    def status(node: str, text: str, meets: Callable[[Any], bool] = lambda status: True) -> Any:
         begin = len(listener.messages)
         return wait_until(
             lambda: next((status for message in listener.messages[begin:]
-                          for status in message.status
-                          if status.name == f'{node}: loop' and text in status.message), None),
+                          for status in message.status if status.name == f'{node}: loop'
+                          and text in status.message and meets(status)), None),
             f'{text!r} from {node}')
 
     return status
@@ -114,9 +114,10 @@ def test_lost_samples_and_long_periods_are_a_warning_that_passes(
     processes['asi_actuator'].send(signal.SIGSTOP)
     time.sleep(1.5)
     processes['asi_actuator'].send(signal.SIGCONT)
-    status = diagnostics(node, 'samples were lost')
+    # A busy machine loses a few before: the first status that says so may count only them.
+    status = diagnostics(node, 'samples were lost', lambda status: int(
+        {v.key: v.value for v in status.values}['lost samples']) > 100)
     assert status.level == DiagnosticStatus.WARN
-    assert int({v.key: v.value for v in status.values}['lost samples']) > 10
     assert 'the longest of the last periods took' in diagnostics('asi_actuator', 'took').message
 
 
