@@ -3,9 +3,10 @@ Write blind cases as bags, and the answers to one sealed file.
 
 A directory of cases: `nominal_WORLD_LOAD.yaml` (the user's model file; `nominal_K.yaml` for each
 case of the foreign and own worlds), `case_K/` (bags whose names and metadata do not depend on the
-answer), `fresh_K/` (another recording of the same machine, for validation), `cases.json` (the bags
-and model of each case), `examiner.json` (the arguments of the call) and `answers.sealed`
-(compressed, so that a text search does not find an answer).
+answer), `case_K_2/` and so on (more recordings of the same machine, to be diagnosed together),
+`fresh_K/` (another one, for validation), `cases.json` (the bags and model of each case),
+`examiner.json` (the arguments of the call) and `answers.sealed` (compressed, so that a text search
+does not find an answer).
 """
 
 import base64
@@ -31,6 +32,7 @@ from asi_examiner.plant import PERIOD_S, simulate
 OMITTED = {'all': (), 'no_valve': ('valve_position_m',), 'no_velocity': ('velocity_m_s',),
            'no_position': ('position_m',),
            'force_only': ('valve_position_m', 'velocity_m_s', 'position_m')}
+SMALLER = (0.6, 1.0)   # shares of the first recording's excitation
 
 
 class Answer(NamedTuple):
@@ -67,11 +69,22 @@ def as_run(recording: np.ndarray, omitted: tuple[str, ...] = ()) -> Run:
     return Run(time, **{name: values for name, values in fields.items() if name not in omitted})
 
 
-def fresh_recording(case: Case) -> np.ndarray:
-    """Return another recording of the same machine, with other noise and another excitation."""
-    rng = np.random.default_rng([case.seed, 11])
-    reference = excite(case.excitation, rng, float(np.abs(case.reference).max()))
-    return simulate(case.plant, reference, case.bench, case.seed + 1_000_000)
+def fresh_recording(case: Case, number: int = 1) -> np.ndarray:
+    """
+    Return another recording of the same machine, with other noise and another excitation.
+
+    number: from 2 on, the excitation is smaller, and a disturbance comes at another time.
+    """
+    rng = np.random.default_rng([case.seed, 10 + number])
+    peak, machine = float(np.abs(case.reference).max()), case.plant.copy()
+    if number > 1:
+        peak *= rng.uniform(*SMALLER)
+        machine['push_phase'] = rng.uniform(0.0, 2.0 * np.pi)
+        later = rng.uniform(-1.0, 1.0)
+        machine['burst_start'], machine['burst_end'] = (
+            machine[name] + later for name in ('burst_start', 'burst_end'))
+    reference = excite(case.excitation, rng, peak)
+    return simulate(machine, reference, case.bench, case.seed + number * 1_000_000)
 
 
 def model_name(world: str, load: str, number: int) -> str:
@@ -80,10 +93,19 @@ def model_name(world: str, load: str, number: int) -> str:
         f'nominal_{world}_{load}.yaml')
 
 
-def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answer:
-    """Write one case's bag, its fresh bag and its model; return the answer."""
-    for name, recording in (('case', case.recording), ('fresh', fresh_recording(case))):
-        _write_new(as_run(recording, OMITTED[signals]), out / f'{name}_{number:04d}')
+def _names(number: int, recordings: int) -> list[str]:
+    """Return the names of a case's bags, the fresh one last."""
+    first = f'case_{number:04d}'
+    return [first, *(f'{first}_{n}' for n in range(2, recordings + 1)), f'fresh_{number:04d}']
+
+
+def write_case(case: Case, out: Path, number: int, signals: str = 'all', recordings: int = 1
+               ) -> Answer:
+    """Write one case's bags, its fresh bag and its model; return the answer."""
+    made = [case.recording, *(fresh_recording(case, n) for n in range(2, recordings + 1)),
+            fresh_recording(case)]
+    for name, recording in zip(_names(number, recordings), made, strict=True):
+        _write_new(as_run(recording, OMITTED[signals]), out / name)
     write_parameters(out / model_name(case.world, case.load, number), '/**/asi_actuator',
                      dict(sorted(case.nominal.items())))
     return Answer(case.kind, list(case.effects),
@@ -93,11 +115,12 @@ def write_case(case: Case, out: Path, number: int, signals: str = 'all') -> Answ
                    if case.plant[key] != case.without[key]}, also=case.small)
 
 
-def write_own(seed: int, out: Path, number: int) -> Answer:
+def write_own(seed: int, out: Path, number: int, recordings: int = 1) -> Answer:
     """Write one case of the simulator itself, its fresh bag and its model; return the answer."""
-    case = draw_own(seed)
-    for name, run in (('case', case.run), ('fresh', case.fresh)):
-        _write_new(run, out / f'{name}_{number:04d}')
+    case = draw_own(seed, recordings)
+    for name, run in zip(_names(number, recordings), (case.run, *case.more, case.fresh),
+                         strict=True):
+        _write_new(run, out / name)
     write_parameters(out / model_name('own', '', number), '/**/asi_actuator', case.nominal)
     kind, effects, blocks = truth(case)
     return Answer(kind, effects, blocks, case.excitation, 'own', str(case.nominal['load.type']),
@@ -110,21 +133,22 @@ def _write_new(run: Run, path: Path) -> None:
     write_bag(run, path, {})
 
 
-def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str) -> Answer:
+def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str,
+           recordings: int) -> Answer:
     if world == 'own':
-        return write_own(seed, out, number)
-    return write_case(draw(seed, world, load), out, number, signals)
+        return write_own(seed, out, number, recordings)
+    return write_case(draw(seed, world, load), out, number, signals, recordings)
 
 
 def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load: str = 'spring',
-                signals: str = 'all') -> Iterator[int]:
+                signals: str = 'all', recordings: int = 1) -> Iterator[int]:
     """
     Write `count` cases with seeds from `seed` on into a directory; yields the number written.
 
     An incomplete directory of the same call is completed; raises InputError for any other.
     """
     arguments = {'count': count, 'seed': seed, 'world': world, 'load': load,
-                 'signals': signals}
+                 'signals': signals, 'recordings': recordings}
     call, index, sealed = out / 'examiner.json', out / 'cases.json', out / 'answers.sealed'
     if not out.exists():
         out.mkdir(parents=True)
@@ -134,15 +158,15 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
                          'argument to check it again')
     answers = _unsealed(sealed) if sealed.exists() else {}
     first = len(answers)
-    written = each(_write, ((out, number, seed + number, world, load, signals)
+    written = each(_write, ((out, number, seed + number, world, load, signals, recordings)
                             for number in range(first, count)))
     for number, answer in enumerate(written, first):
         answers[f'case_{number:04d}'] = answer._asdict()
         seal(answers, sealed)
         _replace(index, json.dumps(
-            [{'bag': f'case_{done:04d}', 'fresh': f'fresh_{done:04d}',
-              'model': model_name(world, load, done)} for done in range(number + 1)],
-            indent=1).encode())
+            [{'bag': names[0], 'more': names[1:-1], 'fresh': names[-1],
+              'model': model_name(world, load, done)} for done in range(number + 1)
+             for names in [_names(done, recordings)]], indent=1).encode())
         yield number + 1
 
 

@@ -20,7 +20,10 @@ from asi_common.parameter import Value
 RATES_HZ = (1000.0, 2000.0, 5000.0)
 LOADS = ('locked', 'spring', 'free')
 DURATION_S = 8.0
+# Of a random reference, by the number of the simulation; of others, their number.
+REFERENCE_SEED = {0: 1, 1: 2, 2: 1, 3: 1}
 UNCHANGED = 0.3        # share of cases of the unchanged simulator
+SMALLER = (0.6, 1.0)   # shares of the first recording's excitation, of further recordings
 FACTOR = (1.4, 2.5)    # range of the factor, or its reciprocal, by which a parameter is changed
 VISIBLE = 2.0          # times the noise; a smaller change of the signals counts as too small
 NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
@@ -74,10 +77,11 @@ class OwnCase(NamedTuple):
     nominal: dict[str, Value]
     run: Run
     fresh: Run
+    more: tuple[Run, ...] = ()
 
 
-def draw_own(seed: int) -> OwnCase:
-    """Return the case of a seed."""
+def draw_own(seed: int, recordings: int = 1) -> OwnCase:
+    """Return the case of a seed, with so many recordings besides the fresh one."""
     rng = np.random.default_rng([seed, 14])
     rate, load = float(rng.choice(RATES_HZ)), str(rng.choice(LOADS))
     excitation = str(rng.choice(list(EXCITATIONS)))
@@ -103,14 +107,17 @@ def draw_own(seed: int) -> OwnCase:
                 ((machine, noise), (machine, noise), (machine, 0.0), (nominal, 0.0)))]
     visibility = max(float(np.std(getattr(runs[2], name) - getattr(runs[3], name))) / level
                      for name, level in NOISE.items())
-    return OwnCase(changed, factor, visibility, excitation, rate, nominal, runs[0], runs[1])
+    more = tuple(_recorded(machine, str(rng.choice(list(EXCITATIONS))),
+                           float(rng.uniform(*SMALLER)) * size, rate, [seed, number], noise)
+                 for number in range(4, 3 + recordings))
+    return OwnCase(changed, factor, visibility, excitation, rate, nominal, runs[0], runs[1], more)
 
 
 def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz: float,
               seed: list[int], noise: float) -> Run:
-    """Return the recording of the nodes; a random reference differs in a case's second one."""
+    """Return the recording of the nodes; those of a machine differ in a random reference."""
     controller = {**EXCITATIONS[excitation], 'reference.amplitude': size,
-                  'reference.start': 0.05, 'reference.seed': 2 if seed[1] == 1 else 1}
+                  'reference.start': 0.05, 'reference.seed': REFERENCE_SEED.get(seed[1], seed[1])}
     signals = simulate_loop(actuator, controller, DURATION_S, rate_hz)._asdict()
     rng = np.random.default_rng(seed)
     for name, level in NOISE.items():

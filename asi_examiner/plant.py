@@ -39,8 +39,9 @@ FIELDS = (
     'turbulent', 'turbulent_opening', 'supply_drop', 'supply_sag', 'supply_time', 'leak',
     'air_time', 'air_force', 'friction', 'breakaway', 'stribeck', 'asymmetry', 'dahl',
     'slip_distance', 'viscous', 'gap', 'coupling', 'piston_share',
-    'push_constant', 'push_sine', 'push_frequency', 'push_burst', 'burst_start', 'burst_end',
-    'sensor_offset', 'sensor_scale', 'sensor_lag', 'drift', 'drift_time',
+    'push_constant', 'push_sine', 'push_frequency', 'push_phase', 'push_burst',
+    'burst_start', 'burst_end', 'sensor_offset', 'sensor_scale', 'sensor_lag', 'drift',
+    'drift_time',
     # outside the vocabulary
     'slew', 'one_sided_gain', 'cubic_spring', 'fading_gain', 'dropout', 'ripple', 'ripple_pitch',
     'resonance', 'resonance_share', 'position_gain',
@@ -299,7 +300,7 @@ def disturbance(p, s, t):
     """Return the disturbance force (N) at a time (s)."""
     push = p.push_constant
     if p.push_frequency > 0.0:
-        push += p.push_sine * math.sin(2.0 * math.pi * p.push_frequency * t)
+        push += p.push_sine * math.sin(2.0 * math.pi * p.push_frequency * t + p.push_phase)
     if p.push_burst != 0.0 and p.burst_start <= t < p.burst_end:
         push += p.push_burst
     if p.ripple != 0.0:

@@ -90,6 +90,8 @@ def gap_check(
     signals: Annotated[
         Literal['all', 'no_valve', 'no_velocity', 'no_position', 'force_only'], typer.Option(
             help='What new cases record')] = 'all',
+    recordings: Annotated[int, typer.Option(
+        min=1, max=20, help='Recordings of each machine, diagnosed together')] = 1,
     jobs: Jobs = 2,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -105,7 +107,7 @@ def gap_check(
         if directory is None:
             from asi_examiner.bags import write_cases
             progress(f'0 of {cases} cases written', 0.0)
-            for done in write_cases(out, cases, seed, world, load, signals):
+            for done in write_cases(out, cases, seed, world, load, signals, recordings):
                 progress(f'{done} of {cases} cases written', done / cases)
         result = check(directory or out, progress)
     show(result, as_json)

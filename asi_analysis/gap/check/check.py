@@ -58,11 +58,12 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     return 1.0 - errors[1] / errors[0] if errors[0] else 0.0
 
 
-def examine(folder: Path, entry: Mapping[str, str]) -> Row:
+def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
     """Return the diagnosis of one case, without its answer."""
     started = time.process_time()
     try:
-        diagnosis = diagnose([read_bag(folder / entry['bag'])],
+        names = (entry['bag'], *entry.get('more', ()))
+        diagnosis = diagnose([read_bag(folder / name) for name in names],
                              nominal_model(folder / entry['model']))
         answer = plain(document(diagnosis))
         row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',

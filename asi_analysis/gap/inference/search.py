@@ -58,8 +58,9 @@ FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
-# Fields of contacts and couplings.
-STIFF = {'backlash_gap', 'coupling_stiffness'}
+# Fields of contacts and couplings, and how many of their starts, those that change the least, are
+# looked at where the nominal model explains the signals: what is hidden there is small.
+STIFF, SMALLEST = {'backlash_gap', 'coupling_stiffness'}, 2
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.
 ODDS_AGAINST = 7.0
@@ -104,9 +105,30 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
             answers.append([weighed, second])
     best = [answer for answer in answers
             if sum(len(_most_probable(weighed).names) for weighed in answer) < 2]
-    if best:   # rivals explain the valve equally well
-        return min(best, key=lambda answer: _most_probable(answer[1]).fitted.cost)
+    if best:
+        return _with_rivals(best)
     return answers[0] if answers and alone else None
+
+
+def _with_rivals(answers: list[list[Weighed]]) -> list[Weighed]:
+    """
+    Return the best of answers that explain the valve equally well, but not what follows it.
+
+    They share the probability by the posterior of what follows it.
+    """
+    costs = [_most_probable(rest).fitted.cost for _, rest in answers]
+    valve, rest = answers[int(np.argmin(costs))]
+    weights = np.exp(min(costs) - np.array(costs))
+    candidates, effects = dict(valve.candidates), dict.fromkeys(valve.group.effects)
+    chance = dict(valve.probability)
+    total = chance[_most_probable(valve).names]
+    for (rival, _), share in zip(answers, weights / weights.sum(), strict=True):
+        candidate = _most_probable(rival)
+        candidates[candidate.names] = candidate
+        effects |= dict.fromkeys(rival.group.effects)
+        chance[candidate.names] = total * float(share)
+    group = replace(valve.group, effects=tuple(effects))
+    return [Weighed(group, candidates, chance), rest]
 
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> Weighed | None:
@@ -292,8 +314,12 @@ class _Start(NamedTuple):
     theta: Array
 
 
-def _starts(base: Found) -> list[_Start]:
-    """Return every effect in each form at each of its starts, all else as in `base`."""
+def _starts(base: Found, small: bool) -> list[_Start]:
+    """
+    Return every effect in each form at each of its starts, all else as in `base`.
+
+    small: of contacts and couplings only those that change the least.
+    """
     group, problem = base.problem.group, base.problem
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
     exact = ('maximum_substep', group.exact_substep_s)
@@ -311,8 +337,10 @@ def _starts(base: Found) -> list[_Start]:
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)
             for varied in variant.free:   # one at its starts, the others at their first
-                for start in varied.starts if len(varied.starts) > 1 or (
-                        varied is variant.free[0]) else ():
+                if len(varied.starts) == 1 and varied is not variant.free[0]:
+                    continue
+                few = small and varied.field in STIFF
+                for start in varied.starts[:SMALLEST if few else None]:
                     theta = np.array([
                         shares[f.field] if f.field not in own else
                         extended.start(f, start if f is varied else f.starts[0])
@@ -354,7 +382,7 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         return 0.5 * explained.common(along_residual, along_residual, keep) + _promise(
             along, size), alone
 
-    work = _starts(base)
+    work = _starts(base, base is null)
     gains = []
     for n, value in enumerate(problem.each(gain, work)):
         gains.append(value)

@@ -168,7 +168,7 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
     """Return force (N), velocity (m/s) and position (m), 3 x n samples."""
     def run() -> Array:
         deflection, unit = _deflection(recording, p), _metres_per_newton(p)
-        state = state_at_start(recording, p, unit * deflection[0, -1])
+        state = state_at_start(recording, p, unit * deflection[:-1, -1])
         out, error = np.empty((3, recording.fit.size)), np.zeros(recording.fit.size)
         if recording.valve_estimate is not None:
             error = recording.valve_estimate - unit * deflection[:-1, -1]

@@ -72,18 +72,27 @@ def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.v
     return state, np.full(math.ceil(BURN_IN_S / recording.period_s), command[0])
 
 
-def state_at_start(recording: Recording, p: np.void, valve_position: float) -> np.void:
-    """Return the state at the first sample, with the valve at a position (m)."""
+def _first(values: Array, period: float) -> float:
+    """Return a signal at the first of its samples, by a line through those of START_S."""
+    count = max(int(START_S / period), 2)
+    return float(np.polyfit(np.arange(count), values[:count], 1)[1])
+
+
+def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
+    """Return the state at the first sample; valve: its position in each period, m."""
     state = np.zeros(1, STATE_DTYPE)[0]
     if recording.at_rest:
         return state
-    state['valve_position'] = valve_position
+    state['valve_position'] = valve[0]
+    # The supply has sagged as it does on average.
+    opening = np.abs(valve) / p['valve_characteristic_full_opening']
+    state['supply_load'] = np.minimum(opening, 1.0).mean()
     motion = recording.motion
     if motion is not None:
-        inner = slice(motion.pad, motion.pad + max(int(START_S / recording.period_s), 2))
-        position = motion.position[inner].mean() if motion.measured else 0.0
-        state['position'] = position + _fitted(recording, p, POSITION)
-        state['velocity'] = motion.velocity[inner].mean() + _fitted(recording, p, VELOCITY)
+        position = _first(motion.position[motion.pad:], recording.period_s)
+        state['position'] = position * motion.measured + _fitted(recording, p, POSITION)
+        state['velocity'] = (_first(motion.velocity[motion.pad:], recording.period_s)
+                             + _fitted(recording, p, VELOCITY))
     state['load_position'], state['load_velocity'] = state['position'], state['velocity']
     holds = max(p[f'friction_{name}'] for name in ('coulomb', 'stiction_push', 'stiction_pull'))
     state['seal'] = _fitted(recording, p, SEAL) * holds / p['friction_presliding_stiffness']
