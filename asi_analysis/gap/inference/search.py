@@ -83,6 +83,13 @@ class Found(NamedTuple):
     best: Best
 
 
+class _Null(NamedTuple):
+    """The nominal model as it was given, and fitted; effects are sought from either."""
+
+    as_given: Found
+    fit: Found
+
+
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
                            alone: bool = False) -> list[Weighed] | None:
     """
@@ -93,47 +100,45 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     its tolerance. alone: nothing else predicts such recordings, so what is left is `unknown`.
     """
     valve, *others = groups
-    first = _explained(valve, tick, alone)
+    first = _explained(_null(valve), tick, alone)
     if first is None or not others:
         return None if first is None else [first]
     rest, = others
-    answers = []
-    for weighed in (first, *_rivals(first)):
-        record = _most_probable(weighed).fitted.record
-        second = _explained(with_simulated_valve(rest, record), tick, alone)
-        if second is not None:
-            answers.append([weighed, second])
-    best = [answer for answer in answers
-            if sum(len(_most_probable(weighed).names) for weighed in answer) < 2]
-    if best:
-        return _with_rivals(best)
-    return answers[0] if answers and alone else None
+    rivals = [first, *_rivals(first)]
+    nulls = [_null(with_simulated_valve(rest, _most_probable(rival).fitted.record))
+             for rival in rivals]
+    costs = np.array([null.fit.best.cost for null in nulls])
+    best = int(np.argmin(costs))
+    second = _explained(nulls[best], tick, alone)
+    if second is None:
+        return None
+    answer = [_with_rivals(rivals[best], rivals, costs), second]
+    if sum(len(_most_probable(weighed).names) for weighed in answer) < 2 or alone:
+        return answer
+    return None
 
 
-def _with_rivals(answers: list[list[Weighed]]) -> list[Weighed]:
+def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
     """
-    Return the best of answers that explain the valve equally well, but not what follows it.
+    Return the valve with what explains it equally well, but not what follows it.
 
-    They share the probability by the posterior of what follows it.
+    They share the probability by the cost (negative log posterior) of what follows it.
     """
-    costs = [_most_probable(rest).fitted.cost for _, rest in answers]
-    valve, rest = answers[int(np.argmin(costs))]
-    weights = np.exp(min(costs) - np.array(costs))
-    candidates, effects = dict(valve.candidates), dict.fromkeys(valve.group.effects)
-    chance = dict(valve.probability)
+    candidates, chance = dict(valve.candidates), dict(valve.probability)
+    effects = dict.fromkeys(valve.group.effects)
     total = chance[_most_probable(valve).names]
-    for (rival, _), share in zip(answers, weights / weights.sum(), strict=True):
+    weights = np.exp(costs.min() - costs)
+    for rival, share in zip(rivals, weights / weights.sum(), strict=True):
         candidate = _most_probable(rival)
         candidates[candidate.names] = candidate
         effects |= dict.fromkeys(rival.group.effects)
         chance[candidate.names] = total * float(share)
-    group = replace(valve.group, effects=tuple(effects))
-    return [Weighed(group, candidates, chance), rest]
+    return Weighed(replace(valve.group, effects=tuple(effects)), candidates, chance)
 
 
-def _explained(group: Group, tick: Callable[[], None], alone: bool) -> Weighed | None:
+def _explained(null: _Null, tick: Callable[[], None], alone: bool) -> Weighed | None:
     """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
-    found = _hypotheses(group, tick)
+    found, group = _hypotheses(null, tick), null.fit.problem.group
     if not alone and all(map(_left, found.values())):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
@@ -195,8 +200,8 @@ def _most_probable(weighed: Weighed) -> Candidate:
     return weighed.candidates[names]
 
 
-def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
-    """Return the nominal model and the single effects that were fitted."""
+def _null(group: Group) -> _Null:
+    """Return the nominal model as it was given, and fitted."""
     group = replace(group, effects=(*group.effects, *parameter_errors(group)),
                     scale=dict(group.scale))
     problem = Posterior(group, group.nuisance)
@@ -204,21 +209,26 @@ def _hypotheses(group: Group, tick: Callable[[], None]) -> dict[Names, Found]:
     if len(starts) > 1:
         starts = [min((most_probable(problem, start, rounds=2) for start in starts),
                       key=lambda best: best.cost).theta]
-    null = _converged(Found((), (), problem, most_probable(problem, starts[0],
-                                                           rounds=2 * ROUNDS)))
+    fit = _converged(Found((), (), problem, most_probable(problem, starts[0],
+                                                          rounds=2 * ROUNDS)))
     # The start of a recording in motion is as that fit found it.
-    group = with_fitted_start(group, null.problem.record(null.best.theta))
-    null = null._replace(problem=replace(null.problem, group=with_fitted_start(
-        null.problem.group, group.nominal)))
-    problem = replace(problem, group=group)
-    mean = problem.prior[0]
-    as_given = Found((), (), problem, Best(mean, math.inf, problem.residual(mean)))
-    group.scale.update(initial_guesses(_fitted(null)))
+    group = with_fitted_start(group, fit.problem.record(fit.best.theta))
+    fit = fit._replace(problem=replace(fit.problem, group=with_fitted_start(
+        fit.problem.group, group.nominal)))
+    problem, mean = replace(problem, group=group), problem.prior[0]
+    return _Null(Found((), (), problem, Best(mean, math.inf, problem.residual(mean))), fit)
+
+
+def _hypotheses(null: _Null, tick: Callable[[], None]) -> dict[Names, Found]:
+    """Return the nominal model and the single effects that were fitted."""
+    as_given, fit = null
+    as_given.problem.group.scale.update(initial_guesses(_fitted(fit)))
     # Nominal parameters that had to give much may hide an effect: then it is sought without them.
-    given = 0.5 * float(problem.prior[1] @ (null.best.theta - mean) ** 2)
-    hidden = _left(null) or given > SUSPICIOUS
-    singles = _singles(as_given if hidden else null, null, tick)
-    return {(): _without_effects(null, list(singles.values()))} | singles
+    mean, precision = fit.problem.prior
+    given = 0.5 * float(precision @ (fit.best.theta - mean) ** 2)
+    hidden = _left(fit) or given > SUSPICIOUS
+    singles = _singles(as_given if hidden else fit, fit, tick)
+    return {(): _without_effects(fit, list(singles.values()))} | singles
 
 
 def _without_effects(null: Found, singles: Sequence[Found]) -> Found:
