@@ -1,5 +1,5 @@
 """
-Does the simulator itself explain the recordings? Alone, or with one effect switched on.
+Does the simulator itself explain the recordings? Alone, or with effects switched on.
 
 A linear screen ranks every effect in each of its forms; the best are fitted, and weighed by their
 evidence. The answer counts only if it leaves no more than the noise: then the machine is within
@@ -97,7 +97,7 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
 
     groups: the valve and what follows it; or one, if the valve position was not recorded.
     As it is, with parameters within their tolerance, or with one effect or one parameter beyond
-    its tolerance. alone: nothing else predicts such recordings, so what is left is `unknown`.
+    its tolerance in each group. alone: nothing else predicts such recordings, so what is left is `unknown`.
     """
     valve, *others = groups
     first = _explained(_null(valve), tick, alone)
@@ -110,12 +110,7 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     costs = np.array([null.fit.best.cost for null in nulls])
     best = int(np.argmin(costs))
     second = _explained(nulls[best], tick, alone)
-    if second is None:
-        return None
-    answer = [_with_rivals(rivals[best], rivals, costs), second]
-    if sum(len(_most_probable(weighed).names) for weighed in answer) < 2 or alone:
-        return answer
-    return None
+    return None if second is None else [_with_rivals(rivals[best], rivals, costs), second]
 
 
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
