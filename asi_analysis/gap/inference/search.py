@@ -55,6 +55,7 @@ ROUGH = 1         # derivatives of a fit after the linear screen
 # Times that a sub-step is corrected anew, until the log posterior changes by less than this.
 CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
+FOLLOWED_BY = 2   # single effects to which a second one is added, if none explains everything
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 LARGEST = 3.0         # of an effect's start, in the linear screen
 RIDGE = 1e-9
@@ -96,8 +97,9 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     Return the groups, weighed, if the simulator explains them down to their noise; else None.
 
     groups: the valve and what follows it; or one, if the valve position was not recorded.
-    As it is, with parameters within their tolerance, or with one effect or one parameter beyond
-    its tolerance in each group. alone: nothing else predicts such recordings, so what is left is `unknown`.
+    As it is, with parameters within their tolerance, or with effects or parameters beyond their
+    tolerance, at most two in each group. alone: nothing else predicts such recordings, so what is
+    left is `unknown`.
     """
     valve, *others = groups
     first = _explained(_null(valve), tick, alone)
@@ -216,14 +218,33 @@ def _null(group: Group) -> _Null:
 
 def _hypotheses(null: _Null, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
-    as_given, fit = null
+    as_given, fit = null.as_given, null.fit
     as_given.problem.group.scale.update(initial_guesses(_fitted(fit)))
     # Nominal parameters that had to give much may hide an effect: then it is sought without them.
-    mean, precision = fit.problem.prior
-    given = 0.5 * float(precision @ (fit.best.theta - mean) ** 2)
-    hidden = _left(fit) or given > SUSPICIOUS
-    singles = _singles(as_given if hidden else fit, fit, tick)
-    return {(): _without_effects(fit, list(singles.values()))} | singles
+    hidden = _left(fit) or _given(fit) > SUSPICIOUS
+    singles = _extended(as_given if hidden else fit, fit, tick)
+    found = {(): _without_effects(fit, list(singles.values()))} | singles
+    for first in sorted(singles.values(), key=lambda f: f.best.cost)[:FOLLOWED_BY]:
+        # What the nominal parameters gave a second effect would have to explain.
+        if any(not _left(each) and _given(each) < ODDS_AGAINST for each in found.values()):
+            break
+        pairs = _extended(_as_given(first), first, tick)
+        found |= {names: pair for names, pair in pairs.items()
+                  if names not in found or pair.best.cost < found[names].best.cost}
+    return found
+
+
+def _as_given(found: Found) -> Found:
+    """Return the same effect with all nominal parameters as they were given."""
+    problem, (mean, precision) = found.problem, found.problem.prior
+    theta = np.where(precision > 0.0, mean, found.best.theta)
+    return found._replace(best=Best(theta, math.inf, problem.residual(theta)))
+
+
+def _given(found: Found) -> float:
+    """Return the log prior cost of what the nominal parameters had to give."""
+    mean, precision = found.problem.prior
+    return 0.5 * float(precision @ (found.best.theta - mean) ** 2)
 
 
 def _without_effects(null: Found, singles: Sequence[Found]) -> Found:
@@ -329,14 +350,15 @@ def _starts(base: Found, small: bool) -> list[_Start]:
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
     exact = ('maximum_substep', group.exact_substep_s)
     work = []
+    held = {free.field for variant in base.variants for free in variant.free}
     for effect in group.effects:
-        for variant in effect.variants:
+        for variant in effect.variants if effect.name not in base.names else ():
             # A wave or pulse of a disturbance is only guessed where the motion was measured.
             guessed = all(free.scale in group.scale for free in variant.free
                           if free.scale.startswith('residual_'))
-            if not channels_of(variant, group) or not guessed:
-                continue
             own = {free.field for free in variant.free}
+            if not channels_of(variant, group) or not guessed or own & held:
+                continue
             # Contacts and couplings are stiffer than what the sub-step was chosen by.
             fixed = (*problem.fixed, *variant.fixed, *((exact,) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
@@ -354,12 +376,12 @@ def _starts(base: Found, small: bool) -> list[_Start]:
     return work
 
 
-def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return the fits of the effects with the highest gain in the linear screen.
+    Return the fits of `base` with one more effect: those with the highest gain in a linear screen.
 
-    base: the nominal model as it was given, or fitted; null: fitted. From there, none is
-    fitted if all promise less than the odds against them.
+    base: the nominal model, or that with an effect, as it was given, or fitted; null: fitted. From
+    there, none is fitted if all promise less than the odds against them.
     """
     problem, residual = base.problem, base.best.residual
     if base is null and base.best.cost < ODDS_AGAINST:
@@ -387,7 +409,7 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         return 0.5 * explained.common(along_residual, along_residual, keep) + _promise(
             along, size), alone
 
-    work = _starts(base, base is null)
+    work = _starts(base, base is null and not _left(null))
     gains = []
     for n, value in enumerate(problem.each(gain, work)):
         gains.append(value)
@@ -404,7 +426,8 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         own = {free.field for free in start.variant.free}
         best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH, {
             field: column for field, column in known.items() if field not in own})
-        return Found((start.name,), (start.variant,), start.problem, best)
+        return Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
+                     start.problem, best)
 
     forms: dict[Names, list[Found]] = {}
     for found in problem.each(rough, _best_starts([work[n] for n in order])):
@@ -423,7 +446,7 @@ def _singles(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, 
         form = form._replace(problem=replace(
             form.problem, group=leader.problem.group, pool=None))
         shared = [_with_shared(form, leader)]
-        if all(free.scale == 'nominal' for variant in form.variants for free in variant.free):
+        if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(_with_shared(form, null, nominal=True))
         starts = [min(shared, key=lambda start: float(np.sum(form.problem.residual(start) ** 2)))]
         # Far from the nominal model, what an effect is not may mislead.
@@ -500,7 +523,7 @@ def _with_shared(found: Found, other: Found, nominal: bool = False) -> Array:
     """
     values = other.problem.record(other.best.theta)
     known = {free.field for free in (found if nominal else other).problem.free} - {
-        free.field for variant in other.variants for free in variant.free}
+        free.field for variant in other.variants[-1:] for free in variant.free}
     return np.array([found.problem.parameter(free).share(float(values[free.field]))
                      if free.field in known else share
                      for free, share in zip(found.problem.free, found.best.theta, strict=True)])
