@@ -250,7 +250,10 @@ def _given(found: Found) -> float:
 def _without_effects(null: Found, singles: Sequence[Found]) -> Found:
     """Return the fit without effects, from where a fit with one shows that it can be better."""
     problem, (mean, precision) = null.problem, null.problem.prior
-    starts = [_with_shared(null, found) for found in singles]
+    starts = []
+    for found in singles:
+        fields, own = _free_fields(found)
+        starts.append(_with_shared(null, found, fields - own))
     costs = [0.5 * float(np.sum(problem.residual(start) ** 2) + precision @ (start - mean) ** 2)
              for start in starts]
     if min(costs, default=math.inf) > null.best.cost - GAIN:
@@ -439,15 +442,16 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
     leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
     best_forms, far = {names: found.best for names, found in fits.items()}, _left(null)
     fits[leader.names] = leader
+    fields, own = _free_fields(leader)
 
     def polished(form: Found) -> Found:
         # The sub-step is corrected where it was for the leader. Within a thread of the pool
         # nothing may wait for another one: all could wait.
         form = form._replace(problem=replace(
             form.problem, group=leader.problem.group, pool=None))
-        shared = [_with_shared(form, leader)]
+        shared = [_with_shared(form, leader, fields - own), _with_shared(form, leader, fields)]
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
-            shared.append(_with_shared(form, null, nominal=True))
+            shared.append(_with_shared(form, null, _free_fields(form)[0]))
         starts = [min(shared, key=lambda start: float(np.sum(form.problem.residual(start) ** 2)))]
         # Far from the nominal model, what an effect is not may mislead.
         if far and form.best is best_forms[form.names]:
@@ -515,18 +519,18 @@ def _best_starts(ranked: Sequence[_Start]) -> list[_Start]:
     return [start for forms in chosen.values() for start in forms.values()]
 
 
-def _with_shared(found: Found, other: Found, nominal: bool = False) -> Array:
-    """
-    Return the parameters of a fit with the nominal ones of another fit, not those of its effect.
-
-    nominal: and the parameters of the effect as they are without it.
-    """
+def _with_shared(found: Found, other: Found, fields: set[str]) -> Array:
+    """Return the parameters of a fit, those of some fields as in another fit."""
     values = other.problem.record(other.best.theta)
-    known = {free.field for free in (found if nominal else other).problem.free} - {
-        free.field for variant in other.variants[-1:] for free in variant.free}
     return np.array([found.problem.parameter(free).share(float(values[free.field]))
-                     if free.field in known else share
+                     if free.field in fields else share
                      for free, share in zip(found.problem.free, found.best.theta, strict=True)])
+
+
+def _free_fields(found: Found) -> tuple[set[str], set[str]]:
+    """Return the fields that a fit frees, and those of them that its last effect does."""
+    return ({free.field for free in found.problem.free},
+            {free.field for variant in found.variants[-1:] for free in variant.free})
 
 
 def _fitted(found: Found) -> Fitted:
