@@ -20,7 +20,8 @@ import numpy as np
 
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
-from asi_analysis.gap.model.effects import Free
+from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.model.group import exact
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.model.start import MEMORIES
@@ -35,6 +36,9 @@ SLOW = 0.003      # of the cost: an updated derivative that gains less is comput
 HOPE = 2.0        # times what a linear problem would gain: a fit may gain no more
 LONGEST_STEP = 0.3
 SCANNED = 9       # values of what a derivative does not tell of
+# Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
+# differences: three standard errors of its variance are about this over the root of the samples.
+MARGIN, NOISE_ERROR = 1.1, 10.0
 PART, BENT = 0.1, 0.4   # of a step: to see how the residual bends along it; the most that it may
 
 NONE: Mapping[str, Array] = MappingProxyType({})
@@ -205,3 +209,32 @@ def fitted(problem: Posterior, best: Best) -> Fitted:
 def mean_squares(problem: Posterior, residual: Array) -> Array:
     """Return the mean square residual of each channel, in error floors."""
     return np.mean(residual.reshape(len(problem.group.channels), -1) ** 2, axis=1)
+
+
+class Found(NamedTuple):
+    """A hypothesis, its problem and most probable parameters."""
+
+    names: Names
+    variants: tuple[Variant, ...]
+    problem: Posterior
+    best: Best
+
+    @property
+    def left(self) -> bool:
+        """Whether it leaves more than the error floor, as far as that is known."""
+        left = mean_squares(self.problem, self.best.residual)
+        samples = self.best.residual.size / left.size
+        return bool(np.any(left > MARGIN + NOISE_ERROR / math.sqrt(samples)))
+
+    @property
+    def given(self) -> float:
+        """The log prior cost of what the nominal parameters had to give."""
+        mean, precision = self.problem.prior
+        return 0.5 * float(precision @ (self.best.theta - mean) ** 2)
+
+    @property
+    def as_given(self) -> 'Found':
+        """The same effects with all nominal parameters as they were given."""
+        mean, precision = self.problem.prior
+        theta = np.where(precision > 0.0, mean, self.best.theta)
+        return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))

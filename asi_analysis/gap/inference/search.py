@@ -9,26 +9,26 @@ the simulator's own equations, and no other formulation needs to be tried.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.inference.beyond_tolerance import with_null_named
-from asi_analysis.gap.inference.fit import Fitted, independent_samples
+from asi_analysis.gap.inference.evidence import ODDS_AGAINST, weigh
+from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     ROUNDS,
-    Best,
+    Found,
     Posterior,
     fitted,
     mean_squares,
     most_probable,
 )
 from asi_analysis.gap.inference.probability import Names, with_unknown
+from asi_analysis.gap.inference.screen import Start, screen
 from asi_analysis.gap.model.effects import (
     PARAMETER,
     UNKNOWN,
@@ -40,7 +40,6 @@ from asi_analysis.gap.model.effects import (
 from asi_analysis.gap.model.group import (
     Group,
     acts_on,
-    channels_of,
     recorrected,
     with_fitted_start,
     with_simulated_valve,
@@ -57,38 +56,9 @@ CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
 FOLLOWED_BY = 2   # single effects to which a second one is added, if none explains everything
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
-LARGEST = 3.0         # of an effect's start, in the linear screen
-RIDGE = 1e-9
-# Fields of contacts and couplings, and how many of their starts, those that change the least, are
-# looked at where the nominal model explains the signals: what is hidden there is small.
-STIFF, SMALLEST = {'backlash_gap', 'coupling_stiffness'}, 2
-# Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
-# together 4 %, so that an unchanged machine is hardly ever accused.
-ODDS_AGAINST = 7.0
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
-MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
 MISSED = 0.2            # probability that the search has missed what explains a recording
-NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
-# Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
-# differences: three standard errors of its variance are about this over the root of the samples.
-MARGIN, NOISE_ERROR = 1.1, 10.0
-
-
-class Found(NamedTuple):
-    """A hypothesis, its problem and most probable parameters."""
-
-    names: Names
-    variants: tuple[Variant, ...]
-    problem: Posterior
-    best: Best
-
-
-class _Null(NamedTuple):
-    """The nominal model as it was given, and fitted; effects are sought from either."""
-
-    as_given: Found
-    fit: Found
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -109,7 +79,7 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     rivals = [first, *_rivals(first)]
     nulls = [_null(with_simulated_valve(rest, _most_probable(rival).fitted.record))
              for rival in rivals]
-    costs = np.array([null.fit.best.cost for null in nulls])
+    costs = np.array([null.best.cost for null in nulls])
     best = int(np.argmin(costs))
     second = _explained(nulls[best], tick, alone)
     return None if second is None else [_with_rivals(rivals[best], rivals, costs), second]
@@ -133,15 +103,15 @@ def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Wei
     return Weighed(replace(valve.group, effects=tuple(effects)), candidates, chance)
 
 
-def _explained(null: _Null, tick: Callable[[], None], alone: bool) -> Weighed | None:
+def _explained(null: Found, tick: Callable[[], None], alone: bool) -> Weighed | None:
     """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
-    found, group = _hypotheses(null, tick), null.fit.problem.group
-    if not alone and all(map(_left, found.values())):
+    found, group = _hypotheses(null, tick), null.problem.group
+    if not alone and all(f.left for f in found.values()):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
-    weighed = Weighed(found[()].problem.group, candidates, _probabilities(group, found))
+    weighed = Weighed(found[()].problem.group, candidates, weigh(group, found))
     best = found[_most_probable(weighed).names]
-    if not _left(best):
+    if not best.left:
         return with_null_named(weighed)
     if not alone or not _follows(found[()]):
         return None
@@ -197,8 +167,8 @@ def _most_probable(weighed: Weighed) -> Candidate:
     return weighed.candidates[names]
 
 
-def _null(group: Group) -> _Null:
-    """Return the nominal model as it was given, and fitted."""
+def _null(group: Group) -> Found:
+    """Return the nominal model, fitted."""
     group = replace(group, effects=(*group.effects, *parameter_errors(group)),
                     scale=dict(group.scale))
     problem = Posterior(group, group.nuisance)
@@ -206,45 +176,28 @@ def _null(group: Group) -> _Null:
     if len(starts) > 1:
         starts = [min((most_probable(problem, start, rounds=2) for start in starts),
                       key=lambda best: best.cost).theta]
-    fit = _converged(Found((), (), problem, most_probable(problem, starts[0],
-                                                          rounds=2 * ROUNDS)))
+    null = _converged(Found((), (), problem, most_probable(problem, starts[0],
+                                                           rounds=2 * ROUNDS)))
     # The start of a recording in motion is as that fit found it.
-    group = with_fitted_start(group, fit.problem.record(fit.best.theta))
-    fit = fit._replace(problem=replace(fit.problem, group=with_fitted_start(
-        fit.problem.group, group.nominal)))
-    problem, mean = replace(problem, group=group), problem.prior[0]
-    return _Null(Found((), (), problem, Best(mean, math.inf, problem.residual(mean))), fit)
+    return null._replace(problem=replace(null.problem, group=with_fitted_start(
+        null.problem.group, null.problem.record(null.best.theta))))
 
 
-def _hypotheses(null: _Null, tick: Callable[[], None]) -> dict[Names, Found]:
+def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model and the single effects that were fitted."""
-    as_given, fit = null.as_given, null.fit
-    as_given.problem.group.scale.update(initial_guesses(_fitted(fit)))
+    null.problem.group.scale.update(initial_guesses(_fitted(null)))
     # Nominal parameters that had to give much may hide an effect: then it is sought without them.
-    hidden = _left(fit) or _given(fit) > SUSPICIOUS
-    singles = _extended(as_given if hidden else fit, fit, tick)
-    found = {(): _without_effects(fit, list(singles.values()))} | singles
+    hidden = null.left or null.given > SUSPICIOUS
+    singles = _extended(null.as_given if hidden else null, null, tick)
+    found = {(): _without_effects(null, list(singles.values()))} | singles
     for first in sorted(singles.values(), key=lambda f: f.best.cost)[:FOLLOWED_BY]:
         # What the nominal parameters gave a second effect would have to explain.
-        if any(not _left(each) and _given(each) < ODDS_AGAINST for each in found.values()):
+        if any(not each.left and each.given < ODDS_AGAINST for each in found.values()):
             break
-        pairs = _extended(_as_given(first), first, tick)
+        pairs = _extended(first.as_given, first, tick)
         found |= {names: pair for names, pair in pairs.items()
                   if names not in found or pair.best.cost < found[names].best.cost}
     return found
-
-
-def _as_given(found: Found) -> Found:
-    """Return the same effect with all nominal parameters as they were given."""
-    problem, (mean, precision) = found.problem, found.problem.prior
-    theta = np.where(precision > 0.0, mean, found.best.theta)
-    return found._replace(best=Best(theta, math.inf, problem.residual(theta)))
-
-
-def _given(found: Found) -> float:
-    """Return the log prior cost of what the nominal parameters had to give."""
-    mean, precision = found.problem.prior
-    return 0.5 * float(precision @ (found.best.theta - mean) ** 2)
 
 
 def _without_effects(null: Found, singles: Sequence[Found]) -> Found:
@@ -280,13 +233,6 @@ def _beginnings(problem: Posterior) -> Iterator[Array]:
         yield begun
 
 
-def _left(found: Found) -> bool:
-    """Return whether a hypothesis leaves more than the error floor, as far as that is known."""
-    left = mean_squares(found.problem, found.best.residual)
-    samples = found.best.residual.size / left.size
-    return bool(np.any(left > MARGIN + NOISE_ERROR / math.sqrt(samples)))
-
-
 def parameter_errors(group: Group) -> list[Effect]:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
     held = {free.field for effect in group.effects for variant in effect.variants
@@ -305,80 +251,6 @@ def _beyond(field: str, group: Group) -> Effect:
                                           if acts_on(field, channel, group))),), exact=True)
 
 
-class _Explained:
-    """What parameters of a fit explain of signals, by linear least squares."""
-
-    def __init__(self, slopes: Array, precision: Array) -> None:
-        self._size = size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
-        self._scaled = slopes / size
-        self._square = self._scaled.T @ self._scaled + np.diag(precision / size ** 2 + RIDGE)
-
-    def along(self, signal: Array, prior: Array | float = 0.0) -> Array:
-        """
-        Return the products of a signal (n samples) with the derivatives of the parameters.
-
-        prior: the slope of the log prior of each, if the signal is the residual.
-        """
-        product: Array = self._scaled.T @ signal + prior / self._size
-        return product
-
-    def common(self, one: Array, other: Array, keep: list[int]) -> float:
-        """Return the product of what some parameters explain of two signals, of their `along`."""
-        factor = cho_factor(self._square[np.ix_(keep, keep)])
-        return float(one[keep] @ cho_solve(factor, other[keep]))
-
-
-def _promise(along: float, size: float) -> float:
-    """Return by how much the best amount of a change of the residual lowers the cost."""
-    amount = min(max(-along / size, 0.0), LARGEST)
-    return -amount * along - 0.5 * amount ** 2 * size
-
-
-class _Start(NamedTuple):
-    """A form of an effect at one of its starts: its problem and parameters."""
-
-    name: str
-    variant: Variant
-    problem: Posterior
-    theta: Array
-
-
-def _starts(base: Found, small: bool) -> list[_Start]:
-    """
-    Return every effect in each form at each of its starts, all else as in `base`.
-
-    small: of contacts and couplings only those that change the least.
-    """
-    group, problem = base.problem.group, base.problem
-    shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
-    exact = ('maximum_substep', group.exact_substep_s)
-    work = []
-    held = {free.field for variant in base.variants for free in variant.free}
-    for effect in group.effects:
-        for variant in effect.variants if effect.name not in base.names else ():
-            # A wave or pulse of a disturbance is only guessed where the motion was measured.
-            guessed = all(free.scale in group.scale for free in variant.free
-                          if free.scale.startswith('residual_'))
-            own = {free.field for free in variant.free}
-            if not channels_of(variant, group) or not guessed or own & held:
-                continue
-            # Contacts and couplings are stiffer than what the sub-step was chosen by.
-            fixed = (*problem.fixed, *variant.fixed, *((exact,) if own & STIFF else ()))
-            extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
-                                         *variant.free), fixed, pool=problem.pool)
-            for varied in variant.free:   # one at its starts, the others at their first
-                if len(varied.starts) == 1 and varied is not variant.free[0]:
-                    continue
-                few = small and varied.field in STIFF
-                for start in varied.starts[:SMALLEST if few else None]:
-                    theta = np.array([
-                        shares[f.field] if f.field not in own else
-                        extended.start(f, start if f is varied else f.starts[0])
-                        for f in extended.free])
-                    work.append(_Start(effect.name, variant, extended, theta))
-    return work
-
-
 def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """
     Return the fits of `base` with one more effect: those with the highest gain in a linear screen.
@@ -386,61 +258,29 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
     base: the nominal model, or that with an effect, as it was given, or fitted; null: fitted. From
     there, none is fitted if all promise less than the odds against them.
     """
-    problem, residual = base.problem, base.best.residual
+    problem = base.problem
     if base is null and base.best.cost < ODDS_AGAINST:
         return {}
-    (mean, precision), slopes = problem.prior, problem.jacobian(base.best.theta)
-    explained = _Explained(slopes, precision)
-    along_residual = explained.along(residual, precision * (base.best.theta - mean))
-
-    def gain(start: _Start) -> tuple[float, float]:
-        # With all other parameters free, and alone. Of a large gap the first promises too much:
-        # parameters whose small changes act linearly seem to explain anything.
-        own = {free.field for free in start.variant.free}
-        change = start.problem.residual(start.theta) - residual
-        if not np.isfinite(change).all():
-            return -math.inf, -math.inf
-        keep = [n for n, free in enumerate(problem.free) if free.field not in own]
-        along_change, all_of_it = explained.along(change), float(change @ change)
-        size = all_of_it - explained.common(along_change, along_change, keep)
-        if size <= RIDGE * all_of_it:
-            return -math.inf, -math.inf
-        along = float(residual @ change)
-        alone = _promise(along, all_of_it)
-        along -= explained.common(along_residual, along_change, keep)
-        # What other parameters explain by themselves is the same for all but those without one.
-        return 0.5 * explained.common(along_residual, along_residual, keep) + _promise(
-            along, size), alone
-
-    work = _starts(base, base is null and not _left(null))
-    gains = []
-    for n, value in enumerate(problem.each(gain, work)):
-        gains.append(value)
-        if n % 10 == 0:
-            tick()
-    if base is null and max(first for first, _ in gains) < ODDS_AGAINST:
+    screened = screen(base, base is null and not null.left, tick)
+    if base is null and screened.most < ODDS_AGAINST:
         return {}
-    ranks = (sorted(range(len(work)), key=lambda n: -gains[n][kind]) for kind in (0, 1))
-    order = [n for both in zip(*ranks, strict=True) for n in both]
     fits: dict[Names, Found] = {}
-    known = {free.field: column for free, column in zip(problem.free, slopes.T, strict=True)}
-
-    def rough(start: _Start) -> Found:
+    def rough(start: Start) -> Found:
         own = {free.field for free in start.variant.free}
         best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH, {
-            field: column for field, column in known.items() if field not in own})
+            field: column for field, column in screened.slopes.items() if field not in own})
         return Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                      start.problem, best)
 
     forms: dict[Names, list[Found]] = {}
-    for found in problem.each(rough, _best_starts([work[n] for n in order])):
+    for found in problem.each(rough, screened.best(FITTED)):
         forms.setdefault(found.names, []).append(found)
         if found.names not in fits or found.best.cost < fits[found.names].best.cost:
             fits[found.names] = found
         tick()
     leader, *rivals = sorted(fits.values(), key=lambda f: f.best.cost)
     leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
-    best_forms, far = {names: found.best for names, found in fits.items()}, _left(null)
+    best_forms, far = {names: found.best for names, found in fits.items()}, null.left
     fits[leader.names] = leader
     fields, own = _free_fields(leader)
 
@@ -510,15 +350,6 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
                           best=most_probable(problem, found.best.theta, goal=goal))
 
 
-def _best_starts(ranked: Sequence[_Start]) -> list[_Start]:
-    """Return the first start of each form of the first effects; a start may be ranked twice."""
-    chosen: dict[str, dict[Variant, _Start]] = {}
-    for start in ranked:
-        if start.name in chosen or len(chosen) < FITTED:
-            chosen.setdefault(start.name, {}).setdefault(start.variant, start)
-    return [start for forms in chosen.values() for start in forms.values()]
-
-
 def _with_shared(found: Found, other: Found, fields: set[str]) -> Array:
     """Return the parameters of a fit, those of some fields as in another fit."""
     values = other.problem.record(other.best.theta)
@@ -536,58 +367,3 @@ def _free_fields(found: Found) -> tuple[set[str], set[str]]:
 def _fitted(found: Found) -> Fitted:
     """Return a hypothesis as the rest of the diagnosis takes it."""
     return fitted(found.problem, found.best)
-
-
-def _probabilities(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
-    """Return the probability of every hypothesis, `unknown` among them."""
-    least = min(found.values(), key=lambda f: f.best.cost)
-    samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
-                                  'known')
-    # Of the error floor; a difference below it says nothing.
-    model = np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
-                      for channel in group.channels])
-    counts = 1.0 / (1.0 / np.array([samples[channel] for channel in group.channels])
-                    + model / MODEL_SAMPLES)
-    total = sum(int(r.known.sum()) for r in group.recordings)
-    level = mean_squares(least.problem, least.best.residual)
-    rough = {names: _log_posterior(f, counts, level, model) for names, f in found.items()}
-    highest = max(rough.values())
-    evidence = {names: rough[names] + _log_volume(f, counts / total, model)
-                for names, f in found.items() if rough[names] > highest - NEGLIGIBLE}
-    highest = max(evidence.values())
-    evidence = dict.fromkeys(found, -math.inf) | evidence
-    weight = {names: math.exp(value - highest) for names, value in evidence.items()}
-    chance = {names: value / sum(weight.values()) for names, value in weight.items()}
-    # What leaves no more than noise leaves no room for anything unknown.
-    return {**chance, (UNKNOWN,): 0.0}
-
-
-def _log_posterior(found: Found, counts: Array, level: Array, model: Array) -> float:
-    """
-    Return the log likelihood of a hypothesis with all its priors, up to a constant.
-
-    counts: effective samples of each channel; level: mean square that the best leaves; model:
-    that of the model error.
-    """
-    mean, precision = found.problem.prior
-    left = mean_squares(found.problem, found.best.residual)
-    normal = precision > 0.0
-    return (-0.5 * float(counts @ np.log((left + model) / (level + model)))
-            - 0.5 * float(precision @ (found.best.theta - mean) ** 2)
-            + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
-            - ODDS_AGAINST * len(found.names))
-
-
-def _log_volume(found: Found, share: Array, model: Array) -> float:
-    """Return the log of the volume of the parameters; share: effective samples over samples."""
-    problem, theta = found.problem, found.best.theta
-    precision = problem.prior[1]
-    left = mean_squares(problem, found.best.residual)
-    slopes = problem.jacobian(theta)
-    weight = np.repeat(share / (left + model), slopes.shape[0] // left.size)
-    square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
-    normal = precision > 0.0
-    # A uniform prior: at most the whole range.
-    square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())
-    _, log_det = np.linalg.slogdet(square)
-    return 0.5 * theta.size * math.log(2.0 * math.pi) - 0.5 * float(log_det)

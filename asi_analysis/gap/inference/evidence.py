@@ -1,0 +1,79 @@
+"""
+Evidence of the hypotheses that were fitted, and their probabilities.
+
+By Laplace's approximation, with the noise that the best hypothesis leaves and its effective sample
+size, so that a model error counts as coloured noise (MacKay, Information Theory, Inference and
+Learning Algorithms, 2003, ch. 27 and 28).
+"""
+
+import math
+
+import numpy as np
+
+from asi_analysis.gap.inference.fit import independent_samples
+from asi_analysis.gap.inference.posterior import Found, mean_squares
+from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import UNKNOWN
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.prepare import Array
+
+# Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
+# together 4 %, so that an unchanged machine is hardly ever accused.
+ODDS_AGAINST = 7.0
+MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
+NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
+
+
+def weigh(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
+    """Return the probability of every hypothesis, `unknown` among them."""
+    least = min(found.values(), key=lambda f: f.best.cost)
+    samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
+                                  'known')
+    # Of the error floor; a difference below it says nothing.
+    model = np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
+                      for channel in group.channels])
+    counts = 1.0 / (1.0 / np.array([samples[channel] for channel in group.channels])
+                    + model / MODEL_SAMPLES)
+    total = sum(int(r.known.sum()) for r in group.recordings)
+    level = mean_squares(least.problem, least.best.residual)
+    rough = {names: _log_posterior(f, counts, level, model) for names, f in found.items()}
+    highest = max(rough.values())
+    evidence = {names: rough[names] + _log_volume(f, counts / total, model)
+                for names, f in found.items() if rough[names] > highest - NEGLIGIBLE}
+    highest = max(evidence.values())
+    evidence = dict.fromkeys(found, -math.inf) | evidence
+    weight = {names: math.exp(value - highest) for names, value in evidence.items()}
+    chance = {names: value / sum(weight.values()) for names, value in weight.items()}
+    # What leaves no more than noise leaves no room for anything unknown.
+    return {**chance, (UNKNOWN,): 0.0}
+
+
+def _log_posterior(found: Found, counts: Array, level: Array, model: Array) -> float:
+    """
+    Return the log likelihood of a hypothesis with all its priors, up to a constant.
+
+    counts: effective samples of each channel; level: mean square that the best leaves; model:
+    that of the model error.
+    """
+    mean, precision = found.problem.prior
+    left = mean_squares(found.problem, found.best.residual)
+    normal = precision > 0.0
+    return (-0.5 * float(counts @ np.log((left + model) / (level + model)))
+            - 0.5 * float(precision @ (found.best.theta - mean) ** 2)
+            + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
+            - ODDS_AGAINST * len(found.names))
+
+
+def _log_volume(found: Found, share: Array, model: Array) -> float:
+    """Return the log of the volume of the parameters; share: effective samples over samples."""
+    problem, theta = found.problem, found.best.theta
+    precision = problem.prior[1]
+    left = mean_squares(problem, found.best.residual)
+    slopes = problem.jacobian(theta)
+    weight = np.repeat(share / (left + model), slopes.shape[0] // left.size)
+    square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
+    normal = precision > 0.0
+    # A uniform prior: at most the whole range.
+    square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())
+    _, log_det = np.linalg.slogdet(square)
+    return 0.5 * theta.size * math.log(2.0 * math.pi) - 0.5 * float(log_det)
