@@ -28,6 +28,7 @@ from asi_analysis.gap.inference.uncertainty import (
 )
 from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, UNKNOWN, Free, block_of
 from asi_analysis.gap.model.group import (
+    SIMULATOR_ERROR,
     TOLERANCE,
     Group,
     make_group,
@@ -235,10 +236,14 @@ def hypothesis_name(names: Names) -> str:
 
 def main_shrink(diagnosis: Diagnosis) -> Shrink:
     """Return the shrink of the channel in which the verdict explains most, in noise floors."""
-    def explained(shrink: Shrink) -> float:
-        return (shrink.refitted ** 2 - shrink.after ** 2) / max(shrink.noise_floor, 1e-9) ** 2
-
     shown = list(diagnosis.shrinks)
+    # What a refit leaves, if that can be seen at all.
+    seen = any(shrink.refitted > max(shrink.noise_floor, SIMULATOR_ERROR) for shrink in shown)
+
+    def explained(shrink: Shrink) -> float:
+        before = shrink.refitted if seen else shrink.nominal
+        return (before ** 2 - shrink.after ** 2) / max(shrink.noise_floor, 1e-9) ** 2
+
     if not diagnosis.verdict or UNKNOWN in diagnosis.verdict:
         return max(shown, key=lambda shrink: (
             shrink.refitted if diagnosis.verdict else shrink.nominal

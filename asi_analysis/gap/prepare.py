@@ -39,7 +39,7 @@ CLIPPED = 0.005         # share of samples at an extreme, above which a signal i
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
-START_S = 0.02          # of a recording, whose means are those at its start
+START_S = 0.02          # of a recording, that tell how it begins
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 

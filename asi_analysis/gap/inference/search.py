@@ -7,7 +7,7 @@ the simulator's own equations, and no other formulation needs to be tried.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -54,7 +54,6 @@ ROUGH = 1         # derivatives of a fit after the linear screen
 # Times that a sub-step is corrected anew, until the log posterior changes by less than this.
 CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
-FOLLOWED_BY = 2   # single effects to which a second one is added, if none explains everything
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
@@ -189,30 +188,49 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     # Nominal parameters that had to give much may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
-    found = {(): _without_effects(null, list(singles.values()))} | singles
-    for first in sorted(singles.values(), key=lambda f: f.best.cost)[:FOLLOWED_BY]:
-        # What the nominal parameters gave a second effect would have to explain.
-        if any(not each.left and each.given < ODDS_AGAINST for each in found.values()):
-            break
-        pairs = _extended(first.as_given, first, tick)
-        found |= {names: pair for names, pair in pairs.items()
-                  if names not in found or pair.best.cost < found[names].best.cost}
+    found = {(): _without_last(null, list(singles.values()))} | singles
+    if all(each.left or each.given > ODDS_AGAINST for each in found.values()):
+        # Nominal parameters may have given what a second effect would explain.
+        found |= _pairs(singles, tick)
     return found
 
 
-def _without_effects(null: Found, singles: Sequence[Found]) -> Found:
-    """Return the fit without effects, from where a fit with one shows that it can be better."""
-    problem, (mean, precision) = null.problem, null.problem.prior
+def _pairs(singles: Mapping[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
+    """
+    Return the best single effect with one more each; and, if two explain all, the other with one.
+
+    The best single effect may be none of two, but one that does what both do.
+    """
+    first = min(singles.values(), key=lambda each: each.best.cost)
+    pairs = _with_second(first, tick)
+    best = min(pairs.values(), key=lambda each: each.best.cost)
+    other = singles.get(tuple(name for name in best.names if name not in first.names))
+    if best.left or other is None:
+        return pairs
+    more = _with_second(other, tick)
+    return pairs | {names: pair for names, pair in more.items()
+                    if names not in pairs or pair.best.cost < pairs[names].best.cost}
+
+
+def _with_second(first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+    """Return a single effect, fitted anew, and its pairs with others."""
+    pairs = _extended(first.as_given, first, tick)
+    return {first.names: _without_last(first, list(pairs.values()))} | pairs
+
+
+def _without_last(base: Found, more: Sequence[Found]) -> Found:
+    """Return a fit, from where those with one more effect show that it can be better."""
+    problem, (mean, precision) = base.problem, base.problem.prior
     starts = []
-    for found in singles:
+    for found in more:
         fields, own = _free_fields(found)
-        starts.append(_with_shared(null, found, fields - own))
+        starts.append(_with_shared(base, found, fields - own))
     costs = [0.5 * float(np.sum(problem.residual(start) ** 2) + precision @ (start - mean) ** 2)
              for start in starts]
-    if min(costs, default=math.inf) > null.best.cost - GAIN:
-        return null
+    if min(costs, default=math.inf) > base.best.cost - GAIN:
+        return base
     start = starts[int(np.argmin(costs))]
-    return _converged(null._replace(best=most_probable(problem, start)))
+    return _converged(base._replace(best=most_probable(problem, start)))
 
 
 def _beginnings(problem: Posterior) -> Iterator[Array]:
