@@ -189,33 +189,54 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
     found = {(): _without_last(null, list(singles.values()))} | singles
-    if all(each.left or each.given > ODDS_AGAINST for each in found.values()):
-        # Nominal parameters may have given what a second effect would explain.
-        found |= _pairs(singles, tick)
+    if all(map(_wants_more, found.values())):
+        first = min(singles.values(), key=lambda each: each.best.cost)
+        found = _better(found, _pairs(null, first, tick))
     return found
 
 
-def _pairs(singles: Mapping[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
+def _wants_more(found: Found) -> bool:
+    """Return whether a fit leaves, or its nominal parameters gave, what an effect may explain."""
+    return found.left or found.given > ODDS_AGAINST
+
+
+def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return the best single effect with one more each; and, if two explain all, the other with one.
+    Return an effect with one more each; and, if two explain all, the other of them with one.
 
     The best single effect may be none of two, but one that does what both do.
     """
-    first = min(singles.values(), key=lambda each: each.best.cost)
     pairs = _with_second(first, tick)
     best = min(pairs.values(), key=lambda each: each.best.cost)
-    other = singles.get(tuple(name for name in best.names if name not in first.names))
-    if best.left or other is None:
+    if best.left or not _wants_more(pairs[first.names]):
         return pairs
-    more = _with_second(other, tick)
-    return pairs | {names: pair for names, pair in more.items()
-                    if names not in pairs or pair.best.cost < pairs[names].best.cost}
+    return _better(pairs, _with_second(_second_alone(null, first, best), tick))
 
 
 def _with_second(first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return a single effect, fitted anew, and its pairs with others."""
     pairs = _extended(first.as_given, first, tick)
     return {first.names: _without_last(first, list(pairs.values()))} | pairs
+
+
+def _second_alone(null: Found, first: Found, pair: Found) -> Found:
+    """Return the effect that was added to `first`, alone, in the form that it has in the pair."""
+    variant, values = pair.variants[-1], pair.problem.record(pair.best.theta)
+    own = {free.field for free in variant.free}
+    fixed = tuple(each for each in pair.problem.fixed
+                  if each not in first.problem.fixed or each in null.problem.fixed)
+    problem = replace(pair.problem, fixed=fixed, free=(
+        *(free for free in null.problem.free if free.field not in own), *variant.free))
+    theta = np.array([problem.parameter(free).share(float(values[free.field]))
+                      for free in problem.free])
+    names = tuple(name for name in pair.names if name not in first.names)
+    return _converged(Found(names, (variant,), problem, most_probable(problem, theta)))
+
+
+def _better(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
+    """Return both, the one of the lower cost where they share a hypothesis."""
+    return {**found, **{names: each for names, each in more.items()
+                        if names not in found or each.best.cost < found[names].best.cost}}
 
 
 def _without_last(base: Found, more: Sequence[Found]) -> Found:
