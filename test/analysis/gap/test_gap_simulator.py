@@ -165,6 +165,15 @@ def test_an_effect_of_the_valve_and_one_behind_it_are_both_named():
     assert answer['gap']['after_nrmse'] < 1.1 * answer['gap']['noise_floor_nrmse']
 
 
+def test_two_effects_behind_the_valve_are_both_named():
+    """Stiction explains more than either of them alone."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'friction.coulomb': 25.0, 'force_sensor.offset': 20.0},
+                   duration_s=4.0)
+    answer = document(diagnose([run], nominal))
+    assert answer['verdict'] == 'coulomb_friction+sensor_offset' and answer['probability'] > 0.9
+
+
 def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
     nominal = {'load.type': 'spring'}
     run = recorded(nominal, duration_s=3.0)
