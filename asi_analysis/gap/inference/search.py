@@ -183,7 +183,7 @@ def _null(group: Group) -> Found:
 
 
 def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
-    """Return the nominal model and the single effects that were fitted."""
+    """Return the nominal model, single effects and pairs that were fitted."""
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
     # Nominal parameters that had to give much may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
@@ -304,6 +304,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
     if base is null and screened.most < ODDS_AGAINST:
         return {}
     fits: dict[Names, Found] = {}
+
     def rough(start: Start) -> Found:
         own = {free.field for free in start.variant.free}
         best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH, {
