@@ -57,6 +57,11 @@ class Posterior(Problem):
         """Return the residual over the error floor (rms), channel after channel."""
         return self._of(self.record(theta))
 
+    def cost(self, theta: Array) -> float:
+        """Return the negative log posterior, up to a constant."""
+        mean, precision = self.prior
+        return 0.5 * float(np.sum(self.residual(theta) ** 2) + precision @ (theta - mean) ** 2)
+
     def start(self, free: Free, value: float) -> float:
         """Return the share of a start value (relative, as in `Free`), off the bounds."""
         own = self.parameter(free)

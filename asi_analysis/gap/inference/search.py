@@ -241,13 +241,11 @@ def _better(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[N
 
 def _without_last(base: Found, more: Sequence[Found]) -> Found:
     """Return a fit, from where those with one more effect show that it can be better."""
-    problem, (mean, precision) = base.problem, base.problem.prior
-    starts = []
+    problem, starts = base.problem, []
     for found in more:
         fields, own = _free_fields(found)
         starts.append(_with_shared(base, found, fields - own))
-    costs = [0.5 * float(np.sum(problem.residual(start) ** 2) + precision @ (start - mean) ** 2)
-             for start in starts]
+    costs = [problem.cost(start) for start in starts]
     if min(costs, default=math.inf) > base.best.cost - GAIN:
         return base
     start = starts[int(np.argmin(costs))]
@@ -332,7 +330,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         shared = [_with_shared(form, leader, fields - own), _with_shared(form, leader, fields)]
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(_with_shared(form, null, _free_fields(form)[0]))
-        starts = [min(shared, key=lambda start: float(np.sum(form.problem.residual(start) ** 2)))]
+        starts = [min(shared, key=form.problem.cost)]
         # Far from the nominal model, what an effect is not may mislead.
         if far and form.best is best_forms[form.names]:
             starts.append(form.best.theta)

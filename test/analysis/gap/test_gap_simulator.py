@@ -156,24 +156,6 @@ def test_an_effect_is_named_and_the_improved_model_is_the_machine():
     assert np.std(force[2] - force[0]) < 0.1 * np.std(force[1] - force[0])
 
 
-def test_an_effect_of_the_valve_and_one_behind_it_are_both_named():
-    nominal = {'load.type': 'spring'}
-    run = recorded({**nominal, 'valve_flexure.lag_time': 0.003, 'force_sensor.offset': 15.0},
-                   duration_s=3.0)
-    answer = document(diagnose([run], nominal))
-    assert answer['verdict'] == 'sensor_offset+valve_lag' and answer['probability'] > 0.9
-    assert answer['gap']['after_nrmse'] < 1.1 * answer['gap']['noise_floor_nrmse']
-
-
-def test_two_effects_behind_the_valve_are_both_named():
-    """Stiction explains more than either of them alone."""
-    nominal = {'load.type': 'spring'}
-    run = recorded({**nominal, 'friction.coulomb': 25.0, 'force_sensor.offset': 20.0},
-                   duration_s=4.0)
-    answer = document(diagnose([run], nominal))
-    assert answer['verdict'] == 'coulomb_friction+sensor_offset' and answer['probability'] > 0.9
-
-
 def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
     nominal = {'load.type': 'spring'}
     run = recorded(nominal, duration_s=3.0)
