@@ -25,14 +25,13 @@ from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
 from asi_common.parameter_file import write_parameters
 from asi_examiner.cases import EFFECTS, Case, draw, excite
-from asi_examiner.own import draw_own, truth
+from asi_examiner.own import SMALLER, draw_own, truth
 from asi_examiner.plant import PERIOD_S, simulate
 
 # The signals that a bag omits, by the value of --signals.
 OMITTED = {'all': (), 'no_valve': ('valve_position_m',), 'no_velocity': ('velocity_m_s',),
            'no_position': ('position_m',),
            'force_only': ('valve_position_m', 'velocity_m_s', 'position_m')}
-SMALLER = (0.6, 1.0)   # shares of the first recording's excitation
 
 
 class Answer(NamedTuple):

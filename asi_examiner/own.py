@@ -20,8 +20,6 @@ from asi_common.parameter import Value
 RATES_HZ = (1000.0, 2000.0, 5000.0)
 LOADS = ('locked', 'spring', 'free')
 DURATION_S = 8.0
-# Of a random reference, by the number of the simulation; of others, their number.
-REFERENCE_SEED = {0: 1, 1: 2, 2: 1, 3: 1}
 UNCHANGED = 0.3        # share of cases of the unchanged simulator
 SMALLER = (0.6, 1.0)   # shares of the first recording's excitation, of further recordings
 FACTOR = (1.4, 2.5)    # range of the factor, or its reciprocal, by which a parameter is changed
@@ -102,22 +100,24 @@ def draw_own(seed: int, recordings: int = 1) -> OwnCase:
         default = next(p.default for p in ACTUATOR_PARAMETERS if p.name == changed)
         machine[changed] = float(default) * factor
     noise = float(rng.random() < 0.7)
-    runs = [_recorded(values, excitation, size, rate, [seed, number], level)
-            for number, (values, level) in enumerate(
-                ((machine, noise), (machine, noise), (machine, 0.0), (nominal, 0.0)))]
+    # The recording, another one of the same machine, and what the change alone does.
+    runs = [_recorded(values, excitation, size, rate, [seed, number], level, reference)
+            for number, (values, level, reference) in enumerate(
+                ((machine, noise, 1), (machine, noise, 2), (machine, 0.0, 1), (nominal, 0.0, 1)))]
     visibility = max(float(np.std(getattr(runs[2], name) - getattr(runs[3], name))) / level
                      for name, level in NOISE.items())
     more = tuple(_recorded(machine, str(rng.choice(list(EXCITATIONS))),
-                           float(rng.uniform(*SMALLER)) * size, rate, [seed, number], noise)
+                           float(rng.uniform(*SMALLER)) * size, rate, [seed, number], noise,
+                           number)
                  for number in range(4, 3 + recordings))
     return OwnCase(changed, factor, visibility, excitation, rate, nominal, runs[0], runs[1], more)
 
 
 def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz: float,
-              seed: list[int], noise: float) -> Run:
-    """Return the recording of the nodes; those of a machine differ in a random reference."""
+              seed: list[int], noise: float, reference: int) -> Run:
+    """Return the recording of the nodes; reference: the seed of a random one."""
     controller = {**EXCITATIONS[excitation], 'reference.amplitude': size,
-                  'reference.start': 0.05, 'reference.seed': REFERENCE_SEED.get(seed[1], seed[1])}
+                  'reference.start': 0.05, 'reference.seed': reference}
     signals = simulate_loop(actuator, controller, DURATION_S, rate_hz)._asdict()
     rng = np.random.default_rng(seed)
     for name, level in NOISE.items():

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from asi_analysis.gap.prepare import Array, Mask
 from asi_analysis.gap.words import chance
@@ -33,12 +33,13 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
         for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=False):
             above.plot(time, model, color=colour, label=name)
             below.plot(time, real - model, color=colour)
-        above.set_ylabel(f'{label} ({unit})')
+        above.set_ylabel(label)
         _legend(figure, above)
         for axes in (above, below):
+            axes.yaxis.set_major_formatter(EngFormatter(unit))
             axes.fill_between(time, 0, 1, where=held_out, transform=axes.get_xaxis_transform(),
                               color='#f0f3f5', zorder=0, linewidth=0)
-        below.set_ylabel(f'real - model ({unit})')
+        below.set_ylabel('real - model')
         below.set_xlabel('time (s); shaded: used for nothing else')
     return figure
 

@@ -1,11 +1,9 @@
 """
-Posterior of a hypothesis under the simulator: the most probable parameters, and the evidence.
+Posterior of a hypothesis under the simulator: the most probable parameters.
 
 Likelihood: white noise on each channel. Priors: normal on the nominal parameters, by their
-tolerance; uniform between the bounds on those of effects. The evidence is that of Laplace's
-approximation, with the noise that the best hypothesis leaves and its effective sample size, so
-that a model error counts as coloured noise (MacKay, Information Theory, Inference and Learning
-Algorithms, 2003, ch. 27 and 28).
+tolerance; uniform between the bounds on those of effects (MacKay, Information Theory, Inference
+and Learning Algorithms, 2003, ch. 27).
 """
 
 import math
@@ -57,10 +55,15 @@ class Posterior(Problem):
         """Return the residual over the error floor (rms), channel after channel."""
         return self._of(self.record(theta))
 
-    def cost(self, theta: Array) -> float:
-        """Return the negative log posterior, up to a constant."""
+    def cost(self, theta: Array, residual: Array | None = None) -> float:
+        """Return the negative log posterior, up to a constant; residual: if it is known."""
+        residual = self.residual(theta) if residual is None else residual
+        return 0.5 * float(residual @ residual) + self.given(theta)
+
+    def given(self, theta: Array) -> float:
+        """Return the part of it that is the prior of the nominal parameters."""
         mean, precision = self.prior
-        return 0.5 * float(np.sum(self.residual(theta) ** 2) + precision @ (theta - mean) ** 2)
+        return 0.5 * float(precision @ (theta - mean) ** 2)
 
     def start(self, free: Free, value: float) -> float:
         """Return the share of a start value (relative, as in `Free`), off the bounds."""
@@ -138,11 +141,8 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     """
     mean, precision = problem.prior
 
-    def cost_of(theta: Array, value: Array) -> float:
-        return 0.5 * float(value @ value) + 0.5 * float(precision @ (theta - mean) ** 2)
-
     theta, value = start, problem.residual(start)
-    cost, damping = cost_of(theta, value), DAMPING
+    cost, damping = problem.cost(theta, value), DAMPING
     slopes, fresh = problem.jacobian(theta, known, value), not known
     since = cost   # the cost when the derivatives were last computed
     while True:
@@ -156,7 +156,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         for _ in range(TRIES if fresh else 1):
             there = _next(problem, theta, value, slopes, square, slope, damping)
             value_there = problem.residual(there)
-            if (cost_there := cost_of(there, value_there)) < cost:
+            if (cost_there := problem.cost(there, value_there)) < cost:
                 step = there - theta
                 missed = value_there - value - slopes @ step
                 slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
@@ -170,10 +170,9 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         rounds -= 1
         ends = fresh and before - cost <= GAIN + CONVERGED * before
         if ends and rounds > 0:
-            there = min(_elsewhere(problem, theta), default=theta, key=lambda each: cost_of(
-                each, problem.residual(each)))
+            there = min(_elsewhere(problem, theta), default=theta, key=problem.cost)
             value_there = problem.residual(there)
-            cost_there = cost_of(there, value_there)
+            cost_there = problem.cost(there, value_there)
             if cost - cost_there > GAIN + CONVERGED * cost:
                 theta, value, cost, ends = there, value_there, cost_there, False
         if rounds < 1 or ends or cost - rounds * (since - cost) > goal:
@@ -234,8 +233,7 @@ class Found(NamedTuple):
     @property
     def given(self) -> float:
         """The log prior cost of what the nominal parameters had to give."""
-        mean, precision = self.problem.prior
-        return 0.5 * float(precision @ (self.best.theta - mean) ** 2)
+        return self.problem.given(self.best.theta)
 
     @property
     def as_given(self) -> 'Found':
