@@ -2,8 +2,10 @@
 
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import Effect, Variant
+from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant
 from asi_analysis.gap.model.group import Group
+
+MOST = 2   # parameters beyond their tolerance that are a cause, as of effects; with more: unknown
 
 
 def with_null_named(weighed: Weighed) -> Weighed:
@@ -12,6 +14,7 @@ def with_null_named(weighed: Weighed) -> Weighed:
 
     Where the 95 % interval of a nominal parameter of the null fit lies beyond its tolerance, what
     was fitted is the hypothesis of that parameter: it takes over the fit and its probability.
+    Where that takes many parameters, something else is likely: it is unknown.
     """
     null, group, chance = weighed.candidates[()], weighed.group, weighed.probability
     if chance[()] == 0.0 or not null.fitted.at_limit:
@@ -28,7 +31,9 @@ def with_null_named(weighed: Weighed) -> Weighed:
     if not names:
         return weighed
     candidates = dict(weighed.candidates)
-    if chance[()] > chance.get(names, 0.0):
+    if len(names) > MOST:
+        names = (UNKNOWN,)
+    elif chance[()] > chance.get(names, 0.0):
         candidates[names] = null._replace(names=names,
                                           variants=tuple(found[name] for name in names))
     return weighed._replace(candidates=candidates, probability=chance | {

@@ -50,7 +50,7 @@ class Fitted(NamedTuple):
         """Return the nominal parameters at a bound: 'low' or 'high', by field."""
         nominal = self.problem.group.nominal
         ratios = {free: self.record[free.field] / nominal[free.field] - 1.0
-                  for free in self.free if free.prior < math.inf}
+                  for free in self.free if free.scale == 'nominal' and free.prior < math.inf}
         if ratios:
             return {free.field: 'high' if ratio > 0.0 else 'low'
                     for free, ratio in ratios.items() if abs(ratio) > 2.0 * free.prior}
@@ -92,7 +92,7 @@ def _parameter(free: Free, group: Group, p: np.void) -> FreeParameter:
     scale = Scale.LOG if low > 0.0 and high > LOG_RANGE * low else Scale.LINEAR
     nominal, prior = float(group.nominal[free.field]), math.inf
     if free.prior < math.inf:
-        prior = free.prior * (abs(nominal) / (high - low) if scale is Scale.LINEAR
+        prior = free.prior * (abs(unit) / (high - low) if scale is Scale.LINEAR
                               else 1.0 / math.log(high / low))
     return FreeParameter(free.field, nominal, low, high, scale, prior)
 

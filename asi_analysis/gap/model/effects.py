@@ -31,7 +31,7 @@ class Free(NamedTuple):
     starts: tuple[float, ...]
     scale: str = ''
     unit: str = ''
-    prior: float = math.inf   # standard deviation about the nominal value, as a share of it
+    prior: float = math.inf   # standard deviation about the nominal value, in units of `scale`
 
 
 # Channels of a motion that the simulator predicts; as it was measured.

@@ -21,7 +21,9 @@ from asi_common.jit import FULL
 FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
     'start_flux', 'start_seal', 'start_position', 'start_velocity')
 MEMORIES = (FLUX, SEAL)
-WIDE = 3.0       # times the measured range: the bounds of position and velocity
+# Of the measured range: the bounds of position and velocity, and what a line through the first
+# samples, which other parts of the motion pass too, may miss (a standard deviation).
+WIDE, MISSED = 3.0, 0.3
 
 
 def with_start_fields(p: np.void, recordings: Sequence[Recording]) -> np.void:
@@ -47,8 +49,11 @@ def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequ
             own.append(Free(FLUX, -1.0, 1.0, (0.0,)))
         if 'force' in channels:
             own += [Free(SEAL, -1.0, 1.0, (0.0,))] if p['friction_model'] == FULL else []
-            own += [Free(POSITION, -WIDE, WIDE, (0.0,), 'position'),
-                    Free(VELOCITY, -WIDE, WIDE, (0.0,), 'velocity')] if recording.motion else []
+            motion = recording.motion
+            if motion is not None:
+                known = MISSED if motion.measured else math.inf
+                own += [Free(POSITION, -WIDE, WIDE, (0.0,), 'position', prior=known),
+                        Free(VELOCITY, -WIDE, WIDE, (0.0,), 'velocity', prior=MISSED)]
         found += [free._replace(field=of_recording(free.field, recording.number)) for free in own]
     return found
 
