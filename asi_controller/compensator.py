@@ -21,7 +21,7 @@ from asi_common.record import as_number, field_name, record_dtype
 from asi_controller.additions.hysteresis_inverse import follow
 from asi_controller.additions.integrator import integrate
 from asi_controller.additions.reference_model import approach, extrapolated, model_drive
-from asi_controller.additions.velocity_feedforward import compensation
+from asi_controller.additions.velocity_feedforward import advanced, compensation, followed
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
 from asi_controller.parameters import ADDITION_PARAMETERS, COMPENSATOR_PARAMETERS
@@ -59,6 +59,7 @@ COMPENSATOR_DTYPE = np.dtype([
     ('model_force', np.float64),                     # N, of the reference model
     ('model_delayed', np.float64),                   # N
     ('centre', np.float64),                          # N, of the hysteresis inverse
+    ('velocity', np.float64),                        # m/s, of the velocity feed-forward; NaN: off
 ])
 
 
@@ -159,14 +160,15 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     c['count'] = len(sections)
     c['sections'][:len(sections)] = sections
     c['lag'] = lag
-    c['fresh'] = REST
+    c['fresh'], c['velocity'] = REST, math.nan
     transfer = float(v['transfer_time'])
     c['bias_decay'] = math.exp(-1.0 / (rate_hz * transfer)) if transfer else 0.0
     c['period'] = 1.0 / rate_hz
     for parameter in ADDITION_PARAMETERS:
         c[field_name(parameter.name)] = as_number(parameter, v[parameter.name])
     if running is not None:
-        for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre'):
+        for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre',
+                     'velocity'):
             c[name] = running[name]
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
         if (np.array_equal(running['sections'], c['sections'])
@@ -213,8 +215,11 @@ def _beside(c, reference, measured, velocity):
     c.reference = reference
     command = c.feedforward * drive
     if c.velocity_feedforward_share > 0.0:
-        command += compensation(velocity, c.velocity_feedforward_share,
+        c.velocity = followed(c.velocity, velocity, c.velocity_feedforward_lead_time, c.period)
+        command += compensation(advanced(c.velocity, velocity), c.velocity_feedforward_share,
                                 c.velocity_feedforward_damping)
+    else:
+        c.velocity = math.nan
     if c.integrator_rate > 0.0:
         command += c.integral
     else:

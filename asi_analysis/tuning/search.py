@@ -40,6 +40,7 @@ RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
     'reference_model.lead_time': (0.0003, 0.001, 0.006),
     'reference_model.slope': (5e3, 2e4, 6e4),
     'velocity_feedforward.share': (0.05, 0.35, 1.0),
+    'velocity_feedforward.lead_time': (0.001, 0.01, 0.03),
     'saturation': (1200.0, 1400.0, 4000.0),
     'feedforward': (0.9, 0.97, 1.1),
 }

@@ -69,6 +69,21 @@ def test_velocity_is_compensated_in_proportion_and_by_all_of_it_at_most() -> Non
     assert ADDITIONS['velocity_feedforward'][0].high == 1.0
 
 
+def test_velocity_is_taken_ahead_by_the_lead_time() -> None:
+    values = BARE | {'velocity_feedforward.share': 1.0, 'velocity_feedforward.damping': 1.0,
+                     'velocity_feedforward.lead_time': 0.01}
+    c = compensator(values, RATE)
+    ramp = 2.0 * np.arange(200) / RATE   # m/s, of 2 m/s2
+    found = [compensate(c, 0.0, 0.0, velocity) for velocity in ramp]
+    assert found[-1] - ramp[-1] == pytest.approx(2.0 * 0.01, rel=0.1)
+    # Off and on again it begins with the velocity of that time, measured or not before.
+    for share, velocity in ((0.0, np.nan), (1.0, 0.3)):
+        c = compensator({**values, 'velocity_feedforward.share': share, 'transfer_time': 0.0},
+                        RATE, c)
+        command = compensate(c, 0.0, 0.0, velocity)
+    assert command == pytest.approx(0.3)
+
+
 def test_reference_model_drives_a_lag_like_its_own_along_its_force_without_error() -> None:
     values: dict[str, Value] = {
         'gain': 5.0, 'reference_model.bandwidth': 100.0, 'reference_model.lag_frequency': 20.0,
