@@ -23,7 +23,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.viewing.link import LinkError
 from asi_analysis.viewing.processes import ask
 from asi_analysis.viewing.recent import drawn
-from asi_analysis.viewing.session import ACTUATOR, Session
+from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed
 
 HOST: Final = '127.0.0.1'
@@ -44,6 +44,8 @@ LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
 CHARTS: Final = {'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
                  'valve command (N)': {'command': 'command_n'}}
 LOOP: Final = 'valve position (µm) against valve command (N)'
+# Of the parameters without a block.
+GENERAL: Final = 'general'
 COLOURS: Final = ('#0072b2', '#d55e00')
 
 
@@ -228,22 +230,25 @@ def _parameters(session: Session) -> None:
     """Show the nodes' parameters, each block when it is opened."""
     panels = ui.column().classes('w-full')
     widgets: dict[tuple[str, str], Callable[[Any], None]] = {}
-    shown: set[str] = set()
+    known: dict[str, set[bytes]] = {}
 
     async def look() -> None:
-        for node in session.link.nodes():
-            if node not in shown:
-                shown.add(node)
-                try:
-                    await session.read(node)
-                except LinkError:
-                    shown.discard(node)
-                    continue
-                with panels:
+        for node, ids in session.link.nodes().items():
+            if known.get(node) == ids:
+                continue
+            try:
+                await session.read(node)
+            except LinkError:
+                continue
+            if node not in known:
+                with panels, ui.column().classes('w-full gap-0') as section:
                     _blocks(session, node, widgets)
+                if node == CONTROLLER:
+                    section.move(target_index=0)   # what is turned most
+            known[node] = ids
+        values = session.shown
         for (node, name), update in widgets.items():
-            if not (session.hidden and node == ACTUATOR and name in session.withheld()):
-                update(session.link.values[node][name])
+            update(values[node][name])
 
     ui.timer(REFRESH_S, look)
 
@@ -252,7 +257,7 @@ def _blocks(session: Session, node: str, widgets: dict) -> None:
     ui.label(node).classes('text-subtitle1')
     blocks: dict[str, list[str]] = {}
     for name in session.link.descriptors[node]:
-        blocks.setdefault(name.partition('.')[0] if '.' in name else 'general', []).append(name)
+        blocks.setdefault(name.partition('.')[0] if '.' in name else GENERAL, []).append(name)
     for block, names in blocks.items():
         with ui.expansion(block).classes('w-full').props('dense').mark(f'{node} {block}') as part:
             def fill(event: Any, part: ui.expansion = part, names: list[str] = names) -> None:
@@ -261,13 +266,13 @@ def _blocks(session: Session, node: str, widgets: dict) -> None:
                         for name in names:
                             widgets[node, name] = _widget(session, node, name)
             part.on_value_change(fill)
+            part.value = (node, block) == (CONTROLLER, GENERAL)
 
 
 def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
     """Show one parameter; return the function that shows another value of it."""
     descriptor, value = session.link.descriptors[node][name], session.link.values[node][name]
-    shown = session.nominal[node][name] if (
-        session.hidden and node == ACTUATOR and name in session.withheld()) else value
+    shown = session.shown[node][name]
 
     async def given(new: Any) -> None:
         if not await _tried(session.change(node, name, new)):
@@ -289,6 +294,7 @@ def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
                      if field.value != str(session.link.values[node][name]) else None)
         if scale is not None:
             slider = ui.slider(min=0.0, max=1.0, step=0.002, value=scale.place(shown))
+            slider.props['aria-label'] = name
             slider.on('update:model-value', lambda event: given(scale.value(event.args)),
                       throttle=0.1, leading_events=False)
     field.classes('w-full').props('dense').mark(name)

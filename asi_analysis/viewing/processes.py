@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
@@ -49,6 +51,9 @@ async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str
     """
     if run is None:
         raise InputError('there is no recording yet: nothing is heard of joint_states')
+    if run.reference_n is not None:
+        # Before its first one the controller has none, and no sample of it is missing.
+        run = run[int(np.argmax(np.isfinite(run.reference_n))):]
     bag = free_directory(RUNS, 'live') / 'bag'
     bag.parent.mkdir(parents=True)
     await asyncio.to_thread(write_bag, run, bag, {
