@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ from asi_analysis.bags import bag_file
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange import text_file
+from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.qos import as_profile
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
@@ -137,6 +140,24 @@ def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'bag/metadata.yaml')
     with pytest.warns(InputWarning, match='metadata.yaml cannot be read'):
         assert len(read_bag(tmp_path / 'bag')) == 300
+    with pytest.warns(InputWarning, match='metadata.yaml cannot be read'):
+        assert preview(tmp_path / 'bag').samples == 300
+
+
+def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None:
+    np.savez(tmp_path / 'a.npz', force=np.arange(10.0))
+    with zipfile.ZipFile(tmp_path / 'a.npz', 'a') as archive:
+        archive.writestr('notes.txt', 'day 2')
+    assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
+
+
+def test_a_flipped_bit_of_an_exported_table_is_found(tmp_path: Path) -> None:
+    export(a_run(), tmp_path / 'a.parquet')
+    data = bytearray((tmp_path / 'a.parquet').read_bytes())
+    data[len(data) // 3] ^= 1
+    (tmp_path / 'b.parquet').write_bytes(data)
+    with pytest.raises(InputError, match='cannot be read'):
+        import_recording(tmp_path / 'b.parquet', [])
 
 
 def test_a_damaged_quality_of_service_is_said_and_replaced() -> None:
