@@ -51,7 +51,7 @@ COLOURS: Final = ('#0072b2', '#d55e00')
 
 def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     """
-    Serve the page until Ctrl-C.
+    Serve the page until Ctrl-C, a KeyboardInterrupt.
 
     simulate: start an actuator and a controller too. Raises InputError if the port is in use.
     """
@@ -71,8 +71,6 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     try:
         ui.run(lambda: page(session), host=HOST, port=port, title='asi live', reload=False,
                show=show, show_welcome_message=False, reconnect_timeout=RECONNECT_S)
-    except KeyboardInterrupt:
-        pass   # uvicorn has shut down, and raises it again
     finally:
         session.close()
 
