@@ -160,6 +160,16 @@ def test_a_flipped_bit_of_an_exported_table_is_found(tmp_path: Path) -> None:
         import_recording(tmp_path / 'b.parquet', [])
 
 
+@pytest.mark.parametrize('damaged', [
+    {'signals': {'reference': 'kN'}}, {'signals': 'N'}, {'signals': {'force': None}},
+    {'actuator': 5}, {'experiment': {'rate_hz': 'fast'}}])
+def test_metadata_of_another_form_are_left_out_with_a_warning(
+        damaged: dict[str, object], tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'bag', damaged)
+    with pytest.warns(InputWarning, match='cannot be used, and is left out'):
+        assert read_bag(tmp_path / 'bag').information == {}
+
+
 def test_a_damaged_quality_of_service_is_said_and_replaced() -> None:
     for damaged in ({}, {'depth': 'x'}, {'depth': 1, 'reliability': 'perhaps'}):
         with pytest.warns(InputWarning, match='cannot be read'):
