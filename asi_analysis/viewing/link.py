@@ -1,7 +1,6 @@
 """The live page's end of ROS: it hears the loop, and reads and sets parameters of its nodes."""
 
 import asyncio
-import os
 import threading
 import time
 from collections.abc import Mapping
@@ -25,10 +24,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from asi_analysis.viewing.recent import HEARD, Recent, Taken
 from asi_common.node.executor import LoopExecutor, Polled
-from asi_common.node.log_folder import choose_log_folder
 from asi_common.node.ros_parameters import OF_EVERY_NODE
 from asi_common.node.topics import message_class
 from asi_common.topics import TOPICS
+from asi_common.writable import choose_log_folder
 
 NAME: Final = 'asi_live'
 POLL_S: Final = 0.03
@@ -55,7 +54,7 @@ class Link:
         self.values: dict[str, dict[str, Any]] = {}
         self.descriptors: dict[str, dict[str, ParameterDescriptor]] = {}
         self.diagnostics: dict[str, tuple[int, str, float]] = {}
-        choose_log_folder(os.environ)
+        choose_log_folder()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = node = rclpy.create_node(

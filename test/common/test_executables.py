@@ -5,9 +5,13 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S, ROOT
+
+from asi_common.writable import choose_folder
 
 # The import of a node, as slow as can be.
 SLOW_IMPORT = """
@@ -80,7 +84,17 @@ def test_node_starts_where_no_home_can_be_written(ros_environment, tmp_path):
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, env={
         **given, 'PYTHONPATH': str(ROOT), 'HOME': '/proc/none', 'TMPDIR': str(tmp_path)})
     assert (result.returncode, result.stderr) == (0, '')
-    assert list(tmp_path.glob('*/log/*'))
+    assert list(tmp_path.glob('*/ros_log_dir/*'))
+
+
+def test_folder_that_cannot_be_written_is_replaced(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
+    monkeypatch.setenv('HOME', '/proc/none')
+    monkeypatch.setenv('MPLCONFIGDIR', '')
+    choose_folder('MPLCONFIGDIR', '~/.config/matplotlib')
+    assert Path(os.environ['MPLCONFIGDIR']).is_relative_to(tmp_path)
+    choose_folder('MPLCONFIGDIR', tmp_path / 'another')     # a folder that is given stays
+    assert not (tmp_path / 'another').exists()
 
 
 EXECUTABLES = re.findall(r"'(\w+) = ([\w.]+\.executables):(\w+)'",

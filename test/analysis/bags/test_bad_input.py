@@ -210,16 +210,18 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
                                        {'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
 def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[str, str]) -> None:
     folder = tmp_path / 'Prüf stand'
+    neither = os.fsdecode(b'n\xff')     # bytes that are no text
     folder.mkdir()
     write_bag(a_run(), folder / 'lauf ß')
     environment = {'PATH': os.environ['PATH'], 'PYTHONPATH': os.pathsep.join(sys.path)} | variables
     for words in (['export', folder / 'lauf ß', '--out', folder / 'ä ö.csv'],
-                  ['import', folder / 'ä ö.csv', '--out', folder / 'neu'],
-                  ['analyze', folder / 'neu']):
+                  ['import', folder / 'ä ö.csv', '--out', folder / neither],
+                  ['analyze', folder / neither]):
         done = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', *map(str, words)],
                               env=environment, capture_output=True, text=True, encoding='utf-8',
                               errors='replace', check=False, stdin=subprocess.DEVNULL)
         assert done.returncode == 0, done.stderr
+        assert all(line.startswith('asi: ') for line in done.stderr.splitlines()), done.stderr
 
 
 def test_what_a_library_says_in_several_lines_is_told_in_one():
