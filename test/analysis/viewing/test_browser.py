@@ -130,6 +130,7 @@ def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
                'the gain of the node')
     assert 1.0 < tab.shown_gain() < 100.0
     still = tab.colours(tmp_path / 'still.png')
+    tab.press('20 s')
     tab.press('Step')
     force, _ = CHARTS
     tab.wait_for_curves(lambda curves: last(curves[force]['force']) > 50.0 and all(
@@ -137,9 +138,13 @@ def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
     curves = tab.page.evaluate(CURVES)
     assert last(curves[force]['reference']) == 150.0
     assert last(curves[LOOP]['valve']) > 1.0   # um
-    # A picture of the page: lines of both colours are drawn.
-    stepped = tab.colours(tmp_path / 'step.png')
-    assert all(stepped[colour] > 100 + still[colour] for colour in COLOURS)
+
+    def drawn() -> bool:
+        """Take a picture of the page: whether there are lines of both colours."""
+        stepped = tab.colours(tmp_path / 'step.png')
+        return all(stepped[colour] > 100 + still[colour] for colour in COLOURS)
+
+    wait_until(drawn, 'the lines of the step')
     tab.press('Hide one')
     tab.wait_for('one effect is hidden')
     tab.press('How well?')
