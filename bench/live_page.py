@@ -35,12 +35,22 @@ LOSSES: Final = ('asi_actuator: loop', 'asi_controller: loop')
 ALONE, SERVED, SHOWN = 'no page', 'asi live, no tab', f'asi live, {TABS} tabs'
 
 
-def serve(running: contextlib.ExitStack) -> str:
-    """Start the page's process; return its address once it answers."""
+def free_port() -> int:
+    """Return a port that nobody uses now."""
     with socket.socket() as free:
         free.bind(('127.0.0.1', 0))
-        port = free.getsockname()[1]
+        return int(free.getsockname()[1])
+
+
+def serve(running: contextlib.ExitStack) -> str:
+    """Start the page's process; return its address once it answers."""
+    port = free_port()
     running.enter_context(process('asi_analysis.cli', 'live', '--no-browser', '--port', str(port)))
+    return address_of(port)
+
+
+def address_of(port: int) -> str:
+    """Return the address of a page on this machine, once it answers."""
     end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:
         with socket.socket() as probe:
