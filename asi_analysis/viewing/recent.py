@@ -1,6 +1,7 @@
 """The last seconds of a running loop, as a `Run`, and as few points as a screen can show."""
 
 import threading
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -71,12 +72,12 @@ class Recent:
             return None
         states = parts.pop('joint_states')
         begin_ns = _last_ns(states[-1]) - seconds * 1e9
-        shown = _joined([part for part in states if _last_ns(part) >= begin_ns])
+        shown = _joined(states[bisect_left(states, begin_ns, key=_last_ns):])
         series = {'joint_states': shown}
         for name, each in parts.items():
             # The reference of before may still hold.
-            before = sum(_last_ns(part) < (shown.stamp_ns if part.stamp_ns.any()
-                                           else shown.publish_ns)[0] for part in each)
+            times = shown.stamp_ns if each[-1].stamp_ns.any() else shown.publish_ns
+            before = bisect_left(each, times[0], key=_last_ns)
             series[name] = _joined(each[max(0, before - 1):])
         run = assemble(series, [], 'live', dict(information or {}))
         first = np.searchsorted(run.time_s, run.time_s[-1] - seconds)
