@@ -5,6 +5,7 @@ One process serves the page on 127.0.0.1 and hears the loop over DDS; it loads n
 network.
 """
 
+import asyncio
 import contextlib
 import os
 import random
@@ -121,9 +122,12 @@ def _charts(session: Session, rate: ui.label) -> None:
                 every = slice(None, None, -(-len(run) // (2 * BINS)))
                 _show(loop, [np.column_stack([run.command_n[every],
                                               1e6 * run.valve_position_m[every]])])
-        # The next frame when the browser has this one: a slow one would lag more and more.
+        # The next frame when the browser has this one: a slow one would lag more and more. It
+        # rests for as long, as the loop may run on the same processor.
+        asked_s = time.monotonic()
         with contextlib.suppress(TimeoutError):
             await ui.run_javascript('0', timeout=SLOWEST_S)
+        await asyncio.sleep(time.monotonic() - asked_s)
         counted += 1
         if (passed_s := time.monotonic() - began_s) > 1.0:
             states_hz, share = session.link.recent.rate()

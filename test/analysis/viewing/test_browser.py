@@ -140,9 +140,9 @@ def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
     assert last(curves[LOOP]['valve']) > 1.0   # um
 
     def drawn() -> bool:
-        """Take a picture of the page: whether there are lines of both colours."""
-        stepped = tab.colours(tmp_path / 'step.png')
-        return all(stepped[colour] > 100 + still[colour] for colour in COLOURS)
+        """Take a picture of the page: whether there are lines of both colours, one of them new."""
+        stepped, (force, reference) = tab.colours(tmp_path / 'step.png'), COLOURS
+        return stepped[force] > 500 and stepped[reference] > 100 + still[reference]
 
     wait_until(drawn, 'the lines of the step')
     tab.press('Hide one')
