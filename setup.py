@@ -64,7 +64,8 @@ setup(
         'docs': ['sphinx>=8', 'myst-nb>=1.2', 'furo', 'sphinxcontrib-mermaid>=1.0'],
         'test': ['pytest', 'pytest-timeout', 'pytest-xdist>=3.5', 'hypothesis', 'control',
                  'colcon-common-extensions', 'ruff', 'mypy', 'import-linter>=2.0',
-                 'types-PyYAML', 'dask', 'distributed', 'pandas>=2.0', 'nicegui>=3.18'],
+                 'types-PyYAML', 'dask', 'distributed', 'pandas>=2.0', 'nicegui>=3.18',
+                 'playwright>=1.65'],   # the live page in Chromium, where there is one
     },
     zip_safe=True,
     maintainer='asi_actuator maintainers',

@@ -70,7 +70,7 @@ def _places() -> Iterator[Path]:
         yield Path(home) / '.cache' / 'numba'
 
 
-def _temporary() -> Path:
+def temporary_folder() -> Path:
     """
     Return a temporary folder that only this user can write, as code is run from it.
 
@@ -135,7 +135,7 @@ def cache_folder() -> Path | None:
             return place / name / this
     advice = 'set NUMBA_CACHE_DIR to a folder that can be written'
     try:
-        folder = _temporary() / name / this
+        folder = temporary_folder() / name / this
         if _locked(folder):
             warnings.warn(f'compiled code is kept in {folder}: {advice}', stacklevel=2)
             return folder

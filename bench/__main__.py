@@ -26,8 +26,8 @@ from bench.result import Result, show
 ROOT: Final = Path(__file__).parents[1]
 # Results of the last run of each, so that one alone can be run again.
 LAST: Final = ROOT / 'build' / 'bench.json'
-MODULES: Final = ('model_speed', 'rivals', 'many_runs', 'loop_rate', 'recording',
-                  'analysis_speed', 'start_up', 'cluster_speed', 'can_cost')
+MODULES: Final = ('model_speed', 'rivals', 'many_runs', 'loop_rate', 'live_page',
+                  'recording', 'analysis_speed', 'start_up', 'cluster_speed', 'can_cost')
 PACKAGES: Final = ('ros-jazzy-rclpy', 'numpy', 'numba', 'llvmlite', 'scipy', 'control', 'mujoco',
                    'rosbags', 'mcap', 'joblib', 'distributed')
 

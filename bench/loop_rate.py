@@ -96,7 +96,8 @@ class Listener:
         for status in message.status:
             values = {value.key: value.value for value in status.values}
             self.values[status.name] = values
-            if status.name == 'asi_actuator: loop' and status.message == 'running':
+            # On a busy machine the message is a warning.
+            if status.name == 'asi_actuator: loop' and int(values['ticks']) > 0:
                 self.ticks.append((time.perf_counter(), int(values['ticks'])))
 
     def run(self, seconds: float) -> None:

@@ -1,12 +1,17 @@
 """What is shipped for an installation fits setup.py: the lock file, pixi.toml, the container."""
 
 import json
+import os
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import requires, version
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
 from conftest import ROOT
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -56,3 +61,35 @@ def test_the_container_installs_what_the_readme_says() -> None:
     pip, = re.findall(r'^pip install (mcap .+)$', readme, re.M)
     assert f'pip install {pip}' in container['onCreateCommand']
     assert 'colcon build --packages-select asi_actuator' in container['postCreateCommand']
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='make is not installed')
+def test_make_takes_the_python_that_is_named_or_stops(tmp_path: Path) -> None:
+    for name in ('Makefile', 'setup.py', 'setup.cfg', 'pyproject.toml'):
+        shutil.copy(ROOT / name, tmp_path)
+    (tmp_path / '.venv/bin').mkdir(parents=True)
+    (tmp_path / '.venv/bin/python').symlink_to(sys.executable)
+    (tmp_path / '.venv/installed').touch()
+    other = tmp_path / 'python'
+    other.write_text('#!/bin/sh\necho "(3, 99)"\n')
+    other.chmod(0o755)
+    results = [subprocess.run(['make', 'setup', f'PYTHON={python}'], cwd=tmp_path,
+                              capture_output=True, text=True, env={'PATH': os.environ['PATH']})
+               for python in (sys.executable, other)]
+    assert [result.returncode for result in results] == [0, 2], results
+    assert 'was made with another version' in results[1].stderr
+
+
+def test_one_benchmark_alone_leaves_the_page_of_all(tmp_path: Path, capsys: pytest.CaptureFixture,
+                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    from bench import __main__ as bench
+    pages: list[object] = []
+    monkeypatch.setattr(bench, 'LAST', tmp_path / 'build/bench.json')
+    monkeypatch.setattr(bench, 'run', lambda name, quick: {'name': name})
+    monkeypatch.setattr(bench, 'write_page', lambda results, folder: pages.append(results))
+    for name in bench.MODULES:
+        assert pages == []
+        monkeypatch.setattr(sys, 'argv', ['bench', name])
+        bench.main()
+    assert len(pages) == 1
+    assert 'the page is not written' in capsys.readouterr().err

@@ -53,6 +53,10 @@ def test_foxglove_shows_each_panel_of_its_layout_once() -> None:
         return [tree] if isinstance(tree, str) else panels(tree['first']) + panels(tree['second'])
 
     assert sorted(panels(layout['layout'])) == sorted(layout['configById'])
+    # The key of a title in Foxglove, and in Lichtblick.
+    titles = [{each.get(f'{viewer}PanelTitle') for viewer in ('foxglove', 'lichtblick')}
+              for name, each in layout['configById'].items() if name.startswith('Plot!')]
+    assert all(len(title) == 1 and None not in title for title in titles)
     assert layout['configById']['DiagnosticSummary!health']['topicToRender'] in TOPICS
 
 

@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from asi_common.node.executor import LoopExecutor
+from asi_common.writable import choose_log_folder
 
 ROOT: Final = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / 'test'))
@@ -82,6 +83,7 @@ class Rig:
         folder.mkdir(parents=True)
         self.folder, self.random = folder, random
         self._started: list[NodeProcess] = []
+        choose_log_folder()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.node: Node = rclpy.create_node('torture')
         self._executor = LoopExecutor()

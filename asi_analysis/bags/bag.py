@@ -20,6 +20,7 @@ from asi_analysis.bags.encoding import (
     signal_paths,
     topic_values,
 )
+from asi_analysis.bags.information import checked
 from asi_analysis.bags.run import SIGNALS, Array, Run, StateChange
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.topics import JOINTS, TOPICS
@@ -88,9 +89,11 @@ def read_bag(path: str | Path) -> Run:
     if not series:
         why = f' ({problems[0]})' if problems else ''
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
+    information = checked(contents.information, problems, str(path))
+    problems += _standing_stamps(series, str(path))
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
-    return assemble(series, changes, str(path), contents.information)
+    return assemble(series, changes, str(path), information)
 
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
@@ -229,6 +232,14 @@ def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]
     states = tuple(change._replace(time_s=(stamp_ns - int(base.stamp_ns[0])) / 1e9)
                    for stamp_ns, change in changes)
     return replace(Run(time_s, source=source, information=information, states=states), **signals)
+
+
+def _standing_stamps(series: Mapping[str, Series], source: str) -> list[str]:
+    """Return a sentence for each topic of which most messages repeat the stamp of another."""
+    return [f'{source}: {len(one.stamp_ns)} messages of {name} have '
+            f'{len(np.unique(one.stamp_ns))} different stamps: their times are wrong'
+            for name, one in series.items()
+            if one.stamp_ns.any() and len(np.unique(one.stamp_ns)) < 0.5 * len(one.stamp_ns)]
 
 
 def time_base(series: Series, source: str) -> Series:

@@ -173,10 +173,7 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
             raise InputError(f'{path} is empty: expected a .mcap or .db3 file')
         return [path]
     try:
-        metadata = path / 'metadata.yaml'
-        if metadata.exists() and not (metadata.is_file()
-                                      and metadata.stat().st_size <= MOST_METADATA):
-            raise ValueError
+        metadata = with_a_file_as_metadata(path) / 'metadata.yaml'
         described = yaml.safe_load(metadata.read_text(encoding='utf-8'))
         described = described['rosbag2_bagfile_information']
         if described['storage_identifier'] != 'mcap' or described.get('compression_mode'):
@@ -195,6 +192,15 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
         raise InputError(f'{path} is not a bag: expected a rosbag2 directory with a .mcap or .db3 '
                          'file that is not empty')
     return present
+
+
+def with_a_file_as_metadata(path: Path) -> Path:
+    """Return the path of a bag, if its metadata.yaml is no pipe nor too large; else ValueError."""
+    metadata = path / 'metadata.yaml'
+    if metadata.exists() and not (metadata.is_file()
+                                  and metadata.stat().st_size <= MOST_METADATA):
+        raise ValueError(f'{metadata} is not a file of at most {MOST_METADATA} bytes')
+    return path
 
 
 def _number(file: Path) -> tuple[int, str]:
@@ -418,7 +424,7 @@ def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Conten
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
             left -= len(_unzipped(packed, left))
-    with Reader(path) as reader:
+    with Reader(with_a_file_as_metadata(path)) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
             topic = contents.topics.setdefault(connection.topic,

@@ -5,9 +5,11 @@ Modules are imported when a command needs them. A new command is one function wi
 module of its group; exceptions become exit statuses (see `main`).
 """
 
+import io
 import os
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -21,6 +23,7 @@ from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning, viewing  # 
 from asi_analysis.cli.interrupt import end_while_compiling
 from asi_analysis.cli.options import app as app
 from asi_analysis.errors import InputError
+from asi_common.writable import choose_folder
 
 
 def main() -> int:
@@ -31,6 +34,11 @@ def main() -> int:
     cannot be read or written), with one line on stderr; 130: Ctrl-C.
     """
     end_while_compiling()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):    # a file name may be no text
+            stream.reconfigure(errors='backslashreplace')
+    choose_folder('MPLCONFIGDIR', Path(os.environ.get('XDG_CONFIG_HOME') or '~/.config')
+                  / 'matplotlib')
     warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
     # Typer brings its own copy of click; this is its ClickException.
     click_exception: Any = typer.BadParameter.__mro__[2]

@@ -224,6 +224,7 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
     from rclpy.signals import SignalHandlerOptions
 
     from asi_common.node.diagnostics import LOOP
+    from asi_common.writable import choose_log_folder
 
     last = ActuatorStatus()
 
@@ -235,6 +236,7 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
                 last = ActuatorStatus(int(values.get('ticks', 0)), values.get('state', ''),
                                       status.message)
 
+    choose_log_folder()
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
                signal_handler_options=SignalHandlerOptions.NO)

@@ -24,13 +24,13 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float | 
     """
     if input_.size < 3:
         return None
-    found = [_largest_correlation(a, b) for a, b in (
+    found = [largest_correlation(a, b) for a, b in (
         (input_, output), (np.diff(input_), np.diff(output)))]
     coefficient, lag = max(found)
     return lag * period_s if coefficient > LEAST_CORRELATION else None
 
 
-def _largest_correlation(a: Array, b: Array) -> tuple[float, float]:
+def largest_correlation(a: Array, b: Array) -> tuple[float, float]:
     """Return the largest correlation coefficient over the lags of `b`, and its lag in samples."""
     most = a.size // 2
     lags = np.arange(-most, most + 1)

@@ -14,7 +14,8 @@ from scipy import ndimage
 
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.correlation import correlation_delay
+from asi_analysis.measures.breaks import frozen, jumps
+from asi_analysis.measures.correlation import correlation_delay, largest_correlation
 
 Array = npt.NDArray[np.float64]
 Interval = tuple[float, float]
@@ -41,13 +42,17 @@ SPIKE_SHARE: Final = 0.2
 NOTED_LEVELS: Final = 100
 FEWEST_LEVELS: Final = 25
 # Ratio of the standard deviations of a controlled signal and its reference from which on (or below
-# the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED.
+# the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
+# in any case. Below SAME_SIZE the signal does not follow, and is not compared further.
 UNIT_FACTOR: Final = 100.0
+SAME_SIZE: Final = 0.3
 CORRELATED: Final = 0.7
 # Samples by which an output that comes before its reference does so clearly, if without the shift
 # their correlation is below this share of that with it.
 EARLY_SAMPLES: Final = 3
 CLEARLY: Final = 0.8
+# Share of a run by which an output may be early, or within which one of the wrong sign answers.
+SOON: Final = 0.1
 # Largest share of its change that an output may make before the reference changes.
 BEFORE: Final = 0.3
 # Samples of an even grid for each recorded one, beyond which a run comes in bursts.
@@ -61,7 +66,7 @@ LISTED: Final = 20
 class Finding(NamedTuple):
     """A defect of the samples of a signal."""
 
-    kind: str       # gap, clock_step, time_order, jitter, missing, clipping, spike, ...
+    kind: str       # gap, clock_step, time_order, jitter, missing, clipping, spike, jump, ...
     signal: str     # of the run, or 'time'
     severity: str   # doubtful: figures from these samples are; note: no figure is affected
     intervals_s: tuple[Interval, ...]
@@ -199,16 +204,18 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         yield Finding('missing', name, DOUBTFUL, missing,
                       f'{int(inside.sum())} of {len(values)} samples of the {_words(name)} are '
                       f'missing {_where(missing)}')
-    if name in ('reference', 'command') or len(present) < 10:
+    if name == 'command' or len(present) < 10:
         return
     time, values = run.time_s[present], values[present]
     unit = run.unit(name)
-    spikes = _spikes(values)
+    spikes = np.isnan(without_spikes(values)) if name == 'reference' else _spikes(values)
     if spikes.any():
         where = _sample_intervals(time, spikes)
         yield Finding('spike', name, DOUBTFUL, where,
                       f'the {_words(name)} has {len(where)} spikes of one or two samples, up to '
                       f'{np.abs(values[spikes]).max():.4g} {unit} {_where(where)}')
+    if name == 'reference':
+        return
     for part, limit, word in zip(_clipped(values[~spikes]), _ends(values[~spikes]),
                                  ('smallest', 'largest'), strict=True):
         if part.any():
@@ -244,11 +251,20 @@ def _of_reference(run: Run) -> Iterator[Finding]:
     reference_sd, output_sd = float(np.std(reference)), float(np.std(values))
     ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
     if not 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
-        if abs(np.corrcoef(reference, values)[0, 1]) > CORRELATED:
+        if ratio > UNIT_FACTOR ** 2 or abs(np.corrcoef(reference, values)[0, 1]) > CORRELATED:
             yield Finding('unit', name, DOUBTFUL, whole,
                           f'the {_words(name)} moves {ratio:.3g} times as far as its '
                           'reference: is its unit right?')
             return
+    if ratio < SAME_SIZE:
+        return
+    against, lag = largest_correlation(reference, -values)
+    if against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
+            largest_correlation(reference, values)[0] < CLEARLY * against):
+        yield Finding('sign', name, DOUBTFUL, whole,
+                      f'the {_words(name)} moves against its reference: is its sign right?')
+        return
+    yield from _of_continuity(run, name, time, reference, values)
     early = _answered_before(time, reference, values)
     if early:
         yield Finding('order', name, DOUBTFUL, early,
@@ -263,11 +279,24 @@ def _of_reference(run: Run) -> Iterator[Finding]:
                       'together')
 
 
+def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: Array
+                   ) -> Iterator[Finding]:
+    spikes = _spikes(values)
+    time, reference, values = time[~spikes], reference[~spikes], values[~spikes]
+    for kind, parts, word in (
+            ('jump', jumps(reference, values), 'jumps from one sample to the next'),
+            ('frozen', frozen(values), 'stands still while it should move')):
+        if parts:
+            where = tuple((float(time[first]), float(time[last])) for first, last in parts)
+            yield Finding(kind, name, DOUBTFUL, where,
+                          f'the {_words(name)} {word} {_where(where)}')
+
+
 def _lead(reference: Array, values: Array) -> int:
     """Return by how many samples a signal clearly comes before its reference, 0 if it does not."""
     lag = correlation_delay(reference, values, 1.0)
     lead = 0 if lag is None else round(-lag)
-    if lead < EARLY_SAMPLES:
+    if not EARLY_SAMPLES <= lead < SOON * len(values):
         return 0
     now = np.corrcoef(reference, values)[0, 1]
     shifted = np.corrcoef(reference[lead:], values[:-lead])[0, 1]
@@ -297,9 +326,16 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
     return tuple(found)
 
 
+def without_spikes(reference: Array) -> Array:
+    """Return a reference of n samples, NaN where it has spikes; it may jump at its ends."""
+    spikes = _spikes(reference)
+    spikes[[0, -1]] = False
+    return np.where(spikes, np.nan, reference)
+
+
 def _spikes(values: Array) -> npt.NDArray[np.bool_]:
     """Return which samples are spikes: one or two that differ from their neighbours."""
-    smooth = ndimage.median_filter(values, 5, mode='nearest')
+    smooth = ndimage.median_filter(values, 5, mode='mirror')
     deviation = np.abs(values - smooth)
     large = deviation > max(SPIKE * float(np.quantile(deviation, 0.9)),
                             SPIKE_SHARE * float(np.ptp(smooth)))

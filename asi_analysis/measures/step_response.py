@@ -16,7 +16,7 @@ from scipy import signal
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.quality import LOSSES, Finding, findings, trust
+from asi_analysis.measures.quality import LOSSES, Finding, findings, trust, without_spikes
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # The mean over this share of the time after a step, at its end, is the steady-state force.
@@ -215,6 +215,11 @@ def hold_last(values: Array) -> Array:
     return values[np.maximum(last, np.argmax(known))]
 
 
+def _settings(reference: Array) -> Array:
+    """Return a reference without gaps and spikes."""
+    return hold_last(without_spikes(hold_last(reference)))
+
+
 def step_responses(run: Run, signal: str | None = None) -> list[Step]:
     """
     Return the response to each step of the reference of a run, in order of time.
@@ -226,7 +231,7 @@ def step_responses(run: Run, signal: str | None = None) -> list[Step]:
     output = run.followed(signal)
     if run.reference_n is None or output is None:
         return []
-    reference, words = hold_last(run.reference_n), run.controlled()
+    reference, words = _settings(run.reference_n), run.controlled()
     return [_measure(run.time_s, reference, output, jump, words) for jump in _jumps(reference)]
 
 
@@ -241,6 +246,8 @@ HEADLINE: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'set
 
 
 TRANSIENT: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'settling_time_5_s')
+# A response that stays in its band for this multiple of the settling time does not leave it again.
+RETURNS: Final = 2.0
 # Largest share of missing samples in the steady part.
 LOST_SHARE: Final = 0.1
 
@@ -302,15 +309,16 @@ def _why_no_step(run: Run, name: str) -> str:
 def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
                 reliable: dict[float, dict[str, bool]]) -> Step:
     """Return a step without figures that rest on doubtful samples; fill `reliable`."""
-    time, reference = run.time_s, hold_last(run.signal('reference'))
+    time, reference = run.time_s, _settings(run.signal('reference'))
     first = int(np.searchsorted(time, step.time_s, side='right')) - 1
     changed = np.flatnonzero(np.abs(reference[first:] - step.final_n)
                              > 0.02 * abs(step.final_n - step.initial_n))
     end = float(time[first + changed[0] - 1] if changed.size else time[-1])
     settled = step.settling_time_2_s or step.settling_time_5_s
     signals = (name, 'reference')
+    # Lost samples soon after the response has entered the band may have left it again.
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
-                   min(step.time_s + settled, end) if settled else end)
+                   min(step.time_s + RETURNS * settled, end) if settled else end)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), end, LOST_SHARE)
     # Findings other than lost samples affect the levels, and so every figure.
     begin = step.time_s - STEADY_SHARE * (end - step.time_s)

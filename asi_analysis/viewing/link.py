@@ -27,6 +27,7 @@ from asi_common.node.executor import LoopExecutor, Polled
 from asi_common.node.ros_parameters import OF_EVERY_NODE
 from asi_common.node.topics import message_class
 from asi_common.topics import TOPICS
+from asi_common.writable import choose_log_folder
 
 NAME: Final = 'asi_live'
 POLL_S: Final = 0.03
@@ -53,6 +54,7 @@ class Link:
         self.values: dict[str, dict[str, Any]] = {}
         self.descriptors: dict[str, dict[str, ParameterDescriptor]] = {}
         self.diagnostics: dict[str, tuple[int, str, float]] = {}
+        choose_log_folder()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = node = rclpy.create_node(
@@ -79,14 +81,22 @@ class Link:
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def nodes(self) -> list[str]:
-        """Return the names of the other nodes in this namespace that have parameters."""
+    def nodes(self) -> dict[str, set[bytes]]:
+        """
+        Return the other nodes in this namespace that have parameters, by name.
+
+        With the ids of their publishers of parameter events: a node that was started again has
+        another one.
+        """
         own = self._node.get_namespace()
         served = {name for name, types in self._node.get_service_names_and_types()
                   if 'rcl_interfaces/srv/ListParameters' in types}
-        return sorted(name for name, space in self._node.get_node_names_and_namespaces()
-                      if space == own and name != NAME and not name.startswith('_')
-                      and f'{space.rstrip("/")}/{name}/list_parameters' in served)
+        found: dict[str, set[bytes]] = {}
+        for each in self._node.get_publishers_info_by_topic('/parameter_events'):
+            if (each.node_namespace == own and each.node_name != NAME
+                    and f'{own.rstrip("/")}/{each.node_name}/list_parameters' in served):
+                found.setdefault(each.node_name, set()).add(bytes(each.endpoint_gid))
+        return dict(sorted(found.items()))
 
     async def read(self, node: str) -> None:
         """Read all parameters of a node and their descriptors. Raises LinkError."""

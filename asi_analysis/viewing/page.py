@@ -5,6 +5,7 @@ One process serves the page on 127.0.0.1 and hears the loop over DDS; it loads n
 network.
 """
 
+import asyncio
 import contextlib
 import os
 import random
@@ -23,7 +24,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.viewing.link import LinkError
 from asi_analysis.viewing.processes import ask
 from asi_analysis.viewing.recent import drawn
-from asi_analysis.viewing.session import ACTUATOR, Session
+from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed
 
 HOST: Final = '127.0.0.1'
@@ -44,12 +45,14 @@ LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
 CHARTS: Final = {'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
                  'valve command (N)': {'command': 'command_n'}}
 LOOP: Final = 'valve position (µm) against valve command (N)'
+# Of the parameters without a block.
+GENERAL: Final = 'general'
 COLOURS: Final = ('#0072b2', '#d55e00')
 
 
 def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     """
-    Serve the page until Ctrl-C.
+    Serve the page until Ctrl-C, a KeyboardInterrupt.
 
     simulate: start an actuator and a controller too. Raises InputError if the port is in use.
     """
@@ -69,8 +72,6 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     try:
         ui.run(lambda: page(session), host=HOST, port=port, title='asi live', reload=False,
                show=show, show_welcome_message=False, reconnect_timeout=RECONNECT_S)
-    except KeyboardInterrupt:
-        pass   # uvicorn has shut down, and raises it again
     finally:
         session.close()
 
@@ -121,9 +122,12 @@ def _charts(session: Session, rate: ui.label) -> None:
                 every = slice(None, None, -(-len(run) // (2 * BINS)))
                 _show(loop, [np.column_stack([run.command_n[every],
                                               1e6 * run.valve_position_m[every]])])
-        # The next frame when the browser has this one: a slow one would lag more and more.
+        # The next frame when the browser has this one: a slow one would lag more and more. It
+        # rests for as long, as the loop may run on the same processor.
+        asked_s = time.monotonic()
         with contextlib.suppress(TimeoutError):
             await ui.run_javascript('0', timeout=SLOWEST_S)
+        await asyncio.sleep(time.monotonic() - asked_s)
         counted += 1
         if (passed_s := time.monotonic() - began_s) > 1.0:
             states_hz, share = session.link.recent.rate()
@@ -228,22 +232,25 @@ def _parameters(session: Session) -> None:
     """Show the nodes' parameters, each block when it is opened."""
     panels = ui.column().classes('w-full')
     widgets: dict[tuple[str, str], Callable[[Any], None]] = {}
-    shown: set[str] = set()
+    known: dict[str, set[bytes]] = {}
 
     async def look() -> None:
-        for node in session.link.nodes():
-            if node not in shown:
-                shown.add(node)
-                try:
-                    await session.read(node)
-                except LinkError:
-                    shown.discard(node)
-                    continue
-                with panels:
+        for node, ids in session.link.nodes().items():
+            if known.get(node) == ids:
+                continue
+            try:
+                await session.read(node)
+            except LinkError:
+                continue
+            if node not in known:
+                with panels, ui.column().classes('w-full gap-0') as section:
                     _blocks(session, node, widgets)
+                if node == CONTROLLER:
+                    section.move(target_index=0)   # what is turned most
+            known[node] = ids
+        values = session.shown
         for (node, name), update in widgets.items():
-            if not (session.hidden and node == ACTUATOR and name in session.withheld()):
-                update(session.link.values[node][name])
+            update(values[node][name])
 
     ui.timer(REFRESH_S, look)
 
@@ -252,7 +259,7 @@ def _blocks(session: Session, node: str, widgets: dict) -> None:
     ui.label(node).classes('text-subtitle1')
     blocks: dict[str, list[str]] = {}
     for name in session.link.descriptors[node]:
-        blocks.setdefault(name.partition('.')[0] if '.' in name else 'general', []).append(name)
+        blocks.setdefault(name.partition('.')[0] if '.' in name else GENERAL, []).append(name)
     for block, names in blocks.items():
         with ui.expansion(block).classes('w-full').props('dense').mark(f'{node} {block}') as part:
             def fill(event: Any, part: ui.expansion = part, names: list[str] = names) -> None:
@@ -261,13 +268,13 @@ def _blocks(session: Session, node: str, widgets: dict) -> None:
                         for name in names:
                             widgets[node, name] = _widget(session, node, name)
             part.on_value_change(fill)
+            part.value = (node, block) == (CONTROLLER, GENERAL)
 
 
 def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
     """Show one parameter; return the function that shows another value of it."""
     descriptor, value = session.link.descriptors[node][name], session.link.values[node][name]
-    shown = session.nominal[node][name] if (
-        session.hidden and node == ACTUATOR and name in session.withheld()) else value
+    shown = session.shown[node][name]
 
     async def given(new: Any) -> None:
         if not await _tried(session.change(node, name, new)):
@@ -289,6 +296,7 @@ def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
                      if field.value != str(session.link.values[node][name]) else None)
         if scale is not None:
             slider = ui.slider(min=0.0, max=1.0, step=0.002, value=scale.place(shown))
+            slider.props['aria-label'] = name
             slider.on('update:model-value', lambda event: given(scale.value(event.args)),
                       throttle=0.1, leading_events=False)
     field.classes('w-full').props('dense').mark(name)

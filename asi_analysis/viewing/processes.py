@@ -9,12 +9,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.experiments.running import MODULES, PATIENCE_S, end_with_parent, free_directory
+from asi_analysis.experiments.running import PATIENCE_S, end_with_parent, free_directory
 
 RUNS: Final = Path('runs')
+# As `ros2 run` starts them; they end quietly at any time.
+EXECUTABLES: Final = {'actuator': 'asi_actuator.executables',
+                      'controller': 'asi_controller.executables',
+                      'recorder': 'asi_analysis.bags.nodes.executables'}
 # What is asked shares the machine with the loop, and comes second.
 NICE: Final = 10
 
@@ -27,7 +33,8 @@ class NodeProcess:
         given = [part for key, value in parameters.items() for part in ('-p', f'{key}:={value}')]
         space = ['-r', f'__ns:={namespace}', '-r', '/clock:=clock'] if namespace else []
         self.process = subprocess.Popen(
-            [sys.executable, '-m', MODULES[name], '--ros-args', *given, *space],
+            [sys.executable, '-c', f'import sys; from {EXECUTABLES[name]} import {name}; '
+             f'sys.exit({name}())', '--ros-args', *given, *space],
             stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent)
 
     def stop(self) -> None:
@@ -49,6 +56,9 @@ async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str
     """
     if run is None:
         raise InputError('there is no recording yet: nothing is heard of joint_states')
+    if run.reference_n is not None:
+        # Before its first one the controller has none, and no sample of it is missing.
+        run = run[int(np.argmax(np.isfinite(run.reference_n))):]
     bag = free_directory(RUNS, 'live') / 'bag'
     bag.parent.mkdir(parents=True)
     await asyncio.to_thread(write_bag, run, bag, {

@@ -1,6 +1,7 @@
 """The last seconds of a running loop, as a `Run`, and as few points as a screen can show."""
 
 import threading
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -37,7 +38,11 @@ class Recent:
         self._number = 0
 
     def add(self, name: str, taken: Sequence[Taken]) -> None:
-        """Add messages of a topic; what came before an older stamp is of an earlier run."""
+        """
+        Add messages of a topic; what came before an older stamp is of an earlier run.
+
+        A state that is published again, as lock-step does when its answer was lost, counts once.
+        """
         topic = Topic(name, TOPICS[name].type)
         for each in taken:
             topic.add(0, each.publish_ns, each.data)
@@ -49,12 +54,14 @@ class Recent:
                 self.lost += int(np.maximum(np.diff(numbers) - 1, 0).sum())
                 self._number = taken[-1].number
                 known = self._parts[name]
-                if known and part.stamp_ns[0] < known[-1].stamp_ns[-1]:
+                steps = np.diff(part.stamp_ns, prepend=known[-1].stamp_ns[-1] if known else -1)
+                if steps[0] < 0:
                     self._parts = {each: [] for each in HEARD}
+                part = _of(part, (steps != 0) | (part.stamp_ns == 0))
             parts = self._parts[name]
-            parts.append(part)
-            while len(parts) > 1 and (
-                    parts[-1].stamp_ns[-1] - parts[0].stamp_ns[-1]) * 1e-9 > KEEP_S:
+            if len(part.stamp_ns):
+                parts.append(part)
+            while len(parts) > 1 and (_last_ns(parts[-1]) - _last_ns(parts[0])) * 1e-9 > KEEP_S:
                 parts.pop(0)
 
     def run(self, seconds: float, information: Mapping[str, Any] | None = None) -> Run | None:
@@ -63,13 +70,15 @@ class Recent:
             parts = {name: list(each) for name, each in self._parts.items() if each}
         if 'joint_states' not in parts:
             return None
-        begin_ns = parts['joint_states'][-1].stamp_ns[-1] - seconds * 1e9
-        series = {}
+        states = parts.pop('joint_states')
+        begin_ns = _last_ns(states[-1]) - seconds * 1e9
+        shown = _joined(states[bisect_left(states, begin_ns, key=_last_ns):])
+        series = {'joint_states': shown}
         for name, each in parts.items():
             # The reference of before may still hold.
-            first = max(0, sum(part.stamp_ns[-1] < begin_ns for part in each)
-                        - (name != 'joint_states'))
-            series[name] = _joined(each[first:] or each[-1:])
+            times = shown.stamp_ns if each[-1].stamp_ns.any() else shown.publish_ns
+            before = bisect_left(each, times[0], key=_last_ns)
+            series[name] = _joined(each[max(0, before - 1):])
         run = assemble(series, [], 'live', dict(information or {}))
         first = np.searchsorted(run.time_s, run.time_s[-1] - seconds)
         return run[first:] if len(run) > 1 else None
@@ -91,8 +100,17 @@ class Recent:
 def _since_start(part: Series) -> Series:
     """Return a part from the last time on at which the stamps go back: the loop began again."""
     k = int(np.append(np.flatnonzero(np.diff(part.stamp_ns) < 0), -1).max()) + 1
-    return Series(part.stamp_ns[k:], part.publish_ns[k:],
-                  {name: values[k:] for name, values in part.values.items()})
+    return _of(part, slice(k, None))
+
+
+def _last_ns(part: Series) -> int:
+    """Return the last stamp, or when it was published if there are none."""
+    return int((part.stamp_ns if part.stamp_ns.any() else part.publish_ns)[-1])
+
+
+def _of(part: Series, rows: npt.NDArray[np.intp] | slice) -> Series:
+    return Series(part.stamp_ns[rows], part.publish_ns[rows],
+                  {name: values[rows] for name, values in part.values.items()})
 
 
 def _joined(parts: Sequence[Series]) -> Series:

@@ -23,7 +23,7 @@ class Session:
     """
     The link to a loop, what was started beside it, and what the plant is meant to be.
 
-    nominal: parameters as the user has set them, by node; effect: the one that is on, '' for none.
+    effect: the one that is on, '' for none; withheld: its parameters, as they were before it.
     """
 
     def __init__(self, namespace: str = '', simulate: bool = False) -> None:
@@ -34,8 +34,8 @@ class Session:
         self.link = Link(self.namespace)
         self.recorder: NodeProcess | None = None
         self.bag = RUNS
-        self.nominal: dict[str, dict[str, Any]] = {}
         self._one_at_a_time = asyncio.Lock()
+        self.withheld: dict[str, Any] = {}
         self.effect = ''
         self.hidden = False
 
@@ -45,30 +45,38 @@ class Session:
         for node in [*([self.recorder] if self.recorder else []), *self.nodes]:
             node.stop()
 
+    @property
+    def nominal(self) -> dict[str, dict[str, Any]]:
+        """The parameters by node, those of the actuator without the effect."""
+        return {node: values | (self.withheld if node == ACTUATOR else {})
+                for node, values in self.link.values.items()}
+
+    @property
+    def shown(self) -> dict[str, dict[str, Any]]:
+        """The parameters by node; a hidden effect is not among them."""
+        return self.nominal if self.hidden else self.link.values
+
     async def read(self, node: str) -> None:
-        """Read a node's parameters; the first time they are what is meant to be."""
+        """Read a node's parameters; an actuator that was started again has no effect."""
         await self.link.read(node)
-        self.nominal.setdefault(node, dict(self.link.values[node]))
+        if node == ACTUATOR and self.withheld.items() <= self.link.values[node].items():
+            self.withheld, self.effect, self.hidden = {}, '', False
 
     async def change(self, node: str, name: str, value: Any) -> None:
         """Set a parameter because the user means it so."""
         await self.link.set(node, {name: value})
-        self.nominal.setdefault(node, {})[name] = value
+        if node == ACTUATOR and name in self.withheld:
+            self.withheld[name] = value
 
     async def inject(self, effect: str, hidden: bool) -> None:
         """Give the actuator an effect, in place of the last one; '' for none."""
         async with self._one_at_a_time:
-            if ACTUATOR not in self.nominal:
+            if ACTUATOR not in self.link.values:
                 await self.read(ACTUATOR)
-            values: dict[str, Value] = {
-                name: self.nominal[ACTUATOR][name] for name in self.withheld()}
-            await self.link.set(ACTUATOR,
-                                values | (dict(EFFECT[effect].example) if effect else {}))
-            self.effect, self.hidden = effect, hidden
-
-    def withheld(self) -> set[str]:
-        """Return the parameters of the effect that is on."""
-        return set(EFFECT[self.effect].example) if self.effect else set()
+            given: dict[str, Value] = dict(EFFECT[effect].example) if effect else {}
+            before = {name: self.nominal[ACTUATOR][name] for name in given}
+            await self.link.set(ACTUATOR, self.withheld | given)
+            self.withheld, self.effect, self.hidden = before, effect, hidden
 
     async def step(self, to_n: float) -> None:
         """Have the reference step from where it is."""
@@ -76,10 +84,9 @@ class Session:
         from_n = 0.0
         if run is not None and run.reference_n is not None:
             from_n = float(np.append(0.0, run.reference_n[np.isfinite(run.reference_n)])[-1])
-        values = {'reference.shape': 'step', 'reference.offset': from_n,
-                  'reference.amplitude': to_n - from_n}
-        await self.link.set(CONTROLLER, values)
-        self.nominal.setdefault(CONTROLLER, {}).update(values)
+        await self.link.set(CONTROLLER, {
+            'reference.shape': 'step', 'reference.offset': from_n,
+            'reference.amplitude': to_n - from_n})
 
     async def record(self) -> str:
         """Start the recorder, or end it; return what happened."""

@@ -25,6 +25,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from asi_common.parameter import ParameterError
+from asi_common.writable import choose_log_folder
 
 # How long services, parameters, unhurried timers and new entities may wait, and events of the
 # middleware; twice as long, if no timer of the loop ticks.
@@ -189,6 +190,7 @@ def run_node(make_node: Callable[[], Node]) -> int:
     0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
     parameter or ROS argument. What went wrong is logged in one line.
     """
+    choose_log_folder()
     unprotected = choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
     try:
         # rclpy's own handlers would shut the context down in the middle of a callback.

@@ -5,9 +5,13 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S, ROOT
+
+from asi_common.writable import choose_folder
 
 # The import of a node, as slow as can be.
 SLOW_IMPORT = """
@@ -64,6 +68,33 @@ def test_node_that_hangs_as_it_ends_says_where_and_exits(ros_environment):
                             env={**ros_environment, 'PYTHONPATH': str(ROOT)})
     assert result.returncode == 1
     assert 'in destroy_node' in result.stderr
+
+
+def test_node_starts_where_no_home_can_be_written(ros_environment, tmp_path):
+    code = ('from rclpy.node import Node; from asi_common.node import executor as spin\n'
+            'class Done(Node):\n'
+            '    def __init__(self):\n'
+            '        super().__init__("done")\n'
+            '        self.create_timer(0.01, self.finish)\n'
+            '    def finish(self):\n'
+            '        raise spin.RunFinished\n'
+            'raise SystemExit(spin.run_node(Done))')
+    given = {name: value for name, value in ros_environment.items()
+             if name not in ('ROS_LOG_DIR', 'ROS_HOME')}
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, env={
+        **given, 'PYTHONPATH': str(ROOT), 'HOME': '/proc/none', 'TMPDIR': str(tmp_path)})
+    assert (result.returncode, result.stderr) == (0, '')
+    assert list(tmp_path.glob('*/ros_log_dir/*'))
+
+
+def test_folder_that_cannot_be_written_is_replaced(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
+    monkeypatch.setenv('HOME', '/proc/none')
+    monkeypatch.setenv('MPLCONFIGDIR', '')
+    choose_folder('MPLCONFIGDIR', '~/.config/matplotlib')
+    assert Path(os.environ['MPLCONFIGDIR']).is_relative_to(tmp_path)
+    choose_folder('MPLCONFIGDIR', tmp_path / 'another')     # a folder that is given stays
+    assert not (tmp_path / 'another').exists()
 
 
 EXECUTABLES = re.findall(r"'(\w+) = ([\w.]+\.executables):(\w+)'",

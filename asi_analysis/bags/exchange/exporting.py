@@ -58,4 +58,5 @@ def _write_parquet(run: Run, path: Path) -> None:
     from pyarrow.parquet import write_table
     table = pyarrow.table({name: pyarrow.array(values, from_pandas=True)
                            for name, values in run.columns().items()})
-    write_table(table.replace_schema_metadata({'asi.run': json.dumps(run.information)}), path)
+    write_table(table.replace_schema_metadata({'asi.run': json.dumps(run.information)}), path,
+                write_page_checksum=True)

@@ -99,7 +99,9 @@ def _read_npz(path: Path) -> Table:
     with zipfile.ZipFile(path) as archive:
         _refuse_large(path, sum(member.file_size for member in archive.infolist()))
     with np.load(path) as arrays:
-        return _columns(arrays)
+        # A member that is no array is bytes.
+        return _columns({name: values for name, values in arrays.items()
+                         if isinstance(values, np.ndarray)})
 
 
 def _columns(variables: Mapping[str, npt.NDArray]) -> Table:
@@ -133,7 +135,7 @@ def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArr
 
 def _read_parquet(path: Path) -> Table:
     from pyarrow.parquet import ParquetFile
-    file = ParquetFile(path)
+    file = ParquetFile(path, page_checksum_verification=True)
     sizes = [file.metadata.row_group(k).total_byte_size for k in range(file.num_row_groups)]
     _refuse_large(path, max(sum(sizes), 8 * file.metadata.num_rows * file.metadata.num_columns))
     table = file.read()

@@ -8,6 +8,7 @@ import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.experiments.experiment import CONTROLLER_PARAMETERS
 from asi_analysis.limit_cycle.attribution.ablation import attribute_model
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.limit_cycle.attribution.calibration import SURE, WEIGHTS, probabilities
@@ -17,6 +18,7 @@ from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.verdict import Segment, response_of
 from asi_analysis.measures.quality import Trust, findings, quality_of, trust
 from asi_analysis.terminal import Progress, silent
+from asi_common.parameter import completed
 
 # Keys of a cause that only one of the two methods fills; null by the other.
 EMPTY: Final[dict[str, Any]] = dict.fromkeys(
@@ -207,7 +209,7 @@ def _words(cause: str) -> str:
 def _by_model(run: Run, segment: Segment, progress: Progress) -> dict[str, Any]:
     """Return the causes of a cycle of this package's actuator, each with its predicted cycle."""
     information = run.information
-    controller = information['controller']
+    controller = completed(information['controller'], CONTROLLER_PARAMETERS)
     rate = float(information.get('experiment', {}).get('rate_hz') or run.rate_hz)
     gain = float(controller.get('gain') or 0.0)
     from asi_controller.compensator import OWN_GAIN

@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ from asi_analysis.bags import bag_file
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange import text_file
+from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.qos import as_profile
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
@@ -137,6 +140,34 @@ def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'bag/metadata.yaml')
     with pytest.warns(InputWarning, match='metadata.yaml cannot be read'):
         assert len(read_bag(tmp_path / 'bag')) == 300
+    with pytest.warns(InputWarning, match='metadata.yaml cannot be read'):
+        assert preview(tmp_path / 'bag').samples == 300
+
+
+def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None:
+    np.savez(tmp_path / 'a.npz', force=np.arange(10.0))
+    with zipfile.ZipFile(tmp_path / 'a.npz', 'a') as archive:
+        archive.writestr('notes.txt', 'day 2')
+    assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
+
+
+def test_a_flipped_bit_of_an_exported_table_is_found(tmp_path: Path) -> None:
+    export(a_run(), tmp_path / 'a.parquet')
+    data = bytearray((tmp_path / 'a.parquet').read_bytes())
+    data[len(data) // 3] ^= 1
+    (tmp_path / 'b.parquet').write_bytes(data)
+    with pytest.raises(InputError, match='cannot be read'):
+        import_recording(tmp_path / 'b.parquet', [])
+
+
+@pytest.mark.parametrize('damaged', [
+    {'signals': {'reference': 'kN'}}, {'signals': 'N'}, {'signals': {'force': None}},
+    {'actuator': 5}, {'experiment': {'rate_hz': 'fast'}}])
+def test_metadata_of_another_form_are_left_out_with_a_warning(
+        damaged: dict[str, object], tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'bag', damaged)
+    with pytest.warns(InputWarning, match='cannot be used, and is left out'):
+        assert read_bag(tmp_path / 'bag').information == {}
 
 
 def test_a_damaged_quality_of_service_is_said_and_replaced() -> None:
@@ -179,16 +210,18 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
                                        {'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
 def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[str, str]) -> None:
     folder = tmp_path / 'Prüf stand'
+    neither = os.fsdecode(b'n\xff')     # bytes that are no text
     folder.mkdir()
     write_bag(a_run(), folder / 'lauf ß')
     environment = {'PATH': os.environ['PATH'], 'PYTHONPATH': os.pathsep.join(sys.path)} | variables
     for words in (['export', folder / 'lauf ß', '--out', folder / 'ä ö.csv'],
-                  ['import', folder / 'ä ö.csv', '--out', folder / 'neu'],
-                  ['analyze', folder / 'neu']):
+                  ['import', folder / 'ä ö.csv', '--out', folder / neither],
+                  ['analyze', folder / neither]):
         done = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', *map(str, words)],
                               env=environment, capture_output=True, text=True, encoding='utf-8',
                               errors='replace', check=False, stdin=subprocess.DEVNULL)
         assert done.returncode == 0, done.stderr
+        assert all(line.startswith('asi: ') for line in done.stderr.splitlines()), done.stderr
 
 
 def test_what_a_library_says_in_several_lines_is_told_in_one():

@@ -215,6 +215,15 @@ def test_holds_a_reference_that_comes_seldom(tmp_path: Path) -> None:
     assert (reference[20:] == 200.0).all()
 
 
+def test_stamps_that_stand_still_are_told(tmp_path: Path) -> None:
+    ticks = [10**6 * k for k in range(1, 31)]
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/force': [(t, wrench(t, 1.0)) for t in ticks],
+        '/force_reference': [(t, wrench(ticks[0], 100.0)) for t in ticks]})
+    with pytest.warns(InputWarning, match='30 messages of force_reference have 1 different'):
+        read_bag(bag)
+
+
 def test_a_command_stamped_as_it_is_sent_belongs_to_the_state_before(tmp_path: Path) -> None:
     ticks = [1_000_000 * k for k in range(1, 31)]
     bag = foreign_bag(tmp_path / 'bag', {

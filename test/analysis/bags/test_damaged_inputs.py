@@ -30,7 +30,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(files: list[Path], seed: 
     assert not file_problem(good, good.parent / 'damaged', Random(seed))
 
 
-@settings(few, max_examples=25)
+@settings(few, max_examples=40)
 @given(seed=seeds)
 def test_no_figure_of_spoilt_samples_differs_silently(seed: int) -> None:
     assert not figure_problem(recording(), Random(seed))

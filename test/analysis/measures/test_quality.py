@@ -40,7 +40,7 @@ def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
     return replace(run, force_n=change(run.signal('force').copy()))
 
 
-def put(values: np.ndarray, places: slice | int, value: float) -> np.ndarray:
+def put(values: np.ndarray, places: slice | int, value: float | np.ndarray) -> np.ndarray:
     values[places] = value
     return values
 
@@ -52,6 +52,11 @@ DAMAGED: dict[str, Callable[[Run], Run]] = {
     'spike': lambda run: with_force(run, lambda f: put(f, STEP + 300, 6.6e5)),
     'order': lambda run: with_force(run, lambda f: np.append(f[100:], f[-100:])),
     'unit': lambda run: with_force(run, lambda f: 1000.0 * f),
+    'sign': lambda run: with_force(run, lambda f: -f),
+    'jump': lambda run: with_force(run, lambda f: put(f, slice(STEP + 3, STEP + 40),
+                                                      -f[STEP + 3:STEP + 40])),
+    'frozen': lambda run: with_force(run, lambda f: put(f, slice(STEP + 8, STEP + 14),
+                                                        f[STEP + 8])),
     'quantisation': lambda run: with_force(run, lambda f: 10.0 * np.round(f / 10.0)),
     'time_order': lambda run: replace(run, time_s=np.where(
         np.arange(len(run)) == STEP, run.time_s[STEP - 1], run.time_s)),
@@ -166,6 +171,30 @@ def test_an_output_that_comes_before_any_reference_is_found() -> None:
                    for shift in (30, -30))
     assert findings(late) == []
     assert [each.kind for each in findings(early)] == ['order']
+
+
+def test_a_spike_of_the_reference_is_found_and_a_jump_at_its_end_is_none() -> None:
+    run = a_run()
+    for place, value, found in ((1500, 1e4, ['spike']), (1999, 0.0, [])):
+        reference = put(run.signal('reference').copy(), place, value)
+        assert [each.kind for each in findings(replace(run, reference_n=reference))] == found
+
+
+def test_a_cell_that_is_cut_off_at_the_end_is_a_spike() -> None:
+    found, = findings(with_force(a_run(), lambda f: put(f, 1999, 9.0)))
+    assert found.kind == 'spike'
+
+
+def test_samples_lost_soon_after_the_settling_time_make_it_doubtful() -> None:
+    lost = analyze(with_force(a_run(), lambda f: put(f, slice(STEP + 44, STEP + 90), np.nan)))
+    assert lost.settling_time_2_s is None or not lost['reliable']['settling_time_2_s']
+
+
+def test_a_slow_sensor_that_answers_in_one_sample_does_not_jump() -> None:
+    run = a_run()
+    force = np.where(run.time_s < run.time_s[STEP + 12], 0.0, 100.0)
+    quiet = 0.01 * np.random.default_rng(4).normal(size=force.size)
+    assert findings(replace(run, force_n=force + quiet)) == []
 
 
 def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:

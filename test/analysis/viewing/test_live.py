@@ -116,12 +116,12 @@ def test_a_user_turns_steps_records_and_asks_and_looks_for_what_is_hidden(
         await seen(lambda: session.hidden, 'the effect')
         await asyncio.to_thread(actuator.wait_for, 'command_path.delay = 0.0\n')
         await seen(lambda: one(user, 'effect').text == 'one effect is hidden', 'that it is')
-        name = min(session.withheld())
+        name = min(session.withheld)
         block = name.partition('.')[0]
         one(user, f'asi_actuator {block}', ui.expansion).value = True
         field = await seen(lambda: one(user, name), 'the parameter')
         await asyncio.sleep(1.5)
-        nominal = session.nominal['asi_actuator'][name]
+        nominal = session.withheld[name]
         assert str(field.value) == str(nominal) != str(session.link.values['asi_actuator'][name])
         effect = session.effect
         user.find('Reveal and remove').click()
@@ -157,7 +157,7 @@ def test_a_step_is_from_the_reference_that_is_known(reference: Any, start: float
 
     run = Run(np.arange(2) * 1e-3, None if reference is None else np.array(reference),
               force_n=np.zeros(2))
-    session = SimpleNamespace(nominal={}, link=SimpleNamespace(
+    session = SimpleNamespace(link=SimpleNamespace(
         set=set_, recent=SimpleNamespace(run=lambda _: run)))
     asyncio.run(live.Session.step(session, 150.0))
     assert given['reference.offset'] == start
@@ -172,6 +172,30 @@ def test_a_loop_that_began_again_is_shown_from_there_on() -> None:
             for stamp in stamps])
     run = recent.run(1.0)
     assert run is not None and run.signal('position').tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_a_state_that_is_published_again_counts_once() -> None:
+    recent = Recent()
+    for stamps in ([1, 2, 2], [2, 3]):   # ms
+        recent.add('joint_states', [
+            Taken(wire.state(stamp * 10**6, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0)[0], 0, 0)
+            for stamp in stamps])
+    run = recent.run(1.0)
+    assert run is not None and run.signal('position').tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_reference_without_stamps_is_shown_where_it_was_published_and_grows_old() -> None:
+    """As `ros2 topic pub` sends it."""
+    recent = Recent()
+    for k in range(1, 401):
+        recent.add('joint_states', [Taken(
+            wire.state(k * 10**8, float(k), 0.0, 0.0, 0.0, 0.0, 0.0)[0], k, 10**12 + k * 10**8)])
+        recent.add('force_reference', [Taken(
+            wire.answer(0, 0.0, float(k))[1], k, 10**12 + k * 10**8)])
+    run = recent.run(1.0)
+    assert run is not None and run.reference_n is not None
+    assert run.reference_n.tolist() == run.position_m.tolist() == list(range(390, 401))
+    assert len(recent._parts['force_reference']) <= 301
 
 
 def test_fewer_points_keep_the_size_of_an_oscillation() -> None:

@@ -1,0 +1,39 @@
+"""The metadata `asi.run` of a bag: what experiment it is, and the units of its signals."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from asi_analysis.bags.run import CONTROLLED, SIGNALS
+
+
+def _is_mapping(value: object) -> bool:
+    return isinstance(value, dict)
+
+
+def _is_experiment(value: object) -> bool:
+    return isinstance(value, dict) and isinstance(value.get('rate_hz', 1.0), int | float)
+
+
+def _are_units(value: object) -> bool:
+    names = {signal.name for signal in SIGNALS}
+    return (isinstance(value, dict) and value.keys() <= names
+            and all(isinstance(unit, str) for unit in value.values())
+            and value.get('reference', 'N') in CONTROLLED)
+
+
+FORMS: Final[dict[str, Callable[[object], bool]]] = {
+    'experiment': _is_experiment, 'actuator': _is_mapping, 'controller': _is_mapping,
+    'imported': _is_mapping, 'signals': _are_units}
+
+
+def checked(information: Mapping[str, Any], problems: list[str], source: str) -> dict[str, Any]:
+    """
+    Return the metadata without entries of another form than this package writes.
+
+    `problems` gets a sentence for each that is left out.
+    """
+    wrong = [name for name, value in information.items()
+             if name in FORMS and not FORMS[name](value)]
+    problems += [f'{source}: its metadata {name} = {str(information[name])[:60]!r} cannot be '
+                 'used, and is left out' for name in wrong]
+    return {name: value for name, value in information.items() if name not in wrong}

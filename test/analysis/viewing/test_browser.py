@@ -1,0 +1,187 @@
+"""The live page in headless Chromium, over real nodes; skipped where there is no Chromium."""
+
+import socket
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import PATIENCE_S, NodeProcess, wait_until
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+pytest.importorskip('nicegui')
+from asi_analysis.viewing.page import CHARTS, COLOURS, LOOP
+from bench.browser import CURVES, NoBrowserError, chromium
+
+LOOP_PARAMETERS: dict[str, Any] = {'rate_hz': 500.0}
+Curves = dict[str, dict[str, list[list[float]]]]
+
+
+@pytest.fixture(scope='module')
+def browser() -> Iterator[Any]:
+    """Run Chromium."""
+    try:
+        with chromium() as found:
+            yield found
+    except NoBrowserError as error:
+        pytest.skip(str(error))
+
+
+class Tab:
+    """The page in a tab of its own; a wait that takes PATIENCE_S fails."""
+
+    def __init__(self, browser: Any, port: int) -> None:
+        self.errors: list[str] = []
+        self.page = browser.new_page(viewport={'width': 1500, 'height': 1250})
+        self.page.set_default_timeout(1e3 * PATIENCE_S)
+        self.page.on('pageerror', lambda error: self.errors.append(str(error)))
+        self.page.goto(f'http://127.0.0.1:{port}')
+        self.gain = self.page.get_by_role('textbox', name='gain', exact=True)
+        self.gain.wait_for()
+
+    def press(self, button: str) -> None:
+        """Click on a button."""
+        self.page.get_by_role('button', name=button, exact=True).click()
+
+    def drag(self, slider: str, place: float) -> None:
+        """Take the thumb of a slider from its left end to a place between 0 and 1."""
+        box = self.page.get_by_role('slider', name=slider, exact=True).bounding_box()
+        middle = box['y'] + box['height'] / 2
+        self.page.mouse.move(box['x'], middle)
+        self.page.mouse.down()
+        self.page.mouse.move(box['x'] + place * box['width'], middle, steps=5)
+        self.page.mouse.up()
+
+    def shown_gain(self) -> float:
+        """Return the number in the field of the gain."""
+        self.page.wait_for_timeout(50)   # a plain sleep would stop the browser's events
+        return float(self.gain.input_value())
+
+    def wait_for(self, text: str) -> str:
+        """Return the element with a text, once it is on the page."""
+        found = self.page.get_by_text(text).first
+        found.wait_for()
+        return str(found.inner_text())
+
+    def wait_for_curves(self, condition: Callable[[Curves], Any], what: str) -> Curves:
+        """Return what the charts show once it meets a condition."""
+        def shown() -> Curves | None:
+            self.page.wait_for_timeout(50)
+            curves: Curves = self.page.evaluate(CURVES)
+            return curves if len(curves) == 1 + len(CHARTS) and condition(curves) else None
+        found: Curves = wait_until(shown, what)
+        return found
+
+    def colours(self, file: Path) -> dict[str, int]:
+        """Take a picture of the page; return how many of its points have each curve's colour."""
+        self.page.screenshot(path=file)
+        picture = imread(file)[..., :3]
+        return {colour: int((abs(picture - to_rgb(colour)).max(-1) < 0.2).sum())
+                for colour in COLOURS}
+
+
+@pytest.fixture
+def serve(ros_environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+          ) -> Iterator[Callable[..., tuple[int, NodeProcess]]]:
+    """Return a function that starts `asi live` with options: to its port and process."""
+    monkeypatch.chdir(tmp_path)
+    started: list[NodeProcess] = []
+
+    def start(*arguments: str) -> tuple[int, NodeProcess]:
+        with socket.socket() as free:
+            free.bind(('127.0.0.1', 0))
+            port = free.getsockname()[1]
+        command = [sys.executable, '-m', 'asi_analysis.cli', 'live', '--no-browser',
+                   '--port', str(port), *arguments]
+        # NiceGUI takes a process with this variable for a test of its own.
+        environment = {name: value for name, value in ros_environment.items()
+                       if name != 'PYTEST_CURRENT_TEST'}
+        process = NodeProcess(command, environment, tmp_path / f'live-{port}.log')
+        started.append(process)
+
+        def listens() -> bool:
+            with socket.socket() as probe:
+                return probe.connect_ex(('127.0.0.1', port)) == 0 or process.poll() is not None
+        wait_until(listens, 'the page')
+        assert process.poll() is None, process.text
+        return port, process
+
+    yield start
+    for process in started:
+        process.kill()
+
+
+def last(curve: list[list[float]]) -> float:
+    return curve[-1][1] if curve else 0.0
+
+
+def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
+        browser: Any, serve: Callable, start_node: Callable[..., NodeProcess],
+        get_parameters: Callable, tmp_path: Path) -> None:
+    start_node('asi_actuator.actuator_node', real_time_factor=1.0, **LOOP_PARAMETERS)
+    controller = start_node('asi_controller.controller_node', **LOOP_PARAMETERS)
+    port, process = serve()
+    tab = Tab(browser, port)
+    tab.drag('gain', 0.45)
+    controller.wait_for('gain = ')
+    wait_until(lambda: tab.shown_gain() == get_parameters('asi_controller', ['gain'])['gain'],
+               'the gain of the node')
+    assert 1.0 < tab.shown_gain() < 100.0
+    still = tab.colours(tmp_path / 'still.png')
+    tab.press('20 s')
+    tab.press('Step')
+    force, _ = CHARTS
+    tab.wait_for_curves(lambda curves: last(curves[force]['force']) > 50.0 and all(
+        len(points) > 50 for curve in curves.values() for points in curve.values()), 'the step')
+    curves = tab.page.evaluate(CURVES)
+    assert last(curves[force]['reference']) == 150.0
+    assert last(curves[LOOP]['valve']) > 1.0   # um
+
+    def drawn() -> bool:
+        """Take a picture of the page: whether there are lines of both colours, one of them new."""
+        stepped, (force, reference) = tab.colours(tmp_path / 'step.png'), COLOURS
+        return stepped[force] > 500 and stepped[reference] > 100 + still[reference]
+
+    wait_until(drawn, 'the lines of the step')
+    tab.press('Hide one')
+    tab.wait_for('one effect is hidden')
+    tab.press('How well?')
+    assert 's at 500 Hz' in tab.wait_for('asi analyze runs/')
+    tab.press('Reveal and remove')
+    tab.wait_for('; it is off')
+    assert not tab.errors
+    assert process.stop() == 0 and 'Traceback' not in process.text
+
+
+def test_two_tabs_of_a_pair_in_a_namespace_follow_each_other_and_nodes_that_start_again(
+        browser: Any, serve: Callable, start_node: Callable[..., NodeProcess],
+        get_parameters: Callable) -> None:
+    left = ('-r', '__ns:=/left', '-r', '/clock:=clock')
+    nodes = [start_node(module, *left, **LOOP_PARAMETERS, **more) for module, more in (
+        ('asi_controller.controller_node', {'reference.shape': 'sine'}),
+        ('asi_actuator.actuator_node', {'give_up_after': 0.0}))]
+    port, process = serve('--namespace', 'left')
+    first, second = tabs = [Tab(browser, port) for _ in range(2)]
+    first.drag('gain', 0.4)
+    wait_until(lambda: first.shown_gain() == second.shown_gain() > 0.0, 'the same gain')
+    second.drag('gain', 0.7)
+    wait_until(lambda: first.shown_gain() == second.shown_gain() > 50.0, 'the same gain')
+    first.gain.fill('8\N{SUPERSCRIPT THREE} N/N')
+    first.gain.press('Enter')
+    first.wait_for('8\N{SUPERSCRIPT THREE} N/N')
+    wait_until(lambda: first.gain.input_value() == str(
+        get_parameters('left/asi_controller', ['gain'])['gain']), 'the gain that holds')
+    for node in nodes:
+        node.kill()
+    first.wait_for('has ended, or is silent')
+    second.page.close()
+    for module in ('asi_actuator.actuator_node', 'asi_controller.controller_node'):
+        start_node(module, *left, **LOOP_PARAMETERS)
+    wait_until(lambda: first.shown_gain() == 0.0, 'the gain of the new controller')
+    first.press('Step')
+    force, _ = CHARTS
+    first.wait_for_curves(lambda curves: last(curves[force]['force']) > 50.0, 'the step')
+    assert not [error for tab in tabs for error in tab.errors]
+    assert process.stop() == 0 and 'Traceback' not in process.text, process.text
