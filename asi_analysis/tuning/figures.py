@@ -47,7 +47,7 @@ ROWS: Final = (
     Row('felt_force_slow_n', 'N', 30.0, 'felt force, moved at 0.2 m/s and 1 Hz'),
     Row('felt_force_fast_n', 'N', 80.0, 'felt force, moved at 0.5 m/s and 2 Hz'),
     Row('noise_gain', 'N/N', 100.0, 'command per sensor noise, rms'),
-    Row('least_re_z_n_s_m', 'N s/m', 0.0, 'least real part of the impedance below 50 Hz', True),
+    Row('least_re_z_n_s_m', 'N s/m', 0.0, 'least real part of the impedance, 1 to 50 Hz', True),
 )
 
 
