@@ -18,6 +18,7 @@ from typing import Final
 
 from asi_common.jit import jit
 from asi_common.parameter import Parameter
+from asi_controller.additions.reference_model import approach
 
 PARAMETERS = (
     Parameter('share', 0.0, '', 'Share of the damping that is compensated; 0: none', 0.0, 1.0),
@@ -40,7 +41,7 @@ def followed(slow, velocity, lead_time, period):
     """Return the state of the lead (m/s) after a control period (s): a lag of the velocity."""
     if lead_time == 0.0 or math.isnan(slow):
         return velocity
-    return velocity + (slow - velocity) * math.exp(-(LEAD - 1.0) * period / lead_time)
+    return approach(slow, velocity, (LEAD - 1.0) / lead_time, period)
 
 
 @jit
