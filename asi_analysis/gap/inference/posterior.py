@@ -61,7 +61,7 @@ class Posterior(Problem):
         return 0.5 * float(residual @ residual) + self.given(theta)
 
     def given(self, theta: Array) -> float:
-        """Return the part of it that is the prior of the nominal parameters."""
+        """Return the part of it that is the normal priors."""
         mean, precision = self.prior
         return 0.5 * float(precision @ (theta - mean) ** 2)
 
