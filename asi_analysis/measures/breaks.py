@@ -1,87 +1,115 @@
-"""Breaks of a controlled signal: jumps that its reference does not explain, and frozen samples."""
+"""Breaks of a signal: samples that those before them do not predict, spikes, frozen samples."""
 
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage, signal
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
-# Smallest jump: of the range of the signal; of the 90 % quantile of its changes; of the changes
-# before and after it.
-RANGE_SHARE: Final = 0.2
-USUAL: Final = 20.0
-NEXT: Final = 10.0
-# A change of the reference explains a jump in its direction, up to so many samples later, if it is
-# at least this share of its range, and if the signal has waited for it: moved no more than this
-# share of the jump.
-ANSWER_SAMPLES: Final = 50
-REFERENCE_SHARE: Final = 0.01
-WAITED: Final = 0.2
-# Equal samples that count as frozen: at least, and of the 90 % quantile of those in a row. Of a
-# signal with noise (this share of the other samples differs from the one before), if the changes
-# before and after are of this multiple of the median; of any, if they are of these shares of the
-# range, and the last of this multiple of the change that follows.
-FROZEN_SAMPLES: Final = 4
-FROZEN_USUAL: Final = 3.0
-NOISY: Final = 0.9
-STIRRED: Final = 0.5
-MOVED: Final = 0.01
-CAUGHT_UP: Final = 0.02
-THAW: Final = 5.0
+# Changes of a signal, and of its input, that predict the next one; samples that this is fitted to.
+LAGS: Final = 20
+FEWEST: Final = 200
+MOST: Final = 20_000
+# Smallest deviation that is a break: of the range of the signal; of the 90 % quantile of all.
+SHARE: Final = 0.2
+USUAL: Final = 10.0
+# Share of different values among the others from which on no sample repeats one by chance.
+CONTINUOUS: Final = 0.9
+# Equal samples that are frozen, if one of as many changes before them and one of those after them
+# are larger than this share of the median change.
+FROZEN: Final = 4
+STIRRED: Final = 0.1
 
 
-def jumps(reference: Array, values: Array) -> list[tuple[int, int]]:
+def unexplained(inputs: Array, values: Array) -> Mask:
+    """
+    Return which of n samples a linear model of the signal does not predict.
+
+    The model predicts the change to a sample from the last LAGS changes of signal and input, and
+    is fitted to the samples themselves (ARX; L. Ljung, System Identification, section 4.2). The
+    first LAGS samples are taken as predicted; of fewer than FEWEST samples none is.
+    """
+    if len(values) < FEWEST:
+        return np.ones(len(values), bool)
+    values, inputs = (np.diff(each, prepend=each[0]) / max(float(np.ptp(each)), 1e-300)
+                      for each in (values, inputs))
+    rows = np.arange(LAGS, len(values), 1 + len(values) // MOST)
+    past = np.stack([*(values[rows - lag] for lag in range(1, LAGS + 1)),
+                     *(inputs[rows - lag] for lag in range(LAGS + 1))], axis=1)
+    factors = np.linalg.lstsq(past, values[rows], rcond=1e-10)[0]
+    alone = signal.lfilter([1.0, *-factors[:LAGS]], 1.0, values)
+    answer = 2.0 * signal.lfilter(factors[LAGS:], 1.0, inputs)
+    # An answer to the input that does not come, or is twice as large, is no break.
+    deviation = np.abs(alone - np.clip(alone, np.minimum(answer, 0.0), np.maximum(answer, 0.0)))
+    deviation[:LAGS] = 0.0
+    return _large(deviation, 1.0)
+
+
+def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) -> Mask:
+    """
+    Return which of n samples are spikes: one or two that differ from their neighbours.
+
+    What the input explains is none; an input of the same unit explains no more than its own range.
+    """
+    smooth = ndimage.median_filter(values, 5, mode='mirror')
+    deviation = np.abs(values - smooth)
+    deviation[0] = 0.0      # it may be at rest, before all others
+    span = float(np.ptp(inputs)) if inputs is not None and same_unit else np.inf
+    large = _large(deviation, max(float(np.ptp(smooth)), span if same_unit else 0.0))
+    if large.sum() > max(2, 0.01 * len(values)):
+        return np.zeros(len(values), bool)
+    if inputs is None or not large.any():
+        return large
+    odd = large & (unexplained(inputs, values) | (deviation > span))
+    return ndimage.binary_propagation(odd, mask=large)
+
+
+def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]:
     """
     Return the first and the last sample of each part that jumps lead to, out of n samples.
 
-    A jump is a change from one sample to the next, while the signal hardly changes before and
-    after, that does not follow a change of the reference. Two jumps enclose a part. Of an odd
-    number it cannot be told which side is right: then all samples are one part.
+    A jump is a change that neither the signal before it nor its reference explains. Two enclose a
+    part. Of an odd number it cannot be told which side is right: then all samples are one part.
+    What comes after a gap is no jump.
     """
-    begins, _ = _held(values)
-    changes = np.diff(values[begins])
-    if len(changes) < 20:
+    if len(values) < FEWEST:
         return []
-    size = np.abs(changes)
-    around = np.maximum(np.append(0.0, size[:-1]), np.append(size[1:], 0.0))
-    least = max(RANGE_SHARE * float(np.ptp(values)), USUAL * float(np.quantile(size, 0.9)))
-    places = [int(begins[k + 1]) for k in np.flatnonzero((size > least) & (size > NEXT * around))
-              if not _explained(reference, values, int(begins[k + 1]))]
+    steps = np.diff(time)
+    after = np.flatnonzero(steps > 1.5 * np.median(steps))[:, None] + np.arange(1, LAGS + 2)
+    large = unexplained(reference, values)
+    large[np.minimum(after, len(values) - 1)] = False
+    places = np.flatnonzero(large)
+    places = places[np.diff(places, prepend=-LAGS) > LAGS]
     if len(places) % 2:
         return [(0, len(values) - 1)]
-    return list(zip(places[::2], (place - 1 for place in places[1::2]), strict=True))
+    return [(int(first), int(end) - 1) for first, end in places.reshape(-1, 2)]
 
 
 def frozen(values: Array) -> list[tuple[int, int]]:
-    """Return the first and last sample of parts, out of n samples, that stand still in motion."""
-    begins, lengths = _held(values)
-    least = max(FROZEN_SAMPLES, FROZEN_USUAL * float(np.quantile(lengths, 0.9)))
-    still = lengths >= least
-    noisy = int(np.sum(~still)) > NOISY * int(lengths[~still].sum())
-    changes = np.abs(np.diff(values[begins]))
-    stirred = STIRRED * float(np.median(changes)) if len(changes) else 0.0
-    span = float(np.ptp(values))
-    found = []
-    for k in np.flatnonzero(still[1:]) + 1:
-        before, after, later = (*changes[k - 1:k + 2], np.inf, np.inf)[:3]
-        moved = before > MOVED * span and after > max(CAUGHT_UP * span, THAW * later)
-        if moved or (noisy and min(before, after) > stirred):
-            found.append((int(begins[k]), int(begins[k] + lengths[k]) - 1))
-    return found
+    """
+    Return the first and last sample of parts, out of n samples, that stand still in motion.
 
-
-def _held(values: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return where each group of equal samples begins, and its length."""
+    They are found in a signal whose values hardly ever come twice.
+    """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    return begins, np.diff(begins, append=len(values))
+    if 2 * len(begins) < len(values) or not is_continuous(values[begins]):
+        return []
+    lengths = np.diff(begins, append=len(values))
+    changes = np.abs(np.diff(values[begins]))
+    stirred = changes > STIRRED * float(np.median(changes))
+    return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
+            for k in np.flatnonzero(lengths >= FROZEN) if stirred[max(k - FROZEN, 0):k].any()
+            and (stirred[k:k + FROZEN].any() or k == len(changes))]
 
 
-def _explained(reference: Array, values: Array, place: int) -> bool:
-    """Return whether the jump to a sample answers a change of the reference."""
-    change = float(values[place] - values[place - 1])
-    first = max(place - ANSWER_SAMPLES - 1, 0)
-    stepped = np.diff(reference[first:place + 1]) * np.sign(change) > REFERENCE_SHARE * float(
-        np.ptp(reference))
-    waited = np.abs(values[first:place] - values[place - 1]) < WAITED * abs(change)
-    return bool((stepped & waited).any())
+def is_continuous(values: Array) -> bool:
+    """Return whether n values are from so many that none comes twice by chance."""
+    return len(np.unique(values)) > CONTINUOUS * len(values)
+
+
+def _large(deviation: Array, span: float) -> Mask:
+    """Return which deviations are far larger than usual, and large for this range."""
+    return deviation > max(USUAL * float(np.quantile(deviation, 0.9)), SHARE * span)

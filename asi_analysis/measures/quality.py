@@ -10,11 +10,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.breaks import frozen, jumps
+from asi_analysis.measures.breaks import frozen, is_continuous, jumps, spikes
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
 
 Array = npt.NDArray[np.float64]
@@ -31,12 +30,6 @@ CLOCK_PERIODS: Final = 1000
 CLOCK_S: Final = 10.0
 # Consecutive samples at the largest or smallest value that count as clipped.
 CLIPPED_SAMPLES: Final = 4
-# Share of different values among the others from which on no sample repeats one by chance.
-CONTINUOUS: Final = 0.9
-# Deviation of a spike from the median of five samples: this many times the 90 % quantile of that
-# deviation, and this share of the range of the medians.
-SPIKE: Final = 20.0
-SPIKE_SHARE: Final = 0.2
 # Fewer levels of quantisation give a note; with fewer than FEWEST_LEVELS, 2 % of a step cannot
 # be resolved, and figures are doubtful.
 NOTED_LEVELS: Final = 100
@@ -208,18 +201,18 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         return
     time, values = run.time_s[present], values[present]
     unit = run.unit(name)
-    spikes = np.isnan(without_spikes(values)) if name == 'reference' else _spikes(values)
-    if spikes.any():
-        where = _sample_intervals(time, spikes)
+    wrong = _spikes(run, name, present)
+    if wrong.any():
+        where = _sample_intervals(time, wrong)
         yield Finding('spike', name, DOUBTFUL, where,
                       f'the {_words(name)} has {len(where)} spikes of one or two samples, up to '
-                      f'{np.abs(values[spikes]).max():.4g} {unit} {_where(where)}')
+                      f'{np.abs(values[wrong]).max():.4g} {unit} {_where(where)}')
     if name == 'reference':
         return
-    for part, limit, word in zip(_clipped(values[~spikes]), _ends(values[~spikes]),
+    for part, limit, word in zip(_clipped(values[~wrong]), _ends(values[~wrong]),
                                  ('smallest', 'largest'), strict=True):
         if part.any():
-            where = _sample_intervals(time[~spikes], part)
+            where = _sample_intervals(time[~wrong], part)
             yield Finding('clipping', name, DOUBTFUL, where,
                           f'the {_words(name)} stays at its {word} value {limit:.4g} {unit} '
                           f'{_where(where)}: it is clipped, or against a stop')
@@ -281,10 +274,10 @@ def _of_reference(run: Run) -> Iterator[Finding]:
 
 def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: Array
                    ) -> Iterator[Finding]:
-    spikes = _spikes(values)
-    time, reference, values = time[~spikes], reference[~spikes], values[~spikes]
+    kept = ~spikes(values, reference, same_unit=True)
+    time, reference, values = time[kept], reference[kept], values[kept]
     for kind, parts, word in (
-            ('jump', jumps(reference, values), 'jumps from one sample to the next'),
+            ('jump', jumps(time, reference, values), 'jumps from one sample to the next'),
             ('frozen', frozen(values), 'stands still while it should move')):
         if parts:
             where = tuple((float(time[first]), float(time[last])) for first, last in parts)
@@ -328,18 +321,19 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
 
 def without_spikes(reference: Array) -> Array:
     """Return a reference of n samples, NaN where it has spikes; it may jump at its ends."""
-    spikes = _spikes(reference)
-    spikes[[0, -1]] = False
-    return np.where(spikes, np.nan, reference)
+    wrong = spikes(reference)
+    wrong[[0, -1]] = False
+    return np.where(wrong, np.nan, reference)
 
 
-def _spikes(values: Array) -> npt.NDArray[np.bool_]:
-    """Return which samples are spikes: one or two that differ from their neighbours."""
-    smooth = ndimage.median_filter(values, 5, mode='mirror')
-    deviation = np.abs(values - smooth)
-    large = deviation > max(SPIKE * float(np.quantile(deviation, 0.9)),
-                            SPIKE_SHARE * float(np.ptp(smooth)))
-    return large if large.sum() <= max(2, 0.01 * len(values)) else np.zeros(len(values), bool)
+def _spikes(run: Run, name: str, present: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Return which of the present samples are spikes that reference or command do not explain."""
+    values = run.signals()[name][present]
+    if name == 'reference':
+        return np.isnan(without_spikes(values))
+    cause = run.command_n if run.reference_n is None else run.reference_n
+    controlled = run.reference_n is not None and name == CONTROLLED.get(run.unit('reference'))
+    return spikes(values, None if cause is None else np.nan_to_num(cause[present]), controlled)
 
 
 def _ends(values: Array) -> tuple[float, float]:
@@ -359,7 +353,7 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
     jumps = np.abs(np.diff(values))
     moving = jumps[jumps > 0.0]
     others = values[(values > values.min()) & (values < values.max())]
-    continuous = len(np.unique(others)) > CONTINUOUS * len(others)
+    continuous = is_continuous(others)
     found = []
     for limit in _ends(values):
         clipped = np.zeros(len(values), bool)

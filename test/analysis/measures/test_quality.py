@@ -11,6 +11,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.verdict import judge_once
+from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.quality import doubts, findings
 from torture.inputs import cycle
@@ -123,6 +124,9 @@ def test_what_is_only_unusual_is_not_accused(change: Callable[[np.ndarray], np.n
     ('clipping', lambda f: np.minimum(f, 130.0)),      # three samples of each cycle
     ('spike', lambda f: put(f, 900, 6.6e5)),
     ('unit', lambda f: 1e-3 * f),
+    ('jump', lambda f: put(f, slice(900, None), 1e3 * f[900:])),
+    ('jump', lambda f: put(f, slice(900, 960), -f[900:960])),
+    ('frozen', lambda f: put(f, slice(900, 906), f[900])),
     ('missing', lambda f: put(f, slice(900, 980), np.nan))])
 def test_a_limit_cycle_of_doubtful_samples_is_marked(
         kind: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
@@ -195,6 +199,25 @@ def test_a_slow_sensor_that_answers_in_one_sample_does_not_jump() -> None:
     force = np.where(run.time_s < run.time_s[STEP + 12], 0.0, 100.0)
     quiet = 0.01 * np.random.default_rng(4).normal(size=force.size)
     assert findings(replace(run, force_n=force + quiet)) == []
+
+
+def test_frozen_samples_are_found_beside_two_that_are_nearly_equal() -> None:
+    run = with_force(a_run(), lambda f: put(f, slice(STEP + 8, STEP + 14), f[STEP + 8]))
+    run = with_force(run, lambda f: put(f, STEP + 14, f[STEP + 13] + 1e-9))
+    assert [each.kind for each in findings(run)] == ['frozen']
+
+
+@pytest.mark.parametrize('load', ['locked', 'free'])
+def test_an_answer_within_a_sample_is_no_spike(load: str) -> None:
+    """Velocity and force of a fast loop, of which every fifth sample is kept."""
+    run = Run(*simulate_loop({'load.type': load}, {'reference.shape': 'step'}, 1.0, 1000.0))
+    assert findings(run[::5]) == []
+
+
+def test_a_signal_that_no_longer_answers_does_not_jump() -> None:
+    force = with_force(a_run(), lambda f: np.where(f > 50.0, 100.0, 0.0) + 0.01 * f)
+    reference = np.where(force.time_s > 1.2, 0.0, force.signal('reference'))
+    assert findings(replace(force, reference_n=reference)) == []
 
 
 def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:
