@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.limit_cycle.detection.envelope import Envelope
+from asi_analysis.measures.quality import without_spikes
 
 Array = npt.NDArray[np.float64]
 
@@ -20,11 +21,13 @@ def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> li
     """
     Return the times (s) at which the reference steps, starts moving or stops moving.
 
-    Steps less than four cycles apart belong to one moving reference.
+    Steps less than four cycles apart belong to one moving reference. A spike is no change.
     """
     if reference is None:
         return []
-    valid = np.isfinite(reference)
+    valid = np.flatnonzero(np.isfinite(reference))
+    if len(valid) > 1:
+        valid = valid[np.isfinite(without_spikes(reference[valid]))]
     t, r = time_s[valid], reference[valid]
     if len(r) < 2 or np.ptp(r) == 0.0:
         return []

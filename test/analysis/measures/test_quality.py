@@ -184,6 +184,16 @@ def test_a_spike_of_the_reference_is_found_and_a_jump_at_its_end_is_none() -> No
         assert [each.kind for each in findings(replace(run, reference_n=reference))] == found
 
 
+def test_a_spike_of_the_reference_does_not_part_a_limit_cycle() -> None:
+    run = cycle()
+    answer = detect_limit_cycles(replace(run, reference_n=put(
+        run.signal('reference').copy(), 410, -1e4)))
+    last = answer.segments[-1]
+    assert (last['verdict'], last['reliable']) == ('limit_cycle', True)
+    assert [each.kind for each in findings(run)] == []
+    assert [each['kind'] for each in answer.quality] == ['spike']
+
+
 def test_a_cell_that_is_cut_off_at_the_end_is_a_spike() -> None:
     found, = findings(with_force(a_run(), lambda f: put(f, 1999, 9.0)))
     assert found.kind == 'spike'
