@@ -34,6 +34,7 @@ STATE: Final = ': state'
 # A message may come so many messages late, and so many stamps may be wrong.
 MOST_LATE: Final = 10
 MOST_WRONG: Final = 2
+IRREGULAR: Final = 0.1  # share of intervals that are not the usual one, if messages are missing
 CROWDED: Final = 1.5   # times as many messages in a time as usual: those of two times
 BLOCK_SAMPLES: Final = 20_000
 
@@ -90,7 +91,7 @@ def read_bag(path: str | Path) -> Run:
         why = f' ({problems[0]})' if problems else ''
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     information = checked(contents.information, problems, str(path))
-    problems += _standing_stamps(series, str(path))
+    problems += _wrong_stamps(series, str(path))
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
     return assemble(series, changes, str(path), information)
@@ -209,8 +210,7 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
 def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,
               information: dict[str, Any]) -> Run:
     """Return the run: the topics aligned to one time base."""
-    base = time_base(next(series[name] for name in (*TIME_BASES, *SIGNAL_TOPICS)
-                          if name in series), source)
+    base = time_base(series[_first(series)], source)
     signals: dict[str, Any] = {}
     for signal in SIGNALS:
         for topic in SIGNAL_TOPICS.values():
@@ -234,12 +234,36 @@ def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]
     return replace(Run(time_s, source=source, information=information, states=states), **signals)
 
 
-def _standing_stamps(series: Mapping[str, Series], source: str) -> list[str]:
-    """Return a sentence for each topic of which most messages repeat the stamp of another."""
-    return [f'{source}: {len(one.stamp_ns)} messages of {name} have '
-            f'{len(np.unique(one.stamp_ns))} different stamps: their times are wrong'
-            for name, one in series.items()
-            if one.stamp_ns.any() and len(np.unique(one.stamp_ns)) < 0.5 * len(one.stamp_ns)]
+def _wrong_stamps(series: Mapping[str, Series], source: str) -> list[str]:
+    """Return sentences on topics whose stamps repeat, are of another time, or are missing."""
+    found = []
+    first = _first(series)
+    ticks = np.unique(series[first].stamp_ns)
+    period = float(np.median(np.diff(ticks))) if len(ticks) > 1 else np.inf
+    usual = np.median(series[first].stamp_ns - series[first].publish_ns)
+    for name, one in series.items():
+        stamps = np.unique(one.stamp_ns)
+        if one.stamp_ns.any() and len(stamps) < 0.5 * len(one.stamp_ns):
+            found.append(f'{source}: {len(one.stamp_ns)} messages of {name} have {len(stamps)} '
+                         'different stamps: their times are wrong')
+        stamps = stamps[(stamps >= ticks[0]) & (stamps <= ticks[-1])]
+        if not len(stamps):     # none, or those of another clock
+            continue
+        off = np.abs(one.stamp_ns - one.publish_ns - usual)
+        if name != first and np.quantile(off, 0.9) > MOST_LATE * period:
+            found.append(f'{source}: the stamps of {name} are up to {1e-9 * off.max():.3g} s off '
+                         f'those of messages of {first} that were published at the same time')
+        steps = np.diff(np.searchsorted(ticks, stamps))
+        if len(steps) and np.mean(steps != np.median(steps)) > IRREGULAR and np.array_equal(
+                one.stamp_ns, one.publish_ns):      # in lock-step, each state has an answer
+            found.append(f'{source}: messages of {name} are missing: {len(stamps)} came, at no '
+                         f'regular interval, with {len(ticks)} of {first}')
+    return found
+
+
+def _first(series: Mapping[str, Series]) -> str:
+    """Return the topic that gives the time base."""
+    return next(name for name in (*TIME_BASES, *SIGNAL_TOPICS) if name in series)
 
 
 def time_base(series: Series, source: str) -> Series:

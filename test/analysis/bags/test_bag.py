@@ -3,7 +3,7 @@
 import shutil
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from importlib.metadata import version
 from io import BytesIO
@@ -221,6 +221,21 @@ def test_stamps_that_stand_still_are_told(tmp_path: Path) -> None:
         '/force': [(t, wrench(t, 1.0)) for t in ticks],
         '/force_reference': [(t, wrench(ticks[0], 100.0)) for t in ticks]})
     with pytest.warns(InputWarning, match='30 messages of force_reference have 1 different'):
+        read_bag(bag)
+
+
+@pytest.mark.parametrize('published, stamped, told', [
+    (range(1, 101), [k + 30 for k in range(1, 101)], 'of force_reference are up to 0.03 s off'),
+    (range(1, 101), [k - 30 * (k > 50) for k in range(1, 101)], 'are up to 0.03 s off those of'),
+    ([1, 2, 4, 7, 8, 9, 11, 15, 16, 20, 90], [], 'force_reference are missing: 11 came, at no')])
+def test_stamps_of_another_time_and_lost_messages_are_told(
+        published: Sequence[int], stamped: list[int], told: str, tmp_path: Path) -> None:
+    ticks = [10**6 * k for k in range(1, 101)]
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/force': [(t, wrench(t, 1.0)) for t in ticks],
+        '/force_reference': [(10**6 * k, wrench(10**6 * stamp, 1.0)) for k, stamp in zip(
+            published, stamped or published, strict=True)]})
+    with pytest.warns(InputWarning, match=told):
         read_bag(bag)
 
 
