@@ -18,8 +18,12 @@ from scipy import signal
 from asi_common.jit import jit
 from asi_common.parameter import ParameterError, Value, completed, with_its_type
 from asi_common.record import as_number, field_name, record_dtype
+from asi_controller.additions.disturbance_observer import disturbance, observe
+from asi_controller.additions.friction_feedforward import compensated
+from asi_controller.additions.gain_schedule import scheduled
 from asi_controller.additions.hysteresis_inverse import follow
 from asi_controller.additions.integrator import integrate
+from asi_controller.additions.notch import with_notch
 from asi_controller.additions.reference_model import approach, extrapolated, model_drive
 from asi_controller.additions.velocity_feedforward import advanced, compensation, followed
 from asi_controller.compensators import COMPENSATORS
@@ -28,7 +32,7 @@ from asi_controller.parameters import ADDITION_PARAMETERS, COMPENSATOR_PARAMETER
 
 # The phase is most important at the frequency of the limit cycle.
 PREWARP_HZ: Final = 90.0
-MOST_SECTIONS: Final = MOST_POLES // 2
+MOST_SECTIONS: Final = MOST_POLES // 2 + 1   # the last for the notch
 # The gain in use while the parameter `gain` is 0, by compensator.
 OWN_GAIN: Final = {name: each.gain for name, each in COMPENSATORS.items()}
 
@@ -60,6 +64,7 @@ COMPENSATOR_DTYPE = np.dtype([
     ('model_delayed', np.float64),                   # N
     ('centre', np.float64),                          # N, of the hysteresis inverse
     ('velocity', np.float64),                        # m/s, of the velocity feed-forward; NaN: off
+    ('observed', np.float64, (2,)),                  # N, of the disturbance observer
 ])
 
 
@@ -71,9 +76,11 @@ def design(values: Mapping[str, Value]) -> Design:
     """
     v = completed(values, COMPENSATOR_PARAMETERS)
     chosen = COMPENSATORS[str(v['compensator'])]
-    return chosen.design(float(v['gain']) or chosen.gain, **{
+    found = chosen.design(float(v['gain']) or chosen.gain, **{
         parameter.name: with_its_type(parameter, v[f'{chosen.name}.{parameter.name}'])
         for parameter in chosen.parameters})
+    return with_notch(found, float(v['notch.frequency']), float(v['notch.depth']),
+                      float(v['notch.width']))
 
 
 def _discrete(root: complex, rate_hz: float) -> complex:
@@ -168,7 +175,7 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
         c[field_name(parameter.name)] = as_number(parameter, v[parameter.name])
     if running is not None:
         for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre',
-                     'velocity'):
+                     'velocity', 'observed'):
             c[name] = running[name]
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
         if (np.array_equal(running['sections'], c['sections'])
@@ -220,6 +227,12 @@ def _beside(c, reference, measured, velocity):
                                 c.velocity_feedforward_damping)
     else:
         c.velocity = math.nan
+    if c.friction_feedforward_level > 0.0:
+        command += compensated(velocity, c.friction_feedforward_level,
+                               c.friction_feedforward_speed)
+    if c.disturbance_observer_bandwidth > 0.0:
+        command -= disturbance(c.observed, measured, c.disturbance_observer_bandwidth,
+                               c.disturbance_observer_lag_frequency)
     if c.integrator_rate > 0.0:
         command += c.integral
     else:
@@ -256,24 +269,28 @@ def compensate(c, reference, measured, velocity):
     """
     if c.fresh == REST:
         c.integral = 0.0
+        observe(c.observed, measured, c.command, 0.0, c.period)
     goal, direct = _beside(c, reference, measured, velocity)
     error = goal - measured
+    value = error * scheduled(reference, c.gain_schedule_force, c.gain_schedule_factor)
     if c.fresh != 0:
-        _initialise(c, error, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
-    value = error
+        _initialise(c, value, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
     for i in range(c.count):
         out = c.sections[i, 0] * value + c.memory[i, 0]
         c.memory[i, 0] = c.sections[i, 1] * value - c.sections[i, 3] * out + c.memory[i, 1]
         c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
         value = out
     out = c.lag[0] * value + c.lag_memory
+    linear = c.gain * out + direct
     if c.changed == 1:
-        c.bias = c.command - _inverted(c, c.gain * out + direct)
+        c.bias = c.command - _inverted(c, linear)
         c.changed = 0
-    unlimited = _inverted(c, c.gain * out + direct) + c.bias
-    c.bias *= c.bias_decay
+    unlimited = _inverted(c, linear) + c.bias
     c.command = _limited(c, unlimited)
     excess = unlimited - c.command
+    observe(c.observed, measured, _limited(c, linear + c.bias), c.disturbance_observer_bandwidth,
+            c.period)
+    c.bias *= c.bias_decay
     c.integral = integrate(c.integral, error, excess, c.integrator_rate, c.period)
     memory = c.lag[1] * value - c.lag[2] * out
     if excess * (memory - c.lag_memory) <= 0.0:
@@ -286,7 +303,8 @@ def frequency_response(c: np.void, frequencies_hz: npt.ArrayLike, rate_hz: float
     """
     Return the response of the discrete compensator at frequencies (Hz).
 
-    With the integrator (infinite at 0 Hz); without feed-forward and the inverse of the hysteresis.
+    With notch and integrator (infinite at 0 Hz), at the gain of no desired force; without the
+    other additions.
     """
     z = np.exp(2j * np.pi * np.asarray(frequencies_hz, float) / rate_hz)
     response = c['gain'] * (c['lag'][0] + c['lag'][1] / z) / (1.0 + c['lag'][2] / z)

@@ -41,6 +41,8 @@ SIMULATED_NS: Final = 10**18
 # share of what is missing or too much that a tick takes off the next period.
 AFTER_STATE_S: Final = 0.0002
 IN_STEP: Final = 0.05
+# Parameters that, unless 0, need the velocity of the piston.
+VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.level')
 # Looked up once.
 ROS_TIME, TimePoint = ClockType.ROS_TIME, rclpy_implementation.rcl_time_point_t
 # How often it is looked for a recorder that is awaited, and at the age of the reference, s.
@@ -102,14 +104,14 @@ class ControllerNode(Node):
 
     def _on_state(self, message: bytes) -> None:
         stamp_ns, force_n, velocity_m_s = wire.piston(message)
-        compensated = self.parameters.values['velocity_feedforward.share'] != 0.0
-        if math.isfinite(force_n) and (math.isfinite(velocity_m_s) or not compensated):
+        needed = [name for name in VELOCITY_NEEDED if self.parameters.values[name] != 0.0]
+        if math.isfinite(force_n) and (math.isfinite(velocity_m_s) or not needed):
             self.loop.on_state(stamp_ns, force_n, velocity_m_s)
         else:
             self.ignored += 1
             self.get_logger().error(
                 f'joint_states without a finite effort of the joint {PISTON}, or velocity if '
-                'velocity_feedforward.share asks for it: ignored',
+                f'{" or ".join(VELOCITY_NEEDED)} asks for it: ignored',
                 throttle_duration_sec=1.0)
 
     def _on_reference(self, message: bytes) -> None:

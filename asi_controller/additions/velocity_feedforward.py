@@ -10,7 +10,8 @@ which it is moved and would not be passive. The force loop around it has its own
 
 The valve follows the command late, and what is compensated late acts as a mass, which the
 integrator of the force turns into a negative damping. So the velocity is taken ahead, by a lead
-whose gain rises to LEAD at high frequencies.
+whose gain rises to LEAD at high frequencies: by little, since a heavy load on a stiff spring is
+fast, and too much compensation there makes a limit cycle (doc/explanation/force_control.md).
 """
 
 import math
@@ -27,7 +28,7 @@ PARAMETERS = (
     Parameter('lead_time', 0.0, 's', 'Time by which the velocity is taken ahead; 0: none',
               0.0, 0.05),
 )
-LEAD: Final = 5.0   # pole over zero of the lead
+LEAD: Final = 1.1   # pole over zero of the lead
 
 
 @jit

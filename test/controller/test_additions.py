@@ -73,7 +73,7 @@ def test_velocity_is_taken_ahead_by_the_lead_time() -> None:
     values = BARE | {'velocity_feedforward.share': 1.0, 'velocity_feedforward.damping': 1.0,
                      'velocity_feedforward.lead_time': 0.01}
     c = compensator(values, RATE)
-    ramp = 2.0 * np.arange(200) / RATE   # m/s, of 2 m/s2
+    ramp = 2.0 * np.arange(3000) / RATE   # m/s, of 2 m/s2
     found = [compensate(c, 0.0, 0.0, velocity) for velocity in ramp]
     assert found[-1] - ramp[-1] == pytest.approx(2.0 * 0.01, rel=0.1)
     # Off and on again it begins with the velocity of that time, measured or not before.
@@ -104,3 +104,45 @@ def test_reference_model_drives_a_lag_like_its_own_along_its_force_without_error
 def test_reference_model_extrapolates_a_ramp_and_not_a_jump() -> None:
     assert extrapolated(10.0, 8.0, 0.001, 2e4, 0.0002) == pytest.approx(20.0)
     assert extrapolated(30.0, 8.0, 0.001, 2e4, 0.0002) == 30.0
+
+
+def test_friction_is_compensated_in_the_direction_of_motion() -> None:
+    values = BARE | {'friction_feedforward.level': 7.0, 'friction_feedforward.speed': 0.01}
+    found = [commands(values, [0.0], velocity=velocity)[0]
+             for velocity in (0.0, 0.01, -0.01, 10.0)]
+    assert found == pytest.approx([0.0, 7.0 * 2.0**-0.5, -7.0 * 2.0**-0.5, 7.0], abs=1e-4)
+
+
+def test_gain_goes_linearly_to_its_factor_and_stays_there() -> None:
+    values: dict[str, Value] = {'gain': 2.0, 'feedforward': 0.0, 'gain_schedule.force': 100.0,
+                                'gain_schedule.factor': 3.0}
+    found = commands(values, [0.0, 50.0, -100.0, 400.0], force=1.0)
+    assert found == pytest.approx(2.0 * np.array([-1.0, 2.0 * 49.0, 3.0 * -101.0, 3.0 * 399.0]))
+
+
+def test_disturbance_observer_removes_what_its_model_does_not_explain() -> None:
+    """The model's own lag is no disturbance; a force added to it is gone after 1/(2 pi 10 Hz)."""
+    values: dict[str, Value] = BARE | {
+        'feedforward': 1.0, 'saturation': 150.0, 'disturbance_observer.bandwidth': 10.0,
+        'disturbance_observer.lag_frequency': 20.0}
+    c, lagged, forces = compensator(values, RATE), 0.0, []
+    decay = np.exp(-2.0 * np.pi * 20.0 / RATE)
+    for k in range(4000):
+        added = 30.0 if 1000 <= k < 2000 else 200.0 if 2000 <= k < 3000 else 0.0
+        forces.append(lagged + added)
+        command = compensate(c, 100.0, forces[-1], 0.0)
+        lagged = command + (lagged - command) * decay
+    # It is sampled: the lag of the model and that of the loop differ by a control period.
+    assert np.abs(np.array(forces[:1000]) - 100.0 * (1.0 - decay ** np.arange(1000))).max() < 2.0
+    assert forces[1999] == pytest.approx(100.0, abs=0.1)
+    # The command needed for 200 N, -100 N, is given; after it nothing is wound up.
+    assert forces[2999] == pytest.approx(100.0, abs=0.1)
+    assert forces[3999] == pytest.approx(100.0, abs=0.1) and max(forces[3000:]) < 101.0
+
+
+def test_disturbance_observer_starts_without_a_step_of_the_command() -> None:
+    off: dict[str, Value] = {'gain': 2.0}
+    c = compensator(off, RATE)
+    before = [compensate(c, 100.0, 80.0, 0.0) for _ in range(10)][-1]
+    c = compensator(off | {'disturbance_observer.bandwidth': 10.0}, RATE, c)
+    assert compensate(c, 100.0, 80.0, 0.0) == pytest.approx(before)

@@ -32,7 +32,9 @@ from asi_analysis.reporting.result import Pictures, Result, Table, filled, table
 from asi_analysis.terminal import Progress, silent
 
 # Additions to the compensator that neither method contains.
-UNKNOWN: Final = ('integrator.rate', 'hysteresis_inverse.size', 'velocity_feedforward.share')
+UNKNOWN: Final = ('integrator.rate', 'hysteresis_inverse.size', 'velocity_feedforward.share',
+                  'friction_feedforward.level', 'disturbance_observer.bandwidth',
+                  'gain_schedule.force')
 
 
 class Prediction(Result):

@@ -1,0 +1,41 @@
+"""The notch: it is where, as deep and as wide as its parameters say, behind any compensator."""
+
+import math
+
+import control
+import numpy as np
+import pytest
+
+from asi_common.parameter import Value
+from asi_controller.compensator import compensator, design, frequency_response
+
+
+def with_notch(frequency: float, depth: float, width: float) -> dict[str, Value]:
+    return {'notch.frequency': frequency, 'notch.depth': depth, 'notch.width': width}
+
+
+@pytest.mark.parametrize(('without', 'frequency', 'depth', 'width'), [
+    ('lead_lag', 321.0, 0.3, 100.0), ('proportional', 60.0, 0.05, 5.0),
+    ('lead4', 200.0, 1.0, 50.0), ('lead_lag', 100.0, 0.5, 500.0)])
+def test_notch_divides_the_response_of_the_compensator(
+        without: str, frequency: float, depth: float, width: float) -> None:
+    def gains(values: dict[str, Value], frequencies: list[float]) -> np.ndarray:
+        zeros, poles, gain = design({'compensator': without, 'gain': 5.0, **values})
+        system = control.zpk(zeros, poles, 1.0)
+        return np.abs(gain / system.dcgain() * system(2j * np.pi * np.array(frequencies)))
+
+    edges = [math.hypot(frequency, 0.5 * width) + side * 0.5 * width for side in (-1, 1)]
+    frequencies = [1e-3 * frequency, frequency, *edges, 1e4 * frequency]
+    edge = math.sqrt(0.5 * (1.0 + depth**2))
+    ratio = gains(with_notch(frequency, depth, width), frequencies) / gains({}, frequencies)
+    np.testing.assert_allclose(ratio, [1.0, depth, edge, edge, 1.0], rtol=1e-3)
+
+
+@pytest.mark.parametrize('without', [
+    {'compensator': 'lead_lag'}, {'compensator': 'proportional'},
+    {'compensator': 'custom', 'custom.poles': ', '.join(['-5000'] * 16)}])
+def test_notch_is_there_at_the_control_rate(without: dict[str, Value]) -> None:
+    deep = without | with_notch(90.0, 0.1, 30.0)   # where the discrete response is the design's
+    ratio = (frequency_response(compensator(deep, 5000.0), [90.0], 5000.0)
+             / frequency_response(compensator(without, 5000.0), [90.0], 5000.0))
+    assert abs(ratio[0]) == pytest.approx(0.1, rel=1e-6)
