@@ -272,7 +272,7 @@ def compensate(c, reference, measured, velocity):
         observe(c.observed, measured, c.command, 0.0, c.period)
     goal, direct = _beside(c, reference, measured, velocity)
     error = goal - measured
-    value = error * scheduled(reference, c.gain_schedule_force, c.gain_schedule_factor)
+    value = error * scheduled(velocity, c.gain_schedule_velocity)
     if c.fresh != 0:
         _initialise(c, value, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
     for i in range(c.count):
@@ -303,8 +303,7 @@ def frequency_response(c: np.void, frequencies_hz: npt.ArrayLike, rate_hz: float
     """
     Return the response of the discrete compensator at frequencies (Hz).
 
-    With notch and integrator (infinite at 0 Hz), at the gain of no desired force; without the
-    other additions.
+    With notch and integrator (infinite at 0 Hz), at rest; without the other additions.
     """
     z = np.exp(2j * np.pi * np.asarray(frequencies_hz, float) / rate_hz)
     response = c['gain'] * (c['lag'][0] + c['lag'][1] / z) / (1.0 + c['lag'][2] / z)

@@ -42,7 +42,8 @@ SIMULATED_NS: Final = 10**18
 AFTER_STATE_S: Final = 0.0002
 IN_STEP: Final = 0.05
 # Parameters that, unless 0, need the velocity of the piston.
-VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.level')
+VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.level',
+                          'gain_schedule.velocity')
 # Looked up once.
 ROS_TIME, TimePoint = ClockType.ROS_TIME, rclpy_implementation.rcl_time_point_t
 # How often it is looked for a recorder that is awaited, and at the age of the reference, s.

@@ -41,6 +41,7 @@ def tune(
     conditions: Annotated[int, typer.Option(
         help='Conditions of the attack on what is found', min=1)] = 300,
     seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0, max=MOST_SEED)] = 1,
+    rate: Rate = 5000.0,
     out: Annotated[Path | None, typer.Option(
         callback=directory, help='Directory for controller.yaml')] = None,
     report: Report = None,
@@ -57,7 +58,7 @@ def tune(
         result = tune_controller(
             read_parameters(actuator, 'actuator') if actuator else {},
             read_parameters(controller, 'controller') if controller else {},
-            prefer, evaluations, conditions, seed, out, progress)
+            prefer, evaluations, conditions, seed, out, rate, progress)
         if report:
             result.write_report(report)
     show(result, as_json)

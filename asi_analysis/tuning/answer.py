@@ -12,7 +12,7 @@ from asi_analysis.loop.closed_loop import Values
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import ROWS, figures, missed
-from asi_analysis.tuning.search import RATES_HZ, Candidate, front, tune
+from asi_analysis.tuning.search import Candidate, attacked_rates, front, tune
 from asi_common.parameter_file import write_parameters
 
 # Values to reach instead of those of ROWS.
@@ -44,7 +44,7 @@ class Tuning(Result):
         yield table_of(self.rows_found(), {
             'figure': '{text}', 'before': '{before:.3g}', 'found': '{value:.3g}',
             'to reach': '{goal:.3g}', '': '{unit}', 'reached': '{met}'},
-            f'{self.prefer}, after {self.evaluations} settings tried')
+            f'{self.prefer}, at {self.rate_hz:g} Hz, after {self.evaluations} settings tried')
         yield filled('{sustained_found} sustained oscillations in {conditions_tried} conditions, '
                      'limit-cycle margin {margin:.3g}', self)
         yield (f'{len(self.front)} settings tried are quiet under attack, and none is better in '
@@ -64,13 +64,15 @@ class Tuning(Result):
 
 def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
                     evaluations: int = 800, conditions: int = 300, seed: int = 1,
-                    out: Path | None = None, progress: Progress = silent) -> Tuning:
+                    out: Path | None = None, rate_hz: float = 5000.0,
+                    progress: Progress = silent) -> Tuning:
     """
     Search the settings of the controller for an actuator, and attack those that are found.
 
     actuator, start: parameters by name, the rest at their defaults; the search begins at `start`.
     prefer: one of PREFERENCES. evaluations: settings tried; conditions: of the last attack; seed:
-    of both. out: directory for `controller.yaml`. Raises InputError for another preference.
+    of both. out: directory for `controller.yaml`. rate_hz: control rate of the figures; the attack
+    also tries lower ones. Raises InputError for another preference.
 
     >>> import asi_analysis as asi
     >>> found = asi.tune_controller({}, {}, evaluations=100)  # doctest: +SKIP
@@ -78,10 +80,11 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
     if prefer not in PREFERENCES:
         raise InputError(f'prefer = {prefer!r}: it is one of {", ".join(PREFERENCES)}')
     goals = PREFERENCES[prefer]
-    best, tried = tune(actuator, start, goals, evaluations, seed, progress)
-    before = figures(actuator, start)
+    best, tried = tune(actuator, start, goals, evaluations, seed, rate_hz, progress)
+    before = figures(actuator, start, rate_hz)
     progress('attack', None)
-    attack = quench_cycles(actuator, best.controller, RATES_HZ, conditions, seed + 1000)
+    attack = quench_cycles(actuator, best.controller, attacked_rates(rate_hz), conditions,
+                           seed + 1000)
     file = None
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -89,7 +92,8 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
         write_parameters(file, '/**/asi_controller', best.controller,
                          header=['Written by `asi tune`.'])
     return Tuning({
-        'prefer': prefer, 'evaluations': len(tried), 'controller': dict(best.controller),
+        'prefer': prefer, 'rate_hz': rate_hz, 'evaluations': len(tried),
+        'controller': dict(best.controller),
         'rows': rows_of(best.figures, before, goals),
         **{key: attack[key] for key in ('margin', 'conditions_tried', 'sustained_found',
                                         'worst_amplitude_n')},

@@ -107,17 +107,25 @@ def gains_db(sines: Array, rate_hz: float) -> list[float]:
             for run, frequency in zip(sines[1:], BAND_HZ, strict=True)]
 
 
+def moved(actuator: Values, controller: Values, name: str, rate_hz: float) -> Array:
+    """Return the run of one of MOTIONS with no desired force: 6 signals x the last period."""
+    velocity, frequency = MOTIONS[name]
+    run = _runs([_moved(actuator, velocity, frequency)],
+                [_references(controller, 'step', amplitude=0.0)], rate_hz, 1.5 / frequency)[0]
+    return run[:, -round(rate_hz / frequency):]
+
+
+def _moved(actuator: Values, velocity: float, frequency: float) -> dict[str, Any]:
+    return {**actuator, 'load.type': 'prescribed', 'load.velocity': velocity,
+            'load.frequency': frequency}
+
+
 def responses(actuator: Values, controller: Values, rate_hz: float) -> Responses:
     """Return the runs of a loop: on the locked piston, and moved."""
-    def moved(velocity: float, frequency: float) -> dict[str, Any]:
-        return {**actuator, 'load.type': 'prescribed', 'load.velocity': velocity,
-                'load.frequency': frequency}
-
-    still = _references(controller, 'step', amplitude=0.0)
-    motions = {name: _runs([moved(velocity, frequency)], [still], rate_hz, 1.5 / frequency)[
-        0, :, -round(rate_hz / frequency):] for name, (velocity, frequency) in MOTIONS.items()}
+    motions = {name: moved(actuator, controller, name, rate_hz) for name in MOTIONS}
     cases = [(velocity, frequency) for velocity in IMPEDANCE_M_S for frequency in IMPEDANCE_HZ]
-    found = _runs([moved(*case) for case in cases], [still] * len(cases), rate_hz, 1.5)
+    found = _runs([_moved(actuator, *case) for case in cases],
+                  [_references(controller, 'step', amplitude=0.0)] * len(cases), rate_hz, 1.5)
     impedance = np.array([
         -_harmonic(run[2], frequency, rate_hz) / _harmonic(run[5], frequency, rate_hz)
         for run, (_, frequency) in zip(found, cases, strict=True)])

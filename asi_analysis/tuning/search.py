@@ -20,7 +20,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.limit_cycle.quench.attack import EXCITED_S, FREE_S, Condition, search
 from asi_analysis.loop.closed_loop import Values, close_many, loops_of
 from asi_analysis.terminal import Progress, silent
-from asi_analysis.tuning.figures import figures, missed
+from asi_analysis.tuning.figures import figures, missed, moved
 from asi_common.parameter import Value, defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -39,8 +39,9 @@ RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
     'reference_model.delay': (0.0004, 0.0025, 0.006),
     'reference_model.lead_time': (0.0003, 0.001, 0.006),
     'reference_model.slope': (5e3, 2e4, 6e4),
+    'gain_schedule.velocity': (0.1, 0.3, 1.0),
     'velocity_feedforward.share': (0.05, 0.35, 1.0),
-    'velocity_feedforward.lead_time': (0.001, 0.01, 0.03),
+    'velocity_feedforward.lead_time': (0.001, 0.015, 0.05),
     'saturation': (1200.0, 1400.0, 4000.0),
     'feedforward': (0.9, 0.97, 1.1),
 }
@@ -54,6 +55,11 @@ MARGIN: Final = (1.1, 1e-4)
 LEFT_N: Final = 0.2
 WATCHED_S: Final = 0.12
 FALL: Final = 0.2
+# Of a moved piston: by how much the loop gain is raised, and what may oscillate (N, rms) above so
+# many Hz.
+MOVED_GAIN: Final = 1.2
+MOVED_N: Final = 4.0
+ABOVE_HZ: Final = 60.0
 # The attack inside: conditions tried, the worst of which are kept, and generations between two.
 ATTACKED: Final = 160
 KEPT: Final = 8
@@ -92,12 +98,18 @@ def first_point(start: Values) -> np.ndarray:
                     for name, (low, _, high) in RANGES.items()], 0.0, 1.0)
 
 
-def left(conditions: Sequence[Condition], actuator: Values, controller: Values) -> float:
+def attacked_rates(rate_hz: float) -> tuple[float, ...]:
+    """Return the control rates (Hz) of the attack: that one, and the lower ones of RATES_HZ."""
+    return (rate_hz, *(each for each in RATES_HZ if each < rate_hz))
+
+
+def left(conditions: Sequence[Condition], actuator: Values, controller: Values,
+         rates_hz: tuple[float, ...] = RATES_HZ) -> float:
     """Return the sum of the logarithms over LEFT_N of the amplitudes left that do not decay."""
     gain, delay = MARGIN
     table = defaults(ACTUATOR_PARAMETERS)
     total = 0.0
-    every = [condition.settings(RATES_HZ, actuator) for condition in conditions]
+    every = [condition.settings(rates_hz, actuator) for condition in conditions]
     for rate in {each['rate_hz'] for each in every}:
         chosen = [each for each in every if each['rate_hz'] == rate]
         actuators = [{**table, **actuator, **each['actuator']} for each in chosen]
@@ -117,25 +129,46 @@ def left(conditions: Sequence[Condition], actuator: Values, controller: Values) 
     return total
 
 
+def left_in_motion(actuator: Values, controller: Values, rates_hz: Sequence[float]) -> float:
+    """
+    Return the sum of the logarithms over MOVED_N of what oscillates while the piston is moved.
+
+    The command then acts more strongly (`asi_controller/additions/gain_schedule.py`), and the
+    attack of `asi quench` measures at rest.
+    """
+    gain = 'valve_characteristic.gain'
+    table = {**defaults(ACTUATOR_PARAMETERS), **actuator}
+    raised = {**table, gain: MOVED_GAIN * float(table[gain])}
+    total = 0.0
+    for rate in rates_hz:
+        force = moved(raised, controller, 'felt_force_fast_n', rate)[2]
+        slow = signal.savgol_filter(force, 2 * int(rate / ABOVE_HZ) + 1, 2)
+        total += math.log(max(float(np.std(force - slow)) / MOVED_N, 1.0))
+    return total
+
+
 def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluations: int, seed: int,
-         report: Progress = silent) -> tuple[Candidate, list[Candidate]]:
+         rate_hz: float = 5000.0, report: Progress = silent) -> tuple[Candidate, list[Candidate]]:
     """
     Return the best settings found, and all that were tried.
 
     start: parameters of the controller to begin with; goals: values to reach by name, where they
-    are not those of ROWS.
+    are not those of ROWS. rate_hz: control rate of the figures; the attack also tries the lower
+    ones of RATES_HZ.
     """
     begin = first_point(start)
+    rates = attacked_rates(rate_hz)
     conditions: list[Condition] = []
 
     def attacked(controller: Values, number: int, count: int) -> None:
-        found = search(actuator, controller, RATES_HZ, ATTACKED, seed + number)
+        found = search(actuator, controller, rates, ATTACKED, seed + number)
         conditions.extend(trial.condition for trial in found[:count])
 
     def candidate(point: np.ndarray) -> Candidate:
         controller = settings(point)
-        found = figures(actuator, controller)
-        oscillation = left(conditions, actuator, controller)
+        found = figures(actuator, controller, rate_hz)
+        oscillation = (left(conditions, actuator, controller, rates)
+                       + left_in_motion(actuator, controller, rates))
         beyond = np.maximum(0.0, -point) + np.maximum(0.0, point - 1.0)
         cost = (sum(MISSED * max(miss, 0.0) + REACHED * miss
                     for miss in missed(found, goals).values())

@@ -1,24 +1,23 @@
 """
-The gain of the compensator scheduled by the desired force.
+The gain of the compensator scheduled by the measured velocity.
 
-The valve and the play act differently on small and on large forces, and so does the onset of the
-limit cycle. From no desired force to `force` the gain goes linearly to `factor` times itself, and
-stays there. The desired force comes from outside of the loop, so no feedback arises by it (Rugh
-and Shamma, Research on gain scheduling, Automatica 36, 2000).
+The damping of the actuator depends on the opening of its valve, so that a moved piston answers a
+change of the command with more force than one at rest: at 0.2 to 0.6 m/s, where it gives no
+force, with 2.4 to 3.3 times as much (`test/controller/test_additions.py`). A gain that holds the
+piston at rest makes it oscillate in motion. The schedule is about the inverse of that: a gain of
+1/(1 + |v|/velocity) (Rugh and Shamma, Research on gain scheduling, Automatica 36, 2000).
 """
 
 from asi_common.jit import jit
 from asi_common.parameter import Parameter
 
 PARAMETERS = (
-    Parameter('force', 0.0, 'N', 'Desired force from which on the whole factor holds; 0: no '
-              'schedule', 0.0, 1e5),
-    Parameter('factor', 1.0, '', 'Gain at that force and above, relative to that at no force',
-              0.0, 10.0),
+    Parameter('velocity', 0.0, 'm/s', 'Velocity at which the gain is half of that at rest; 0: no '
+              'schedule', 0.0, 100.0),
 )
 
 
 @jit
-def scheduled(goal, force, factor):
-    """Return the factor of the gain at a desired force (N)."""
-    return 1.0 + (factor - 1.0) * min(abs(goal) / force, 1.0) if force > 0.0 else 1.0
+def scheduled(velocity, half):
+    """Return the factor of the gain at a velocity (m/s), of which `half` (m/s) halves it."""
+    return half / (half + abs(velocity)) if half > 0.0 else 1.0

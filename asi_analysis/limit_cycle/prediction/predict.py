@@ -34,7 +34,7 @@ from asi_analysis.terminal import Progress, silent
 # Additions to the compensator that neither method contains.
 UNKNOWN: Final = ('integrator.rate', 'hysteresis_inverse.size', 'velocity_feedforward.share',
                   'friction_feedforward.level', 'disturbance_observer.bandwidth',
-                  'gain_schedule.force')
+                  'gain_schedule.velocity')
 
 
 class Prediction(Result):
