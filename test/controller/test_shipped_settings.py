@@ -1,4 +1,4 @@
-"""The settings of config/force_control*.yaml: what each reaches, and under attack."""
+"""The settings of config/force_control.yaml: every row reached, at rest and moved, under attack."""
 
 import pytest
 from conftest import ROOT
@@ -6,21 +6,26 @@ from conftest import ROOT
 from asi_analysis.experiments.experiment import read_parameters
 from asi_analysis.limit_cycle.quench.attack import search
 from asi_analysis.tuning.figures import figures, missed
+from asi_analysis.tuning.search import left_in_motion
 
-FELT = {'felt_force_slow_n', 'felt_force_fast_n'}
-# What each gives up (doc/explanation/force_control.md).
-GIVEN_UP = {'force_control': FELT, 'force_control_transparent': {'least_re_z_n_s_m'},
-            'force_control_stiff': FELT | {'steady_state_error_n'}}
+SUBSTEP = 'maximum_substep'
 
 
-@pytest.mark.parametrize('name', GIVEN_UP)
-def test_settings_reach_all_but_what_they_give_up(name):
-    controller = read_parameters(ROOT / 'config' / f'{name}.yaml', 'controller')
-    misses = missed(figures({}, controller))
-    assert {row for row, miss in misses.items() if miss > 0.0} == GIVEN_UP[name]
+@pytest.fixture(scope='module')
+def controller():
+    return read_parameters(ROOT / 'config' / 'force_control.yaml', 'controller')
 
 
-def test_attack_finds_nothing_against_the_default_settings():
-    controller = read_parameters(ROOT / 'config' / 'force_control.yaml', 'controller')
+@pytest.mark.parametrize('actuator', [{}, {SUBSTEP: 1.25e-5}])
+def test_settings_reach_every_row(controller, actuator):
+    misses = missed(figures(actuator, controller))
+    assert {row for row, miss in misses.items() if miss > 0.0} == set()
+
+
+def test_moved_piston_does_not_oscillate(controller):
+    assert left_in_motion({}, controller, (5000.0, 2000.0)) == 0.0
+
+
+def test_attack_finds_nothing(controller):
     assert not any(trial.sustained for trial in search(
         {}, controller, (5000.0, 2000.0, 1000.0), 60, seed=4))
