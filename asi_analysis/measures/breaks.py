@@ -13,7 +13,12 @@ Mask = npt.NDArray[np.bool_]
 LAGS: Final = 20
 FEWEST: Final = 200
 MOST: Final = 20_000
-# Smallest deviation that is a break: of the range of the signal; of the 90 % quantile of all.
+# Smallest change of an input that is answered, as a share of its range; samples of the beginning
+# of an answer.
+STEP: Final = 0.01
+ANSWER: Final = 4
+# Smallest deviation that is a break: of the range of the signal; of the 90 % quantile of all. A
+# signal that stands still moves by less than this share of its next change.
 SHARE: Final = 0.2
 USUAL: Final = 10.0
 # Share of different values among the others from which on no sample repeats one by chance.
@@ -52,7 +57,8 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
     """
     Return which of n samples are spikes: one or two that differ from their neighbours.
 
-    What the input explains is none; an input of the same unit explains no more than its own range.
+    What the input explains is none. One of the same unit explains what is within its own range,
+    where the signal begins to answer a change of it.
     """
     smooth = ndimage.median_filter(values, 5, mode='mirror')
     deviation = np.abs(values - smooth)
@@ -64,6 +70,8 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
     if inputs is None or not large.any():
         return large
     odd = large & (unexplained(inputs, values) | (deviation > span))
+    if same_unit:
+        odd |= large & ~_begun(inputs, values)
     return ndimage.binary_propagation(odd, mask=large)
 
 
@@ -103,6 +111,17 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
             for k in np.flatnonzero(lengths >= FROZEN) if stirred[max(k - FROZEN, 0):k].any()
             and (stirred[k:k + FROZEN].any() or k == len(changes))]
+
+
+def _begun(inputs: Array, values: Array) -> Mask:
+    """Return where a signal that stood still begins to move after a change of its input."""
+    begun = np.zeros(len(values), bool)
+    change = np.abs(np.diff(values, prepend=values[0]))
+    steps = np.abs(np.diff(inputs, prepend=inputs[0])) > STEP * float(np.ptp(inputs))
+    for lag in range(min(LAGS, len(values) - 1) + 1):
+        begun[lag + 1:] |= steps[1:len(values) - lag] & (
+            np.abs(values[lag:-1] - values[:len(values) - lag - 1]) < SHARE * change[lag + 1:])
+    return np.convolve(begun, np.ones(ANSWER))[:len(begun)] > 0.0
 
 
 def is_continuous(values: Array) -> bool:

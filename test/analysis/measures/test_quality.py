@@ -211,6 +211,11 @@ def test_a_slow_sensor_that_answers_in_one_sample_does_not_jump() -> None:
     assert findings(replace(run, force_n=force + quiet)) == []
 
 
+def test_digits_lost_soon_after_a_step_are_spikes() -> None:
+    found, = findings(with_force(a_run(), lambda f: put(f, slice(STEP + 12, STEP + 14), 10.0)))
+    assert found.kind == 'spike'
+
+
 def test_frozen_samples_are_found_beside_two_that_are_nearly_equal() -> None:
     run = with_force(a_run(), lambda f: put(f, slice(STEP + 8, STEP + 14), f[STEP + 8]))
     run = with_force(run, lambda f: put(f, STEP + 14, f[STEP + 13] + 1e-9))
