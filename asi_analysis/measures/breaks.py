@@ -79,15 +79,17 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
     """
     Return the first and the last sample of each part that jumps lead to, out of n samples.
 
-    A jump is a change that neither the signal before it nor its reference explains. Two enclose a
-    part. Of an odd number it cannot be told which side is right: then all samples are one part.
-    What comes after a gap is no jump.
+    A jump is a change that neither the signal before it nor its reference explains, which explains
+    no more than twice its own range. Two enclose a part. Of an odd number it cannot be told which
+    side is right: then all samples are one part. What comes after a gap is no jump.
     """
     if len(values) < FEWEST:
         return []
     steps = np.diff(time)
     after = np.flatnonzero(steps > 1.5 * np.median(steps))[:, None] + np.arange(1, LAGS + 2)
-    large = unexplained(reference, values)
+    change = np.abs(np.diff(values, prepend=values[0]))
+    large = unexplained(reference, values) | _large(change, float(np.ptp(values))) & (
+        change > 2.0 * float(np.ptp(reference)))
     large[np.minimum(after, len(values) - 1)] = False
     places = np.flatnonzero(large)
     places = places[np.diff(places, prepend=-LAGS) > LAGS]

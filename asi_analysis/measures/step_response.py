@@ -16,7 +16,7 @@ from scipy import signal
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.quality import LOSSES, Finding, findings, trust, without_spikes
+from asi_analysis.measures.quality import LOSSES, Finding, Trust, findings, trust, without_spikes
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # The mean over this share of the time after a step, at its end, is the steady-state force.
@@ -325,6 +325,10 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, end)
     if levels.withheld:
         moving = steady = levels
+    resolution = float(np.diff(np.unique(run.signal(name)[first:])).min(initial=np.inf))
+    if steady.reliable and abs(step.steady_state_error_n or np.inf) < resolution:
+        steady = Trust(False, False, f'the {name} has a resolution of {resolution:.3g} '
+                                     f'{run.unit(name)}')
     reliable[step.time_s] = dict.fromkeys(TRANSIENT, moving.reliable) | {
         'steady_state_error_n': steady.reliable}
     if moving.withheld:

@@ -216,6 +216,18 @@ def test_digits_lost_soon_after_a_step_are_spikes() -> None:
     assert found.kind == 'spike'
 
 
+def test_a_filler_soon_after_a_step_is_found() -> None:
+    found = findings(with_force(a_run(), lambda f: put(f, slice(STEP + 4, STEP + 11), 65535.0)))
+    assert 'jump' in {each.kind for each in found}
+
+
+def test_a_steady_state_error_below_the_resolution_is_marked() -> None:
+    document = analyze(with_force(a_run(), np.trunc))
+    assert not document['reliable']['steady_state_error_n']
+    assert 'steady-state error: doubtful, because the force has a resolution of 1 N' in document[
+        'notes']
+
+
 def test_frozen_samples_are_found_beside_two_that_are_nearly_equal() -> None:
     run = with_force(a_run(), lambda f: put(f, slice(STEP + 8, STEP + 14), f[STEP + 8]))
     run = with_force(run, lambda f: put(f, STEP + 14, f[STEP + 13] + 1e-9))
