@@ -3,6 +3,7 @@
 import gzip
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import warnings
@@ -10,10 +11,13 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pyarrow
 import pytest
 import zstandard
+from conftest import PATIENCE_S, wait_until
 from mcap.records import Chunk
 from mcap.writer import Writer
+from pyarrow import parquet
 from rosbags.rosbag2 import CompressionMode
 from scipy.io import savemat
 
@@ -31,6 +35,8 @@ from asi_analysis.errors import InputError, InputWarning
 from asi_common.files import write_text
 from asi_common.node.topics import STREAM_QOS
 from torture.inputs import as_sqlite
+
+ASI = (sys.executable, '-m', 'asi_analysis.cli')
 
 
 def asi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
@@ -104,6 +110,22 @@ def test_a_compressed_text_is_not_unpacked_beyond_the_limit(
     (tmp_path / 'a.csv.gz').write_bytes(gzip.compress(b'force\n' + b'1.00000\n' * 200_000))
     with pytest.raises(InputError, match='unpacks to more than 1 MB'):
         import_recording(tmp_path / 'a.csv.gz', ['force=force'], 10.0)
+
+
+@pytest.mark.parametrize('kind', ['npz', 'mat', 'parquet'])
+def test_a_table_is_not_unpacked_beyond_the_limit(
+        kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text_file, 'MOST_UNPACKED', 1_000_000)
+    bomb, zeros = tmp_path / f'a.{kind}', np.zeros(5_000_000)
+    if kind == 'npz':
+        np.savez_compressed(bomb, force=zeros)
+    elif kind == 'mat':
+        savemat(bomb, {'force': zeros}, do_compression=True)
+    else:
+        parquet.write_table(pyarrow.table({'force': zeros}), bomb)
+    message = 'cannot be read' if kind == 'mat' else 'unpacks to 40 MB, more than 1 MB'
+    with pytest.raises(InputError, match=message):
+        import_recording(bomb, ['force=force'], 10.0)
 
 
 @pytest.mark.parametrize('declared', [1000, 5_000_000_000])
@@ -206,9 +228,10 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
         assert len(read_bag(tmp_path / 'bag')) == 300
 
 
-@pytest.mark.parametrize('variables', [{}, {'HOME': '/proc/none'},
+@pytest.mark.parametrize('variables', [{}, {'HOME': '/proc/none', 'LC_ALL': 'C'},
                                        {'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
-def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[str, str]) -> None:
+def test_spaces_umlauts_no_home_no_locale_and_no_terminal(
+        tmp_path: Path, variables: dict[str, str]) -> None:
     folder = tmp_path / 'Prüf stand'
     neither = os.fsdecode(b'n\xff')     # bytes that are no text
     folder.mkdir()
@@ -217,11 +240,63 @@ def test_spaces_umlauts_no_home_and_no_locale(tmp_path: Path, variables: dict[st
     for words in (['export', folder / 'lauf ß', '--out', folder / 'ä ö.csv'],
                   ['import', folder / 'ä ö.csv', '--out', folder / neither],
                   ['analyze', folder / neither]):
-        done = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', *map(str, words)],
+        done = subprocess.run(['sh', '-c', 'exec "$@" <&-', 'sh', *ASI, *map(str, words)],
                               env=environment, capture_output=True, text=True, encoding='utf-8',
-                              errors='replace', check=False, stdin=subprocess.DEVNULL)
+                              errors='replace', check=False)
         assert done.returncode == 0, done.stderr
         assert all(line.startswith('asi: ') for line in done.stderr.splitlines()), done.stderr
+
+
+def test_a_temporary_folder_that_is_full(tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    savemat(tmp_path / 'a.mat', {'force': np.arange(100.0)})
+    (tmp_path / 'full').mkdir()
+    script = ('mount -t tmpfs -o size=64k tmpfs full || exit 99; '
+              'dd if=/dev/zero of=full/all bs=1k 2> /dev/null; export TMPDIR=$PWD/full; '
+              '"$@" export bag --out a.parquet && "$@" import a.parquet --out again && '
+              '"$@" import a.mat --map force=force --rate 10 --out new && '
+              '"$@" limit-cycle again --report report')
+    done = subprocess.run(['unshare', '-m', 'sh', '-c', script, 'sh', *ASI], cwd=tmp_path,
+                          capture_output=True, text=True, check=False,
+                          env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)})
+    if done.returncode == 99 or 'unshare failed' in done.stderr:
+        pytest.skip(f'no folder of its own can be mounted: {done.stderr.strip()}')
+    assert (done.returncode, done.stderr) == (0, '')
+    assert list((tmp_path / 'report').iterdir())
+
+
+def a_table(path: Path, rows: int) -> Path:
+    path.write_text('time_s,force_n\n' + ''.join(
+        f'{k / 1000.0},{k % 7}.25\n' for k in range(rows)))
+    return path
+
+
+def test_memory_of_an_import_is_that_of_its_numbers(tmp_path: Path) -> None:
+    """A row of two numbers took 600 bytes; bench/large_files.py imports ten million rows."""
+    script = ('import resource, sys; from asi_analysis import cli; status = cli.main(); '
+              'print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(status)')
+    peaks = []
+    for rows in (1000, 200_000):
+        done = subprocess.run(
+            [sys.executable, '-c', script, 'import', str(a_table(tmp_path / 'a.csv', rows)),
+             '--out', str(tmp_path / f'bag{rows}')], capture_output=True, text=True, check=True,
+            env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)})
+        peaks.append(1024 * int(done.stdout.split()[-1]))
+    assert peaks[1] - peaks[0] < 200_000 * 250
+
+
+def test_ctrl_c_ends_the_reading_of_a_large_file(tmp_path: Path) -> None:
+    file = a_table(tmp_path / 'a.csv', 300_000)
+    process = subprocess.Popen([*ASI, 'import', str(file), '--out', str(tmp_path / 'bag')],
+                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                               env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)})
+    folder = Path(f'/proc/{process.pid}/fd')
+    wait_until(lambda: any(each.is_symlink() and os.path.realpath(each) == str(file)
+                           for each in folder.iterdir()), 'the file to be opened')
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=PATIENCE_S)[1] == 'asi: interrupted\n'
+    assert process.returncode == 130
+    assert not (tmp_path / 'bag').exists()
 
 
 def test_what_a_library_says_in_several_lines_is_told_in_one():
