@@ -27,7 +27,8 @@ ROOT: Final = Path(__file__).parents[1]
 # Results of the last run of each, so that one alone can be run again.
 LAST: Final = ROOT / 'build' / 'bench.json'
 MODULES: Final = ('model_speed', 'rivals', 'many_runs', 'loop_rate', 'live_page',
-                  'recording', 'analysis_speed', 'start_up', 'cluster_speed', 'can_cost')
+                  'recording', 'large_files', 'analysis_speed', 'start_up', 'cluster_speed',
+                  'can_cost')
 PACKAGES: Final = ('ros-jazzy-rclpy', 'numpy', 'numba', 'llvmlite', 'scipy', 'control', 'mujoco',
                    'rosbags', 'mcap', 'joblib', 'distributed')
 
