@@ -48,7 +48,7 @@ setup(
         'pyarrow>=17,<27',
         'matplotlib>=3.9,<4',
         'jinja2>=3.1.4,<4',
-        'typer>=0.19,<1',       # Literal as the type of an option
+        'typer>=0.26,<1',       # with its own copy of click
         'rich>=13.7,<16',
         'cma>=4.0,<5',
         'joblib>=1.4,<2',

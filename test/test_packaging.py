@@ -35,6 +35,13 @@ def locked() -> dict[str, list[tuple[str, int]]]:
     return found
 
 
+def test_every_dependency_has_a_lower_and_an_upper_bound() -> None:
+    """But those of ROS, which go together."""
+    for name, wanted in needed().items():
+        bounds = {each.operator for each in wanted.specifier}
+        assert name.startswith('ros-') or {'>=', '<'} <= bounds, wanted
+
+
 def test_the_lock_file_has_what_the_two_commands_need_with_hashes() -> None:
     lock = locked()
     for name, wanted in needed('test').items():
