@@ -12,6 +12,7 @@ from asi_analysis.loop.closed_loop import Values
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import ROWS, figures, missed
+from asi_analysis.tuning.margins import margins
 from asi_analysis.tuning.search import Candidate, attacked_rates, front, tune
 from asi_common.parameter_file import write_parameters
 
@@ -45,6 +46,10 @@ class Tuning(Result):
             'figure': '{text}', 'before': '{before:.3g}', 'found': '{value:.3g}',
             'to reach': '{goal:.3g}', '': '{unit}', 'reached': '{met}'},
             f'{self.prefer}, at {self.rate_hz:g} Hz, after {self.evaluations} settings tried')
+        yield table_of(self.margins, {
+            'moved at m/s': '{velocity_m_s:g}', 'gain margin': '{gain:.2f}',
+            'at Hz': '{gain_frequency_hz:.0f}', 'phase margin °': '{phase_deg:.0f}',
+            'disk margin': '{disk:.2f}'}, 'Margins of the linear loop')
         yield filled('{sustained_found} sustained oscillations in {conditions_tried} conditions, '
                      'limit-cycle margin {margin:.3g}', self)
         yield (f'{len(self.front)} settings tried are quiet under attack, and none is better in '
@@ -97,6 +102,7 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
         'rows': rows_of(best.figures, before, goals),
         **{key: attack[key] for key in ('margin', 'conditions_tried', 'sustained_found',
                                         'worst_amplitude_n')},
+        'margins': [each._asdict() for each in margins(actuator, best.controller, rate_hz)],
         'front': [_point(each) for each in front(tried, FRONT)],
         'file': str(file) if file else None}, best=best)
 

@@ -3,7 +3,7 @@ The gain of the compensator scheduled by the measured velocity.
 
 The damping of the actuator depends on the opening of its valve, so that a moved piston answers a
 change of the command with more force than one at rest: at 0.2 to 0.6 m/s, where it gives no
-force, with 2.4 to 3.3 times as much (`test/controller/test_additions.py`). A gain that holds the
+force, with 2.4 to 3.3 times as much (`asi_analysis/tuning/margins.py`). A gain that holds the
 piston at rest makes it oscillate in motion. The schedule is about the inverse of that: a gain of
 1/(1 + |v|/velocity) (Rugh and Shamma, Research on gain scheduling, Automatica 36, 2000).
 """

@@ -4,11 +4,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.valve_hysteresis import play
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
-from asi_common.parameter import Value, defaults
-from asi_common.record import record_of
+from asi_common.parameter import Value
 from asi_controller.additions import ADDITIONS, DOCUMENTATION
 from asi_controller.additions.reference_model import extrapolated
 from asi_controller.compensator import REST, compensate, compensator, frequency_response
@@ -120,19 +117,6 @@ def test_gain_falls_with_the_velocity() -> None:
     values: dict[str, Value] = {'gain': 2.0, 'feedforward': 0.0, 'gain_schedule.velocity': 0.1}
     found = [commands(values, [50.0], velocity=velocity)[0] for velocity in (0.0, 0.1, -0.3)]
     assert found == pytest.approx([100.0, 50.0, 25.0])
-
-
-def test_moved_actuator_answers_the_command_with_more_force() -> None:
-    """The figures of the docstring of gain_schedule.py: where the force is 0, per opening."""
-    p = np.array([record_of(defaults(ACTUATOR_PARAMETERS), ACTUATOR_PARAMETERS)])[0]
-    largest = p['valve_characteristic_maximum_force']
-    opening = np.linspace(-1.0, 1.0, 4001)
-    gains = {}
-    for velocity in (0.0, 0.2, 0.4, 0.6):
-        force = np.array([largest * each - hydraulic_damping(velocity, each, p)
-                          for each in opening])
-        gains[velocity] = np.gradient(force / largest, opening)[np.argmin(np.abs(force))]
-    assert list(gains.values()) == pytest.approx([1.0, 2.76, 3.32, 2.36], rel=0.01)
 
 
 def test_disturbance_observer_removes_what_its_model_does_not_explain() -> None:

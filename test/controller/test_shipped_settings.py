@@ -1,4 +1,4 @@
-"""The settings of config/force_control.yaml: every row reached, at rest and moved, under attack."""
+"""The settings of config/force_control.yaml: every row reached, quiet at rest and moved."""
 
 import pytest
 from conftest import ROOT
