@@ -52,7 +52,7 @@ def test_help_loads_nothing_heavy():
 @pytest.mark.parametrize('arguments, said', [
     ((), 'Usage'),
     (('bogus',), 'bogus'),
-    (('analyze',), 'bag'),
+    (('analyze',), 'Missing argument'),
     (('analyze', 'nowhere'), 'nowhere'),
     (('analyze', 'empty.mcap'), 'empty.mcap'),
     (('run', '--compensator', 'pid'), 'compensator'),
