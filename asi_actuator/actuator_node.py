@@ -18,6 +18,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.safety import Safety, State
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
+from asi_common.node.compilation import tell_of_compilation
 from asi_common.node.diagnostics import (
     ERROR,
     OK,
@@ -265,6 +266,7 @@ class ActuatorNode(Node):
 
 def main() -> int:
     """Run the node; return the exit status."""
+    tell_of_compilation('asi_actuator')
     return run_node(ActuatorNode)
 
 

@@ -26,16 +26,12 @@ inlined = numba.njit(cache=_FOLDER is not None, error_model='numpy', nogil=True,
 
 
 class _Compiling(event.Listener):
-    """Counts the compilations that go on; one may begin another. Tells of the first."""
+    """Counts the compilations that go on; one may begin another."""
 
     number = 0
-    tell: Callable[[], None] | None = None
 
     def on_start(self, event: Any) -> None:
         self.number += 1
-        if self.tell is not None:
-            tell, self.tell = self.tell, None
-            tell()
 
     def on_end(self, event: Any) -> None:
         self.number -= 1
@@ -48,11 +44,6 @@ event.register('numba:compile', _compiling)
 def compiling() -> bool:
     """Return whether numba compiles in this process now."""
     return _compiling.number > 0
-
-
-def tell_of_compilation(tell: Callable[[], None]) -> None:
-    """Call `tell` once, when this process begins to compile; code from the cache is loaded."""
-    _compiling.tell = tell
 
 
 def compiled_for(function: Any, *arguments: object) -> Callable[..., Any]:

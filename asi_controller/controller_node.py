@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool
 
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
+from asi_common.node.compilation import tell_of_compilation
 from asi_common.node.diagnostics import ERROR, OK, SILENT_S, WARN, Diagnostics, LoopStatistics
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, Unhurried, run_node
@@ -105,8 +106,8 @@ class ControllerNode(Node):
 
     def _on_state(self, message: bytes) -> None:
         stamp_ns, force_n, velocity_m_s = wire.piston(message)
-        needed = [name for name in VELOCITY_NEEDED if self.parameters.values[name] != 0.0]
-        if math.isfinite(force_n) and (math.isfinite(velocity_m_s) or not needed):
+        if math.isfinite(force_n) and (math.isfinite(velocity_m_s) or not any(
+                self.parameters.values[name] for name in VELOCITY_NEEDED)):
             self.loop.on_state(stamp_ns, force_n, velocity_m_s)
         else:
             self.ignored += 1
@@ -370,6 +371,7 @@ class RealTime:
 
 def main() -> int:
     """Run the node; return the exit status."""
+    tell_of_compilation('asi_controller')
     return run_node(ControllerNode)
 
 

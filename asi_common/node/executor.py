@@ -24,7 +24,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from asi_common.jit import tell_of_compilation
 from asi_common.parameter import ParameterError
 from asi_common.writable import choose_log_folder
 
@@ -206,8 +205,6 @@ def run_node(make_node: Callable[[], Node]) -> int:
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-    tell_of_compilation(lambda: get_logger('asi').info(
-        'compiling, once for all later starts: about 15 s'))
     try:
         node = make_node()
     except (ParameterError, rclpy_implementation.RCLError) as error:

@@ -8,8 +8,9 @@ the loop, so it is to stay well above the frequency of the limit cycle.
 
 import cmath
 import math
+from typing import Final
 
-from asi_common.parameter import Parameter
+from asi_common.parameter import Parameter, ParameterError
 from asi_controller.design import Design
 
 PARAMETERS = (
@@ -20,12 +21,20 @@ PARAMETERS = (
               'Distance of the two frequencies at which its gain is sqrt((1 + depth^2) / 2)',
               0.1, 1e4, source='assumed'),
 )
+LOWEST_HZ: Final = 1.0
 
 
 def with_notch(design: Design, frequency_hz: float, depth: float, width_hz: float) -> Design:
-    """Return a compensator with a notch (frequency and width in Hz) in series; at 0 Hz, itself."""
+    """
+    Return a compensator with a notch (frequency and width in Hz) in series; at 0 Hz, itself.
+
+    Raises ParameterError for a frequency below LOWEST_HZ.
+    """
     if frequency_hz == 0.0:
         return design
+    if frequency_hz < LOWEST_HZ:
+        raise ParameterError(f'notch.frequency = {frequency_hz:g} is not allowed: it is 0, or at '
+                             f'least {LOWEST_HZ:g} Hz')
     damping_ratio = 0.5 * width_hz / frequency_hz
     return Design(design.zeros + _pair(frequency_hz, depth * damping_ratio),
                   design.poles + _pair(frequency_hz, damping_ratio), design.gain)

@@ -6,11 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import pytest
 from conftest import ROOT
-
-from asi_common.jit import tell_of_compilation
 
 # Prints the folder, the value of 600 sub-steps ago, and whether it was compiled now.
 PROBE = """
@@ -126,11 +123,3 @@ def test_start_where_nothing_can_be_written_compiles_without_a_cache(copy: Path)
                             env=without_cache(copy, HOME='/proc'))
     assert result.stdout.splitlines() == ['None', '423.0', 'compiled']
     assert result.stderr.count('set NUMBA_CACHE_DIR') == 1 and 'Traceback' not in result.stderr
-
-
-def test_compilation_is_told_once() -> None:
-    told: list[str] = []
-    tell_of_compilation(lambda: told.append('compiling'))
-    for _ in range(2):
-        assert numba.njit(lambda x: x + 1.0)(1.0) == 2.0
-    assert told == ['compiling']

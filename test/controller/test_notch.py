@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from asi_common.parameter import Value
+from asi_common.parameter import ParameterError, Value
 from asi_controller.compensator import compensator, design, frequency_response
 
 
@@ -39,3 +39,9 @@ def test_notch_is_there_at_the_control_rate(without: dict[str, Value]) -> None:
     ratio = (frequency_response(compensator(deep, 5000.0), [90.0], 5000.0)
              / frequency_response(compensator(without, 5000.0), [90.0], 5000.0))
     assert abs(ratio[0]) == pytest.approx(0.1, rel=1e-6)
+
+
+def test_notch_so_slow_that_it_is_none_is_refused() -> None:
+    for frequency in (1e-300, 0.99):
+        with pytest.raises(ParameterError, match=r'notch\.frequency = .* at least 1 Hz'):
+            design(with_notch(frequency, 0.3, 100.0))
