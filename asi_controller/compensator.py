@@ -127,7 +127,7 @@ def discretise(design_: Design, rate_hz: float) -> tuple[
     because that is where anti-windup must act.
     Raises ParameterError if the control rate is too low, or a root too slow or too fast for it.
     """
-    if rate_hz <= 2.0 * PREWARP_HZ:
+    if not 2.0 * PREWARP_HZ < rate_hz < math.inf:
         raise ParameterError(f'a control rate of {rate_hz:g} Hz is not allowed: the compensators '
                              f'need more than {2.0 * PREWARP_HZ:g} Hz')
     poles, zeros = ([_discrete(root, rate_hz) for root in roots]

@@ -85,8 +85,8 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
     if prefer not in PREFERENCES:
         raise InputError(f'prefer = {prefer!r}: it is one of {", ".join(PREFERENCES)}')
     goals = PREFERENCES[prefer]
-    best, tried = tune(actuator, start, goals, evaluations, seed, rate_hz, progress)
     before = figures(actuator, start, rate_hz)
+    best, tried = tune(actuator, start, goals, evaluations, seed, rate_hz, progress)
     progress('attack', None)
     attack = quench_cycles(actuator, best.controller, attacked_rates(rate_hz), conditions,
                            seed + 1000)

@@ -32,7 +32,8 @@ class Margins(NamedTuple):
     """
     Margins at a velocity (m/s): of the gain, of the phase (degrees), and of a disk.
 
-    gain below 1, or phase below 0: the loop is unstable; None: it has no such crossing.
+    gain below 1, or phase below 0: the loop is unstable, and the disk is 0; None: it has no such
+    crossing.
     """
 
     velocity_m_s: float
@@ -80,6 +81,8 @@ def _of(frequency: npt.NDArray[np.float64], loop: npt.NDArray[np.complex128]
                     if np.interp(k, steps, loop.real) < 0.0), default=(None, None))
     phase = min((math.degrees(np.angle(-np.interp(k, steps, loop)))
                  for k in _crossings(np.abs(loop) - 1.0)), key=abs, default=None)
+    if (gain or 1.0) < 1.0 or (phase or 0.0) < 0.0:
+        return gain, at, phase, 0.0
     return gain, at, phase, float(2.0 * np.abs((1.0 + loop) / (1.0 - loop)).min())
 
 

@@ -52,7 +52,7 @@ def test_help_loads_nothing_heavy():
 @pytest.mark.parametrize('arguments, said', [
     ((), 'Usage'),
     (('bogus',), 'bogus'),
-    (('analyze',), 'Missing argument'),
+    (('analyze',), "Missing argument 'bag'"),
     (('analyze', 'nowhere'), 'nowhere'),
     (('analyze', 'empty.mcap'), 'empty.mcap'),
     (('run', '--compensator', 'pid'), 'compensator'),
@@ -67,6 +67,7 @@ def test_help_loads_nothing_heavy():
     (('run', '--rate', '1e9'), 'rate'),
     (('run', '--rate', 'nan'), 'rate'),
     (('run', '--rate', '100'), '180 Hz'),
+    (('tune', '--rate', 'nan'), 'rate of nan Hz'),
     (('predict', '--rate', 'nan'), 'rate'),
     (('predict', '--rate', '0'), 'rate'),
     (('predict', '--gain', '0'), 'gain'),
@@ -114,7 +115,8 @@ def test_bad_calls_are_told_in_one_line(arguments, said, tmp_path, monkeypatch, 
     if arguments not in ((), ('gap',)):   # they are shown the help
         assert output == ''
         assert len(complaint.splitlines()) == 1, complaint
-    assert said in output + complaint
+    # Some versions of typer write the names of arguments in capitals.
+    assert said.lower() in (output + complaint).lower()
     assert (tmp_path / 'used' / 'thesis.tex').exists()
 
 

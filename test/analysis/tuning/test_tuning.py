@@ -54,6 +54,11 @@ def test_oscillation_in_motion_is_found_and_none_of_a_gain_that_falls_with_the_v
     assert search.left_in_motion({}, strong | {'gain_schedule.velocity': 0.1}, (5000.0,)) == 0.0
 
 
+def test_attack_is_at_the_rate_asked_for_and_at_lower_ones():
+    assert search.attacked_rates(2000.0) == (2000.0, 1000.0)
+    assert search.attacked_rates(800.0) == (800.0,)
+
+
 def test_front_has_those_that_nothing_quiet_beats():
     def at(a, b, left=0.0):
         return Candidate(0.0, {}, {'a': a, 'b': b}, left)
