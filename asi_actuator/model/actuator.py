@@ -282,8 +282,9 @@ def _simulate(state, commands, p, period, out):
 def check_period(period_s: float) -> None:
     """Raise ParameterError if a control period (s) is so short that the delays do not fit it."""
     if not SHORTEST_PERIOD_S <= period_s < math.inf:
-        raise ParameterError(f'a control period of {period_s:g} s is not allowed: it takes at '
-                             f'least {SHORTEST_PERIOD_S:g} s')
+        rate_hz = 1.0 / period_s if period_s else math.inf
+        raise ParameterError(f'a control period of {period_s:g} s is not allowed (a rate of '
+                             f'{rate_hz:g} Hz): it takes at least {SHORTEST_PERIOD_S:g} s')
 
 
 def simulate(p: np.void, commands: npt.ArrayLike, period_s: float,
