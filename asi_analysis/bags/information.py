@@ -1,13 +1,22 @@
 """The metadata `asi.run` of a bag: what experiment it is, and the units of its signals."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import CONTROLLED, SIGNALS
 
 
 def _is_mapping(value: object) -> bool:
     return isinstance(value, dict)
+
+
+def _are_parameters(value: object) -> bool:
+    return isinstance(value, dict) and all(
+        isinstance(number := value.get(parameter.name, parameter.default), int | float)
+        and math.isfinite(number)
+        for parameter in ACTUATOR_PARAMETERS if isinstance(parameter.default, float))
 
 
 def _is_experiment(value: object) -> bool:
@@ -22,7 +31,7 @@ def _are_units(value: object) -> bool:
 
 
 FORMS: Final[dict[str, Callable[[object], bool]]] = {
-    'experiment': _is_experiment, 'actuator': _is_mapping, 'controller': _is_mapping,
+    'experiment': _is_experiment, 'actuator': _are_parameters, 'controller': _is_mapping,
     'imported': _is_mapping, 'signals': _are_units}
 
 

@@ -214,5 +214,5 @@ def in_words(swing: Mapping[str, Any], unit: str = 'N') -> str:
     """Return the oscillation of a JSON document in words."""
     if swing['frequency_hz'] is None:
         return 'none' if swing['sustained'] is False else 'cannot be told'
-    return (f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} {unit}, '
-            + ('sustained' if swing['sustained'] else 'dying out'))
+    course = {True: 'sustained', False: 'dying out', None: 'in bursts'}[swing['sustained']]
+    return f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} {unit}, {course}'

@@ -16,7 +16,9 @@ import numpy.typing as npt
 from scipy import optimize, signal, special
 
 from asi_analysis.bags.run import Run
-from asi_analysis.measures.sinusoid import dominant_frequency, fits
+from asi_analysis.measures.bursts import FEWEST_DRIVEN, bursts
+from asi_analysis.measures.drives import drives
+from asi_analysis.measures.sinusoid import dominant_frequency, fits, least_squares
 from asi_analysis.measures.step_response import hold_last
 from asi_common.jit import jit
 
@@ -32,6 +34,8 @@ FEWEST_PERIODS: Final = 5
 LEAST_SHARE: Final = 1e-3
 LEAST_EXPLAINED: Final = 0.3
 HARMONICS: Final = 9
+# Least distance from a harmonic of a drive, over the frequency resolution.
+LOCKED: Final = 0.1
 # Periods from which a growth rate can be estimated.
 FEWEST_RATED: Final = 3
 
@@ -193,26 +197,31 @@ def _steady_part(run: Run) -> slice:
     return slice(start + int((1.0 - STEADY_SHARE) * (n - start)), n)
 
 
-def _without_reference(time: Array, output: Array, reference: Array) -> Array | None:
+def _period(time: Array, drive: Array, noise_floor: float) -> float | None:
     """
-    Return a signal without the frequency of a periodic reference and its harmonics.
+    Return the period (s) of a drive, 0 if it moves less than its noise floor.
 
-    None if the reference has more than one frequency: any oscillation may be forced.
+    None if it has more than one frequency: any oscillation may be forced.
     """
-    if np.ptp(reference) <= 1e-3 * max(np.ptp(output), 1e-12):
-        return output
-    guess, resolution = dominant_frequency(time, reference, 0.5, 0), 1.0 / (time[-1] - time[0])
+    drive = drive - drive.mean()
+    if np.ptp(drive) <= noise_floor:
+        return 0.0
+    guess, resolution = dominant_frequency(time, drive, 0.5, 0), 1.0 / (time[-1] - time[0])
     frequency = float(optimize.minimize_scalar(
-        lambda f: float(np.sum(fit_sine(time, reference, f)[1]**2)),
+        lambda f: float(np.sum(fit_sine(time, drive, f)[1]**2)),
         bounds=(max(guess - resolution, 0.1 * resolution), guess + resolution), method='bounded',
         options={'xatol': 1e-4 * resolution}).x)
-    _, residual = fit_sine(time, reference, frequency)
+    _, residual = fit_sine(time, drive, frequency)
     # The residual of a triangle has 1.4 % of its power; of a chirp or a PRBS most of it.
-    if np.var(residual) > 0.05 * np.var(reference):
-        return None
-    for k in range(1, HARMONICS + 1):
-        output = fit_sine(time, output, k * frequency)[1]
-    return output
+    return None if np.var(residual) > 0.05 * np.var(drive) else 1.0 / frequency
+
+
+def _without_period(time: Array, output: Array, period: float) -> Array:
+    """Return a signal without its linear trend and without a period and its harmonics."""
+    angle = 2.0 * np.pi / period * np.outer(time - time.mean(), np.arange(1, HARMONICS + 1))
+    columns = np.column_stack([np.ones_like(time), time - time.mean(), np.cos(angle),
+                               np.sin(angle)])
+    return output - columns @ least_squares(columns, output)
 
 
 def oscillation(run: Run, name: str | None = None) -> Oscillation:
@@ -222,7 +231,8 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
     name: of the signal, by default the controlled one or the first that was recorded.
 
     The steady part is the second half of the time after the last jump of the reference. The
-    response to a periodic reference (its frequency and harmonics) is removed first.
+    response to a periodic drive (its frequency and harmonics) is removed first. An oscillation in
+    bursts, at the same phases of each period of the drive, has figures and `sustained` None.
     """
     whole = run.signals().get(run.output(name))
     if whole is None:
@@ -236,14 +246,39 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
     noise_floor = LEAST_SHARE * np.ptp(whole[np.isfinite(whole)])
     if noise_floor == 0.0:
         return Oscillation()
-    output = signal.detrend(output)
-    if run.reference_n is not None:
-        reference = hold_last(run.reference_n)[part][valid]
-        own = _without_reference(time, output, reference - reference.mean())
-        if own is None:
+    output, periods = signal.detrend(output), []
+    for drive in drives(run):
+        period = _period(time, hold_last(drive.values)[part][valid],
+                         0.0 if drive.exact else 1e-3 * float(np.ptp(output)))
+        if period is None:
             return Oscillation(
-                None, reason='the reference moves at many frequencies until the end of the run')
-        output = own
+                None, reason=f'{drive.name} moves at many frequencies until the end of the run')
+        if period:
+            output = _without_period(time, output, period)
+            periods.append((drive, period))
+    found = _steady(time, output, noise_floor)
+    span = float(time[-1] - time[0])
+    for drive, period in periods:
+        if found.sustained is not False:
+            cycles = found.frequency_hz * period
+            if abs(cycles - round(cycles)) < LOCKED * period / span:
+                return Oscillation(None, reason=(
+                    f'what is left is at {found.frequency_hz:.4g} Hz, {round(cycles)} times the '
+                    f'frequency of {drive.name}: its harmonic, or an oscillation locked to it'))
+        elif np.std(output) > noise_floor:
+            burst = bursts(time, output, period)
+            if burst is not None and burst.amplitude > noise_floor:
+                return Oscillation(None, burst.frequency_hz, burst.amplitude, reason=(
+                    f'in bursts of {burst.cycles:.1f} cycles that follow the phase of '
+                    f'{drive.name}, of {1.0 / period:.3g} Hz'))
+            if drive.exact and span < FEWEST_DRIVEN * period:
+                return Oscillation(None, reason=(
+                    f'the steady part is shorter than {FEWEST_DRIVEN:g} periods of {drive.name}'))
+    return found
+
+
+def _steady(time: Array, output: Array, noise_floor: float) -> Oscillation:
+    """Return the oscillation of a signal without drives, of a steady or decaying amplitude."""
     found = fits(time, output, dominant_frequency(time, output, FEWEST_PERIODS), (True,))
     if not found:
         return Oscillation()

@@ -12,7 +12,7 @@ Samples may be missing. Long records are compressed first (`record.py`).
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft, signal, stats
 
 from asi_analysis.measures.noise import triangle
 from asi_analysis.measures.record import Array, ComplexArray, Record, compressed, legendre
@@ -96,6 +96,15 @@ def on_grid(time_s: Array, values: Array) -> tuple[Array, float]:
     if len(grid) == len(time_s) and np.abs(grid - time_s).max() < 1e-6 * period:
         return values, period
     return np.interp(grid, time_s, values), period
+
+
+def analytic_signal(values: Array, period: float, frequency: float) -> ComplexArray:
+    """Return the analytic signal of values (along the last axis), band-passed at a frequency."""
+    band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), (1e-3, 2e-3), (0.9, 0.98))
+    filtered = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
+                                  values - values.mean(-1, keepdims=True),
+                                  padlen=min(15, values.shape[-1] - 1))
+    return np.asarray(signal.hilbert(filtered))
 
 
 def dominant_frequency(time_s: Array, values: Array, lowest_cycles: float = 1.5, drift: int = 3

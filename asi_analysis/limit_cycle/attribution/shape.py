@@ -14,10 +14,9 @@ from scipy import signal, stats
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.attribution.hammerstein import Explanation, explain, without_drift
 from asi_analysis.limit_cycle.detection.drive import flat_share
-from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.measures.noise import autoregression
 from asi_analysis.measures.record import reduce
-from asi_analysis.measures.sinusoid import on_grid, valid_samples
+from asi_analysis.measures.sinusoid import analytic_signal, on_grid, valid_samples
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]

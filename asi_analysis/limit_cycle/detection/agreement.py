@@ -17,6 +17,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_once, merged
+from asi_analysis.measures.oscillation import oscillation
 
 # Parts of the record that are judged beside the whole: start and end as shares of its samples.
 PARTS: Final = ((0.0, 0.9), (0.1, 1.0), (0.0, 0.8), (0.2, 1.0), (0.05, 0.95), (0.1, 0.9))
@@ -41,7 +42,8 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
     for part in _parts(run):
         with suppress(InputError):   # too few samples
             passes.append(judge_once(part, name))
-    found = merged([_agreed(segment, passes) for segment in found])
+    found = [_and_beside(run, segment) if segment.verdict == 'forced' else segment
+             for segment in merged([_agreed(segment, passes) for segment in found])]
     if run.reference_n is not None or undriven:
         return found
     return [_unless_driven(run, segment) for segment in found]
@@ -81,6 +83,17 @@ def _votes(segment: Segment, judged: list[Segment]) -> dict[str, float]:
             covered += shared
             votes[other.verdict] = votes.get(other.verdict, 0.0) + shared * other.confidence
     return {word: vote / covered for word, vote in votes.items()}
+
+
+def _and_beside(run: Run, segment: Segment) -> Segment:
+    """Return a forced segment with the oscillation, if any, that no drive explains."""
+    beside = oscillation(run.between(segment.start_s, segment.end_s), segment.signal)
+    if beside.sustained is False or not np.isfinite(beside.frequency_hz):
+        return segment
+    course = 'sustained' if beside.sustained else beside.reason
+    return segment._replace(why=(
+        f'{segment.why}; beside it an oscillation of {beside.frequency_hz:.4g} Hz and '
+        f'{beside.amplitude_n:.3g} {segment.unit}, {course}'))
 
 
 def _unless_driven(run: Run, segment: Segment) -> Segment:

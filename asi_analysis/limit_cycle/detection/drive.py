@@ -1,17 +1,24 @@
-"""Other causes of an oscillation than the loop itself: a moving reference, or a limit reached."""
+"""Other causes of an oscillation than the loop itself: a drive from outside, or a limit."""
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
 from asi_analysis.bags.run import Run
-from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
+from asi_analysis.measures.drives import drives
 from asi_analysis.measures.record import Array, reduce
-from asi_analysis.measures.sinusoid import HarmonicFit, fit, on_grid, valid_samples
+from asi_analysis.measures.sinusoid import (
+    HarmonicFit,
+    analytic_signal,
+    fit,
+    on_grid,
+    valid_samples,
+)
 
-# Delays, in cycles, of the copies of the reference to which the motion is fitted.
+# Delays, in cycles, of the copies of a drive to which the motion is fitted.
 DELAYS: Final = np.arange(-1, 9) / 4.0
-# Least share of the motion that the reference must explain.
+# Least share of the motion that a drive must explain.
 FOLLOWS: Final = 0.5
 # Least share of the time at a limit for the limit to determine the amplitude: a sine clipped for
 # that time keeps 0.96 of its fundamental.
@@ -23,58 +30,58 @@ MOST_SAMPLES: Final = 20_000
 NOTHING_NEW: Final = 1e-12
 
 
-def moving_reference(run: Run, start_s: float, end_s: float) -> tuple[Array, Array] | None:
-    """Return times and values of the reference from start to end, None if it does not move."""
-    if run.reference_n is None:
-        return None
+def moving(run: Run, start_s: float, end_s: float) -> Iterator[tuple[str, tuple[Array, Array]]]:
+    """Yield name, times and values of each drive that moves from start to end."""
     part = (run.time_s >= start_s) & (run.time_s <= end_s)
-    t, r = valid_samples(run.time_s[part], run.reference_n[part])
-    if len(r) < 9 or np.ptp(r) < 1e-9 * max(np.abs(r).max(), 1e-300):
-        return None
-    return t, r
+    for drive in drives(run):
+        t, values = valid_samples(run.time_s[part], drive.values[part])
+        if len(values) >= 9 and np.ptp(values) >= 1e-9 * max(np.abs(values).max(), 1e-300):
+            yield drive.name, (t, values)
 
 
-def follows_reference(run: Run, steady: HarmonicFit, start_s: float, end_s: float) -> str:
-    """Return the reason why an oscillation follows a periodic reference; empty if it does not."""
-    reference = moving_reference(run, start_s, end_s)
-    found = fit(*reduce(*reference, steady.frequency_hz)) if reference else None
-    if found is None or found.amplitude < found.noise:
-        return ''
-    deviation = np.hypot(found.frequency_sd_hz, steady.frequency_sd_hz)
-    tolerance = max(4.0 * deviation, 0.2 / (end_s - start_s))
-    for divisor in (1, 2, 3):
-        for multiple in (1, 2, 3, 5):
-            if abs(steady.frequency_hz - found.frequency_hz * multiple / divisor) < tolerance:
-                ratio = '' if multiple == divisor == 1 else f' times {multiple}/{divisor}'
-                return f'the reference moves at {found.frequency_hz:.5g} Hz{ratio} as well'
+def follows_drive(run: Run, steady: HarmonicFit, start_s: float, end_s: float) -> str:
+    """Return the reason why an oscillation follows a periodic drive; empty if it does not."""
+    for name, values in moving(run, start_s, end_s):
+        found = fit(*reduce(*values, steady.frequency_hz))
+        if found is None or found.amplitude < found.noise:
+            continue
+        deviation = np.hypot(found.frequency_sd_hz, steady.frequency_sd_hz)
+        tolerance = max(4.0 * deviation, 0.2 / (end_s - start_s))
+        for divisor in (1, 2, 3):
+            for multiple in (1, 2, 3, 5):
+                if abs(steady.frequency_hz - found.frequency_hz * multiple / divisor) < tolerance:
+                    ratio = '' if multiple == divisor == 1 else f' times {multiple}/{divisor}'
+                    return f'{name} moves at {found.frequency_hz:.5g} Hz{ratio} as well'
     return ''
 
 
-def explained_by_reference(run: Run, time_s: Array, values: Array, frequency_hz: float) -> float:
+def explained_by_drive(run: Run, time_s: Array, values: Array, frequency_hz: float
+                       ) -> tuple[float, str]:
     """
-    Return the share of a motion that a linear response to the reference explains.
+    Return the share of a motion that a linear response to a drive explains, and its name.
 
-    The response is a sum of delayed copies of the reference, which may have any shape, also a
+    The response is a sum of delayed copies of the drive, which may have any shape, also a
     chirp or noise. The share is adjusted for the number of copies, as an adjusted R².
     """
-    reference = moving_reference(run, time_s[0], time_s[-1])
-    if reference is None:
-        return 0.0
     even, period = on_grid(time_s, values)
     grid = time_s[0] + period * np.arange(len(even))
-    motion = analytic_signal(even, period, frequency_hz)
-    driver = analytic_signal(np.interp(grid, *reference), period, frequency_hz)
     # The bandwidth is about the frequency: one independent sample a cycle.
     independent = (time_s[-1] - time_s[0]) * frequency_hz
     delays = DELAYS[:max(1, min(len(DELAYS), int(independent / 3.0)))]
-    columns = np.column_stack([np.interp(grid - delay / frequency_hz, grid, driver)
-                               for delay in delays])
-    # Copies of a sine are linearly dependent: minimum-norm solution.
-    gram = columns.conj().T @ columns
-    residual = motion - columns @ np.linalg.lstsq(gram, columns.conj().T @ motion, rcond=1e-9)[0]
-    share = 1.0 - float(np.vdot(residual, residual).real / np.vdot(motion, motion).real)
-    return 1.0 - ((1.0 - share) * max(independent - 1.0, 0.0)
-                  / max(independent - 1.0 - len(delays), 1.0))
+    found = [(0.0, 'the reference')]
+    for name, drive in moving(run, time_s[0], time_s[-1]):
+        motion = analytic_signal(even, period, frequency_hz)
+        driver = analytic_signal(np.interp(grid, *drive), period, frequency_hz)
+        columns = np.column_stack([np.interp(grid - delay / frequency_hz, grid, driver)
+                                   for delay in delays])
+        # Copies of a sine are linearly dependent: minimum-norm solution.
+        gram = columns.conj().T @ columns
+        residual = motion - columns @ np.linalg.lstsq(gram, columns.conj().T @ motion,
+                                                      rcond=1e-9)[0]
+        share = 1.0 - float(np.vdot(residual, residual).real / np.vdot(motion, motion).real)
+        found.append((1.0 - ((1.0 - share) * max(independent - 1.0, 0.0)
+                             / max(independent - 1.0 - len(delays), 1.0)), name))
+    return max(found)
 
 
 def at_limit(run: Run, start_s: float, end_s: float) -> str:

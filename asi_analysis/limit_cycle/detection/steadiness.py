@@ -7,11 +7,10 @@ The surrogates are Gaussian noise of that spectrum (Theiler et al., Physica D 58
 from typing import Final
 
 import numpy as np
-from scipy import signal
 
 from asi_analysis.measures.noise import autoregression, surrogates
-from asi_analysis.measures.record import Array, ComplexArray
-from asi_analysis.measures.sinusoid import on_grid
+from asi_analysis.measures.record import Array
+from asi_analysis.measures.sinusoid import analytic_signal, on_grid
 
 SURROGATES: Final = 200
 FIRST: Final = 40
@@ -66,12 +65,3 @@ def _highest_peak(windows: Array, period: float) -> float:
     centred = windows - windows.mean(1, keepdims=True)
     power = (np.abs(np.fft.rfft(centred)) ** 2).sum(0)
     return float(2 + np.argmax(power[2:])) / (windows.shape[1] * period)
-
-
-def analytic_signal(values: Array, period: float, frequency: float) -> ComplexArray:
-    """Return the analytic signal of values (along the last axis), band-passed at a frequency."""
-    band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), (1e-3, 2e-3), (0.9, 0.98))
-    filtered = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
-                                  values - values.mean(-1, keepdims=True),
-                                  padlen=min(15, values.shape[-1] - 1))
-    return np.asarray(signal.hilbert(filtered))

@@ -17,12 +17,13 @@ from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
-from asi_analysis.limit_cycle.detection.steadiness import analytic_signal, steadiness
+from asi_analysis.limit_cycle.detection.steadiness import steadiness
 from asi_analysis.measures.noise import Autoregression, autoregression
 from asi_analysis.measures.quality import check_size, check_time
 from asi_analysis.measures.record import Array, reduce
 from asi_analysis.measures.sinusoid import (
     HarmonicFit,
+    analytic_signal,
     dominant_frequency,
     fit,
     fits,
@@ -230,12 +231,12 @@ def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
 
 def _forced(run: Run, t: Array, y: Array, frequency: float
             ) -> tuple[str, float, str, dict[str, Any]] | None:
-    """Return the verdict on a motion that a linear response to the reference explains."""
-    share = drive.explained_by_reference(run, t, y, frequency)
+    """Return the verdict on a motion that a linear response to a drive explains."""
+    share, name = drive.explained_by_drive(run, t, y, frequency)
     if share < drive.FOLLOWS:
         return None
     return 'forced', float(np.clip(share, 0.5, 0.99)), (
-        f'a linear response to the reference explains {100 * share:.0f} % of the motion about '
+        f'a linear response to {name} explains {100 * share:.0f} % of the motion about '
         f'{frequency:.5g} Hz'), {}
 
 
@@ -331,7 +332,7 @@ def _judge_line(run: Run, name: str, piece: _Piece, came_from: str) -> tuple[str
     """Return verdict, confidence and reason for a piece that oscillates."""
     steady, moving = piece.steady, piece.moving
     assert steady is not None and moving is not None
-    if follows := drive.follows_reference(run, steady, piece.time_s[0], piece.time_s[-1]):
+    if follows := drive.follows_drive(run, steady, piece.time_s[0], piece.time_s[-1]):
         return 'forced', 0.99, follows
     if forced := _forced(run, piece.time_s, piece.values, steady.frequency_hz):
         return forced[:3]

@@ -184,7 +184,8 @@ def test_a_flipped_bit_of_an_exported_table_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('damaged', [
     {'signals': {'reference': 'kN'}}, {'signals': 'N'}, {'signals': {'force': None}},
-    {'actuator': 5}, {'experiment': {'rate_hz': 'fast'}}])
+    {'actuator': 5}, {'actuator': {'load.frequency': 'fast'}},
+    {'experiment': {'rate_hz': 'fast'}}])
 def test_metadata_of_another_form_are_left_out_with_a_warning(
         damaged: dict[str, object], tmp_path: Path) -> None:
     write_bag(a_run(), tmp_path / 'bag', damaged)

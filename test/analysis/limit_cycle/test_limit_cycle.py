@@ -22,11 +22,10 @@ from asi_analysis.limit_cycle.detection.check import (
     undriven,
 )
 from asi_analysis.limit_cycle.detection.drive import flat_share
-from asi_analysis.limit_cycle.detection.steadiness import analytic_signal
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.noise import BLOCK, _triangle_of_lags
 from asi_analysis.measures.record import compressed, reduce, uncompressed
-from asi_analysis.measures.sinusoid import fit_record
+from asi_analysis.measures.sinusoid import analytic_signal, fit_record
 
 
 @pytest.mark.parametrize('case', [(3, 5, 10), (3, 12, 40), (30, 5, 40), (300, 6, 10)])
@@ -153,6 +152,29 @@ def test_what_follows_a_moving_reference_is_forced_and_a_cycle_beside_it_is_not(
     beside = _moved(steps, 0.1 * np.roll(steps, 7) + cycle)
     assert beside.verdict == 'limit_cycle' and beside.confidence > 0.9
     assert beside.frequency_hz == pytest.approx(40.0, abs=0.01)
+
+
+def _pushed(load, gain):
+    return Run(*simulate_loop(load, {'gain': gain, 'reference.amplitude': 0.0}, 3.0),
+               information={'actuator': load})
+
+
+@pytest.mark.parametrize('load, driver', [
+    ({'load.type': 'prescribed', 'load.velocity': 0.5, 'load.frequency': 2.0},
+     'prescribed motion'),
+    ({'load.type': 'spring', 'load.external_force': 200.0, 'load.external_force_frequency': 5.0},
+     'external force')])
+def test_what_moves_the_piston_from_outside_drives_it(load, driver):
+    run = _pushed(load, 3.0)
+    assert {segment.verdict for segment in judge_run(run)} == {'forced'}
+    assert driver in judge_run(run)[0].why
+
+
+def test_oscillation_in_bursts_beside_a_forced_motion_is_told():
+    load = {'load.type': 'prescribed', 'load.velocity': 0.5, 'load.frequency': 2.0}
+    run = _pushed(load, 4.5)
+    found = max(judge_run(run), key=lambda segment: segment.end_s - segment.start_s)
+    assert found.verdict == 'forced' and 'in bursts' in found.why
 
 
 def test_without_a_reference_nobody_is_sure_of_a_cycle():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
@@ -132,3 +133,36 @@ def test_definition_of_sustained(growth, deviation, amplitude, expected):
 def test_what_creeps_is_no_oscillation_and_what_runs_away_is_sustained():
     assert nothing(of_samples(100.0 * (1.0 - np.exp(-T / 0.3)), 5000.0))
     assert of_samples(np.append(np.exp(700.0 * T), np.inf), 5000.0).sustained
+
+
+def moved(gain, load, duration_s=3.0):
+    """Return a run without a desired force whose piston is moved, or pushed, from outside."""
+    information = {'actuator': load}
+    return Run(*simulate_loop(load, {'gain': gain, 'reference.amplitude': 0.0}, duration_s),
+               information=information)
+
+
+MOTION = {'load.type': 'prescribed', 'load.velocity': 0.5, 'load.frequency': 2.0}
+
+
+def test_what_a_prescribed_motion_drives_is_no_oscillation():
+    assert nothing(oscillation(moved(3.0, MOTION)))
+
+
+def test_a_loop_that_oscillates_only_while_it_is_moved_does_so_in_bursts():
+    run = moved(4.5, MOTION)
+    found = oscillation(run)
+    assert found.sustained is None and '2 Hz' in found.reason
+    slow = run.force_n[7500:] - savgol_filter(run.force_n[7500:], 167, 2)
+    assert found.amplitude_n == pytest.approx(np.abs(slow).max(), rel=0.2)
+    assert 'Hz, 247 N, in bursts' in str(analyze(run))
+    short = oscillation(run[:5000])
+    assert short.sustained is None and 'shorter than 2 periods' in short.reason
+
+
+def test_noise_that_rings_is_not_in_bursts():
+    random = np.random.default_rng(5)
+    ringing = sosfiltfilt(butter(1, [0.034, 0.04], 'bandpass', output='sos'),
+                          random.standard_normal(T.size))
+    assert oscillation(Run(T, reference_n=100.0 * np.sin(20.0 * np.pi * T), force_n=(
+        90.0 * np.sin(20.0 * np.pi * T - 0.2) + 300.0 * ringing))).sustained is not None
