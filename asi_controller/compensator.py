@@ -272,7 +272,7 @@ def compensate(c, reference, measured, velocity):
         observe(c.observed, measured, c.command, 0.0, c.period)
     goal, direct = _beside(c, reference, measured, velocity)
     error = goal - measured
-    value = error * scheduled(velocity, c.gain_schedule_velocity)
+    value = error * scheduled(velocity, c.gain_schedule_velocity, c.gain_schedule_least)
     if c.fresh != 0:
         _initialise(c, value, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
     for i in range(c.count):

@@ -68,8 +68,10 @@ def margins(actuator: Values, controller: Values, rate_hz: float) -> list[Margin
     frequency = np.geomspace(LOWEST_HZ, 0.499 * rate_hz, FREQUENCIES)
     loop = (linear.plant(p, 1.0 / rate_hz, linear.damping_slope(p), seals_stuck=True)(frequency)
             * frequency_response(c, frequency, rate_hz))
-    return [Margins(velocity, *_of(frequency, loop * moved_gain(actuator, velocity) * scheduled(
-        velocity, float(c['gain_schedule_velocity'])))) for velocity in VELOCITIES_M_S]
+    schedule = float(c['gain_schedule_velocity']), float(c['gain_schedule_least'])
+    return [Margins(velocity, *_of(frequency, loop * moved_gain(actuator, velocity)
+                                   * scheduled(velocity, *schedule)))
+            for velocity in VELOCITIES_M_S]
 
 
 def _of(frequency: npt.NDArray[np.float64], loop: npt.NDArray[np.complex128]

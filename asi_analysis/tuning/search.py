@@ -20,7 +20,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.limit_cycle.quench.attack import EXCITED_S, FREE_S, Condition, search
 from asi_analysis.loop.closed_loop import Values, close_many, loops_of
 from asi_analysis.terminal import Progress, silent
-from asi_analysis.tuning.figures import figures, missed, moved
+from asi_analysis.tuning.figures import figures, missed
 from asi_common.parameter import Value, defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -39,7 +39,8 @@ RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
     'reference_model.delay': (0.0004, 0.0025, 0.006),
     'reference_model.lead_time': (0.0003, 0.001, 0.006),
     'reference_model.slope': (5e3, 2e4, 6e4),
-    'gain_schedule.velocity': (0.1, 0.3, 1.0),
+    'gain_schedule.velocity': (0.05, 0.1, 1.0),
+    'gain_schedule.least': (0.05, 0.2, 0.8),
     'velocity_feedforward.share': (0.05, 0.35, 1.0),
     'velocity_feedforward.lead_time': (0.001, 0.015, 0.05),
     'saturation': (1200.0, 1400.0, 4000.0),
@@ -55,11 +56,6 @@ MARGIN: Final = (1.1, 1e-4)
 LEFT_N: Final = 0.2
 WATCHED_S: Final = 0.12
 FALL: Final = 0.2
-# Of a moved piston: by how much the loop gain is raised, and what may oscillate (N, rms) above so
-# many Hz.
-MOVED_GAIN: Final = 1.2
-MOVED_N: Final = 4.0
-ABOVE_HZ: Final = 60.0
 # The attack inside: conditions tried, the worst of which are kept, and generations between two.
 ATTACKED: Final = 160
 KEPT: Final = 8
@@ -129,24 +125,6 @@ def left(conditions: Sequence[Condition], actuator: Values, controller: Values,
     return total
 
 
-def left_in_motion(actuator: Values, controller: Values, rates_hz: Sequence[float]) -> float:
-    """
-    Return the sum of the logarithms over MOVED_N of what oscillates while the piston is moved.
-
-    The command then acts more strongly (`asi_controller/additions/gain_schedule.py`), and the
-    attack of `asi quench` measures at rest.
-    """
-    gain = 'valve_characteristic.gain'
-    table = {**defaults(ACTUATOR_PARAMETERS), **actuator}
-    raised = {**table, gain: MOVED_GAIN * float(table[gain])}
-    total = 0.0
-    for rate in rates_hz:
-        force = moved(raised, controller, 'felt_force_fast_n', rate)[2]
-        slow = signal.savgol_filter(force, 2 * int(rate / ABOVE_HZ) + 1, 2)
-        total += math.log(max(float(np.std(force - slow)) / MOVED_N, 1.0))
-    return total
-
-
 def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluations: int, seed: int,
          rate_hz: float = 5000.0, report: Progress = silent) -> tuple[Candidate, list[Candidate]]:
     """
@@ -167,8 +145,7 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
     def candidate(point: np.ndarray) -> Candidate:
         controller = settings(point)
         found = figures(actuator, controller, rate_hz)
-        oscillation = (left(conditions, actuator, controller, rates)
-                       + left_in_motion(actuator, controller, rates))
+        oscillation = left(conditions, actuator, controller, rates)
         beyond = np.maximum(0.0, -point) + np.maximum(0.0, point - 1.0)
         cost = (sum(MISSED * max(miss, 0.0) + REACHED * miss
                     for miss in missed(found, goals).values())

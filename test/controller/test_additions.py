@@ -117,6 +117,8 @@ def test_gain_falls_with_the_velocity() -> None:
     values: dict[str, Value] = {'gain': 2.0, 'feedforward': 0.0, 'gain_schedule.velocity': 0.1}
     found = [commands(values, [50.0], velocity=velocity)[0] for velocity in (0.0, 0.1, -0.3)]
     assert found == pytest.approx([100.0, 50.0, 25.0])
+    floor, = commands(values | {'gain_schedule.least': 0.2}, [50.0], velocity=-0.3)
+    assert floor == pytest.approx(100.0 * (0.2 + 0.8 * 0.25))
 
 
 def test_disturbance_observer_removes_what_its_model_does_not_explain() -> None:

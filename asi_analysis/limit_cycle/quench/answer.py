@@ -117,6 +117,8 @@ def _load(actuator: Values) -> str:
     kind = str(actuator['load.type'])
     if kind == 'locked':
         return kind
+    if kind == 'prescribed':
+        return f'moved at {actuator["load.velocity"]:.2g} m/s'
     spring = f'{actuator["load.stiffness"]:.2g} N/m, ' if kind == 'spring' else ''
     return f'{kind}, {spring}{actuator["load.mass"]:.2g} kg'
 

@@ -1,8 +1,9 @@
 """
 Search for conditions under which a compensator's loop cycles: random, then by mutation.
 
-Varied are reference, load, an external force that ends (so that the motion starts away from rest),
-parameter errors of ±20 % and the control rate. Each condition excites the loop and then removes
+Varied are reference, load (or a constant velocity at which the piston is moved), an external force
+that ends (so that the motion starts away from rest), parameter errors of ±20 % and the control
+rate. Each condition excites the loop and then removes
 the excitation; an oscillation that persists is sustained. A condition consists of parameters only,
 so that it can be run over ROS.
 """
@@ -32,7 +33,9 @@ VARIED: Final = (
     'friction.coulomb', 'friction.stiction_push', 'load.locked_stiffness',
     'force_sensor.natural_frequency', 'force_sensor.delay')
 SHAPES: Final = ('step', 'sine', 'prbs', 'chirp', 'triangle')
-LOADS: Final = ('locked', 'spring', 'free')
+LOADS: Final = ('locked', 'spring', 'free', 'prescribed')
+# Largest velocity (m/s) at which the piston is moved: the gain of the command grows with it.
+FASTEST_M_S: Final = 0.6
 # Share of the trials that are random; the others are mutations of the worst found so far.
 RANDOM_SHARE: Final = 0.4
 # Conditions in a generation, and in a piece of work of one process.
@@ -53,6 +56,8 @@ class Condition(NamedTuple):
         if actuator['load.type'] != 'locked':
             actuator['load.mass'] = 0.3 * 30.0 ** n['mass']
             actuator['load.stiffness'] = 1e4 * 50.0 ** n['stiffness']
+        actuator['load.velocity'] = 2.0 * FASTEST_M_S * (n['motion'] - 0.5)
+        actuator['load.frequency'] = 0.0
         actuator['load.external_force'] = 900.0 * (n['push'] - 0.5)
         actuator['load.external_force_end'] = EXCITED_S
         frequency = 3.0 * 60.0 ** n['speed']
@@ -67,7 +72,7 @@ class Condition(NamedTuple):
 
 
 NAMES: Final = (*VARIED, 'load', 'mass', 'stiffness', 'rate', 'shape', 'amplitude', 'offset',
-                'speed', 'push')
+                'speed', 'push', 'motion')
 
 
 def with_errors(actuator: Values, numbers: Mapping[str, float]) -> dict[str, Value]:

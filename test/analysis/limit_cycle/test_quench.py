@@ -73,10 +73,19 @@ def test_condition_is_nothing_but_parameters_so_that_it_can_be_replayed_over_ros
 
 
 def test_the_attack_is_on_the_actuator_that_was_given():
-    condition = Condition(dict.fromkeys(NAMES, 0.6))
+    condition = Condition({**dict.fromkeys(NAMES, 0.6), 'load': 0.4})   # a spring
     own, usual = (run_trials([condition], actuator, {'gain': 9.0}, (RATE_HZ,))[0].amplitude_n
                   for actuator in ({'valve_characteristic.gain': 0.3}, {}))
     assert usual > 10.0 and own == 0.0
+
+
+def test_the_attack_moves_the_piston_where_a_loop_that_is_quiet_at_rest_cycles():
+    rest, moved = (Condition({**dict.fromkeys(NAMES, 0.5), 'load': load, 'motion': 0.75})
+                   for load in (0.0, 0.99))
+    at_rest, in_motion = run_trials([rest, moved], {}, {'gain': 4.5}, (RATE_HZ,))
+    assert not at_rest.sustained and in_motion.sustained
+    actuator = moved.settings((RATE_HZ,), {})['actuator']
+    assert actuator['load.type'] == 'prescribed' and actuator['load.velocity'] == 0.3
 
 
 def test_push_lets_go_when_it_should():

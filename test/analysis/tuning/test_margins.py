@@ -37,9 +37,10 @@ def test_moved_actuator_answers_the_command_with_more_force():
 
 def test_schedule_gives_back_the_margin_that_the_motion_takes():
     plain = margins({}, {'gain': 3.0}, 5000.0)
-    half = 0.2
-    held = margins({}, {'gain': 3.0, 'gain_schedule.velocity': half}, 5000.0)
+    half, least = 0.2, 0.1
+    held = margins({}, {'gain': 3.0, 'gain_schedule.velocity': half,
+                        'gain_schedule.least': least}, 5000.0)
     assert held[0] == plain[0]
     for one, other in zip(plain[1:], held[1:], strict=True):
-        assert one.gain == pytest.approx(other.gain * scheduled(one.velocity_m_s, half))
+        assert one.gain == pytest.approx(other.gain * scheduled(one.velocity_m_s, half, least))
         assert one.gain == pytest.approx(plain[0].gain / moved_gain({}, one.velocity_m_s))

@@ -48,12 +48,6 @@ def test_a_row_is_missed_by_its_ratio_and_reached_at_its_value():
     assert missed(at, {'peak_db': 3.0})['peak_db'] < 0.0
 
 
-def test_oscillation_in_motion_is_found_and_none_of_a_gain_that_falls_with_the_velocity():
-    strong = {'gain': 4.5}   # far below the onset of the limit cycle at rest
-    assert search.left_in_motion({}, strong, (5000.0,)) > 1.0
-    assert search.left_in_motion({}, strong | {'gain_schedule.velocity': 0.1}, (5000.0,)) == 0.0
-
-
 def test_attack_is_at_the_rate_asked_for_and_at_lower_ones():
     assert search.attacked_rates(2000.0) == (2000.0, 1000.0)
     assert search.attacked_rates(800.0) == (800.0,)
