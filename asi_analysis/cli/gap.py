@@ -15,6 +15,7 @@ from asi_analysis.cli.options import (
     app,
     command,
     directory,
+    new_file,
     show,
 )
 from asi_analysis.terminal import bar
@@ -36,7 +37,8 @@ gap_app = typer.Typer(cls=GapCommands, help='The sim-to-real gap: where, which e
 app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --model m.yaml`')
 
 
-@command('of', 'asi gap real_1 real_2 --model m.yaml --report why', gap_app)
+@command('of', 'asi gap real_1 real_2 --model m.yaml --report why` or '
+         '`asi gap arm --plant joint --export arm.xml', gap_app)
 def gap(
     bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
     model: Annotated[Path | None, typer.Option(
@@ -55,11 +57,18 @@ def gap(
     report: Annotated[Path | None, typer.Option(
         callback=directory,
         help='Directory for an HTML report and the improved model file')] = None,
+    export: Annotated[list[Path] | None, typer.Option(
+        metavar='FILE', help='What was found, for a simulator: .xml (MJCF of MuJoCo) or .urdf of '
+        'a joint, .yaml (what --model takes); may be repeated')] = None,
     as_json: Json = False,
 ) -> None:
     """Find where and why recordings differ from the simulator, and how far the gap shrinks."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.gap.answer.command import diagnose, parse_tolerances
+    from asi_analysis.gap.answer.export import format_of
+    for path in export or []:   # before the diagnosis, which takes long
+        format_of(path, plant)
+        new_file(path)
     usual, own = parse_tolerances(tolerance or [])
     with bar() as progress:
         progress('reading', None)
@@ -69,6 +78,9 @@ def gap(
         if report:
             progress('report', None)
             result.write_report(report)
+        for path in export or []:
+            progress('export', None)
+            result.write_export(path)
     show(result, as_json)
 
 

@@ -228,7 +228,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
             longer = f'{following["command"]} --actuator {model}'
             following['advice'] = following['advice'].replace(following['command'], longer)
             following['command'] = longer
-    return Gap(answer | {'report': None, 'quality': quality_of(everything),
+    return Gap(answer | {'report': None, 'exports': [], 'quality': quality_of(everything),
                          'reliable': not doubtful},
                runs=everything, diagnosis=diagnosis,
                model=values if plant == 'actuator' else None)

@@ -262,7 +262,8 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run]
         angle = _angle(r, float(np.nanmean(run.signal('position'))))
         torque = (found[5] * np.sin(angle) + found[6] * np.cos(angle))[_inner(r)]
         taken.append(replace(r, force=r.force - torque,
-                             force_judged=r.force_judged - judged(torque, r.motion)))
+                             force_judged=r.force_judged - judged(torque, r.motion),
+                             taken={'gravity_sine': found[5], 'gravity_cosine': found[6]}))
     return taken, [f'gravity is taken off: {most:.4g} Nm times the sine of the position less '
                    f'{zero:.3g} degrees; it leaves {100.0 * left[1] / left[0]:.2g} % of what '
                    'inertia, damping and friction leave']
@@ -308,7 +309,8 @@ def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[st
         return recordings, []
     similar = max(means) - min(means) < 2.0 * deviation
     taken = [float(np.mean(means))] * len(means) if similar else means
-    shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean)
+    shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean,
+                       taken={**r.taken, 'constant': mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
     return shifted, ['a constant force is taken off, load_offset counts from there: '

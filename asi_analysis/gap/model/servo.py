@@ -179,6 +179,7 @@ def with_servo(recordings: list[Recording], unit: str) -> tuple[list[Recording],
         if math.isfinite(value)]
     # A command acts from its sample on: at the next one the ideal servo has it.
     moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
-    return ([replace(r, command=each) for r, each in zip(recordings, moved, strict=True)],
+    return ([replace(r, command=each, taken=at_once._asdict())
+             for r, each in zip(recordings, moved, strict=True)],
             [f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
              f'ratio {servo.damping:.3g}' + ''.join(f', {each}' for each in limits)])

@@ -9,6 +9,7 @@ import pytest
 from scipy.io import loadmat
 
 from asi_analysis.bags.run import Run
+from asi_analysis.gap.answer.export import write_export
 from asi_analysis.gap.diagnose import diagnose, document
 
 DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
@@ -35,7 +36,7 @@ def press(name: str) -> Run:
 
 
 @needs_data
-def test_joint_with_coulomb_friction():
+def test_joint_with_coulomb_friction(tmp_path):
     runs = [emps('DATA_EMPS.mat'), emps('DATA_EMPS_PULSES.mat')]
     diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])
     answer = document(diagnosis)
@@ -50,12 +51,21 @@ def test_joint_with_coulomb_friction():
     assert alone['friction_level'] == pytest.approx(20.394, rel=0.01)
     assert answer['gap']['before_nrmse'] == pytest.approx(0.17, abs=0.01)
     assert answer['gap']['after_nrmse'] < 0.054
+    row = write_export(diagnosis, None, tmp_path / 'emps.xml')
+    assert ['asymmetry of the viscous friction' in each for each in row['unsaid']] == [True]
+    if row['simulator']:
+        assert row['after_nrmse'] < 0.055 < 0.12 < row['before_nrmse']
 
 
 @needs_data
-def test_press_with_lag_and_dead_time():
+def test_press_with_lag_and_dead_time(tmp_path):
     runs = [press(f'actuator_chirp_damper_{current}.txt.gz') for current in ('0A', '1A')]
-    answer = document(diagnose(runs, {}, 'joint', held_out=[False, True]))
+    diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])
+    answer = document(diagnosis)
     assert answer['verdict'] == 'transport_delay+valve_lag'
     assert answer['gap']['before_nrmse'] > 1.0
     assert answer['gap']['after_nrmse'] < 0.05
+    row = write_export(diagnosis, None, tmp_path / 'press.xml')
+    assert row['unsaid'] == []
+    if row['simulator']:
+        assert row['after_nrmse'] < 0.05 < 1.0 < row['before_nrmse']
