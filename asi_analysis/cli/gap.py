@@ -49,6 +49,9 @@ def gap(
         help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
     held_out: Annotated[list[Path] | None, typer.Option(
         help='A recording of the validation set, not fitted; may be repeated')] = None,
+    baseline: Annotated[list[Path] | None, typer.Option(
+        help='A recording of the same machine when it was healthy: the answer is what has changed '
+        'since; may be repeated')] = None,
     tolerance: Annotated[list[str] | None, typer.Option(
         metavar='SHARE|NAME=SHARE', help='Tolerance of the nominal parameters, as a share '
         '(default: 0.2), or of one, such as load.mass=0.5; may be repeated')] = None,
@@ -62,7 +65,11 @@ def gap(
         'a joint, .yaml (what --model takes); may be repeated')] = None,
     as_json: Json = False,
 ) -> None:
-    """Find where and why recordings differ from the simulator, and how far the gap shrinks."""
+    """
+    Find where and why recordings differ from the simulator, and how far the gap shrinks.
+
+    What has changed in a machine: `asi gap today --baseline healthy_1 --baseline healthy_2`.
+    """
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.gap.answer.command import diagnose, parse_tolerances
     from asi_analysis.gap.answer.export import format_of
@@ -74,7 +81,7 @@ def gap(
         progress('reading', None)
         result = diagnose([read_bag(bag) for bag in bags], model, plant,
                           [read_bag(bag) for bag in held_out or []], usual, drive,
-                          progress, set_ or [], own)
+                          progress, set_ or [], own, [read_bag(bag) for bag in baseline or []])
         if report:
             progress('report', None)
             result.write_report(report)

@@ -163,14 +163,13 @@ def _response(servo: Servo, recording: Recording) -> Array:
                   recording.period_s)
 
 
-def with_servo(recordings: list[Recording], unit: str) -> tuple[list[Recording], list[str]]:
+def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
+               ) -> tuple[list[Recording], list[str]]:
     """
     Return recordings whose command is what a servo of second order makes of it, and notes.
 
-    Its delay is left to the effects. Recordings that need no second order are returned as they
-    are.
+    Its delay is left to the effects. servo: None, if a delay and a lag do.
     """
-    servo = servo_of(recordings)
     if servo is None:
         return recordings, []
     at_once = servo._replace(delay=0.0)

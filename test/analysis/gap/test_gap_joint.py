@@ -15,7 +15,7 @@ from asi_analysis.gap.answer import report
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
-from asi_analysis.gap.model.joint import without_gravity
+from asi_analysis.gap.model.joint import gravity_of
 from asi_analysis.gap.prepare import prepare
 
 RATE_HZ, SUB_STEPS = 500.0, 40
@@ -139,7 +139,7 @@ def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(frictio
 def test_no_gravity_is_found_where_there_is_none(changed, course):
     run = joint(**changed, course=course)
     recordings = prepare([run], 'force')
-    assert without_gravity(recordings, [run]) == (recordings, [])
+    assert gravity_of(recordings, [run]) is None
 
 
 @pytest.mark.parametrize(('changed', 'perhaps'), [
