@@ -152,7 +152,7 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         floor[channel] = max(noise[channel] ** 2 + general, healthy.left[channel],
                              healthy.share[channel] * power)
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
-                   error_floor=floor)
+                   error_floor=floor, floor_measured=True)
 
 
 def _free(name: str, spread: Spread, simulated: bool) -> Free:

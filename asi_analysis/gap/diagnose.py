@@ -162,10 +162,8 @@ def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, toleran
     before = healthy.runs if healthy else []
     if plant == 'joint':
         known = dict(model)
-        for weighed in healthy.groups if healthy else ():
-            if weighed.group.channels == ('load',):
-                record = healthy.best(weighed).fitted.record
-                known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
+        for record in _records(healthy)[-1:] if healthy else ():
+            known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
         groups, notes = joint_groups(runs, known, tolerance, held_out,
                                      drive or drive_of(before or runs), before)
     else:
@@ -178,8 +176,12 @@ def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, toleran
 
 def improved_of(diagnosis: Diagnosis, model: Mapping[str, Value]) -> dict[str, Value]:
     """Return the nominal parameters of the actuator with what was found put in."""
-    return improved_model(model, [diagnosis.best(weighed).fitted.record
-                                  for weighed in diagnosis.groups])[0]
+    return improved_model(model, _records(diagnosis))[0]
+
+
+def _records(diagnosis: Diagnosis) -> list[np.void]:
+    """Return the verdict's records, one a group of channels."""
+    return [diagnosis.best(weighed).fitted.record for weighed in diagnosis.groups]
 
 
 def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actuator',
@@ -228,9 +230,11 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     if simulated:
         # The other formulations follow the measured force, which hardly shows on a free load.
         weighed = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
-    if weighed is None and simulated and healthy is not None:   # the healthy machine by blocks too
-        return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances, diagnose(
-            healthy.runs, model, plant, tolerance, tolerances=tolerances, simulate=False), False)
+    if weighed is None and simulated and healthy is not None:
+        by_blocks = diagnose(healthy.runs, model, plant, tolerance, report=report,
+                             tolerances=tolerances, simulate=False)
+        return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
+                        by_blocks, simulate=False)
     if weighed is None:
         for group in groups:
             if plant == 'actuator':

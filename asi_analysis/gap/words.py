@@ -162,6 +162,8 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
             if verdict != answer['verdict']]
     following = answer['next_experiment']
     return [each for each in (
+        answer['baseline'] and answer['baseline']['change'] == 'cannot_tell'
+        and 'It is uncertain whether anything has changed.',
         _found(answer, joint), *_changes(answer, joint), _error(answer), answer['unexplained'],
         limits and f'At the limit of the {"spread" if answer["baseline"] else "tolerance"}: '
                    f'{limits}. If the real value lies beyond it, '
@@ -188,7 +190,9 @@ def _found(answer: Mapping[str, Any], joint: bool) -> str:
              if row['share'] >= LEAST_SHARE}
     named = {block for name in names if (block := block_of(name))}
     blocks = [block for block in where if block in named] or list(where)[:1]
-    found = (f'{"The change" if changed else "The gap"} lies in the {" and the ".join(in_words(each, joint) for each in blocks)}: '
+    what = ('The gap' if not changed else 'The change' if changed['change'] == 'changed' else
+            'A change, if there is one,')
+    found = (f'{what} lies in the {" and the ".join(in_words(each, joint) for each in blocks)}: '
              f'{" and ".join(_named(name, answer, joint) for name in names)} {sure}.')
     if len(where) < 2:
         return found
@@ -206,8 +210,6 @@ def _changes(answer: Mapping[str, Any], joint: bool) -> list[str]:
     gap = next(row for row in found['left'] if row['channel'] == answer['gap']['channel'])
     lines = [f'The model of {of} leaves at most {percent(gap["healthy_nrmse"])} of their '
              f'{gap["signal"].replace("_", " ")} (rms), and now {percent(gap["now_nrmse"])}.']
-    if found['change'] == 'cannot_tell':
-        lines.insert(0, 'It cannot be told from these recordings whether anything has changed.')
     rows = found['parameters']
     changed = [f'{_called(row, joint)} {_healthy(row)} to '
                f'{between(row["now"], row["now_low"], row["now_high"], row["unit"])}'

@@ -80,6 +80,7 @@ class Group:
     effects: tuple[Effect, ...] = EFFECTS
     given: np.void | None = None   # as nominal, but for what another group has found
     exact_substep_s: float = 0.0   # of the simulator
+    floor_measured: bool = False   # the error floor is what healthy recordings leave
 
     @property
     def held_out_s(self) -> float:

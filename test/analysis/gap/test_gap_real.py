@@ -2,6 +2,7 @@
 
 import gzip
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,12 @@ def emps(name: str) -> Run:
     data = loadmat(DATA / 'emps' / name)
     return Run(data['t'].ravel(), command_n=(data['gtau'] * data['vir']).ravel(),
                position_m=data['qm'].ravel(), source=name)
+
+
+def cut(run: Run, start: float, end: float) -> Run:
+    """Return the part of a recording between two shares of its length."""
+    part = run.between(start * run.duration_s, end * run.duration_s)
+    return replace(part, time_s=part.time_s - part.time_s[0])
 
 
 def press(name: str) -> Run:
