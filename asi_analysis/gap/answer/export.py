@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from asi_analysis.errors import InputError
-from asi_analysis.gap.answer.joint_files import mjcf, urdf
-from asi_analysis.gap.answer.joint_model import joint_model
+from asi_analysis.gap.answer.joint_files import mjcf, unsaid_in_urdf, urdf
+from asi_analysis.gap.answer.joint_model import JointModel, joint_model
 from asi_analysis.gap.answer.replay import replay_error
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.model_file import improved_model
@@ -19,6 +19,7 @@ from asi_common.parameter_file import write_parameters
 FORMATS: Final = {'.xml': 'MJCF', '.mjcf': 'MJCF', '.urdf': 'URDF', '.yaml': 'YAML',
                   '.yml': 'YAML'}
 NODE: Final = '/**/asi_actuator'
+PARAMETERS: Final = ('load_mass', 'load_damping')   # of a joint that --model takes
 
 
 def format_of(path: Path, plant: str) -> str:
@@ -56,14 +57,19 @@ def write_export(diagnosis: Diagnosis, model: Mapping[str, Value] | None, path: 
               + '; values with their 95 % intervals:')
     if kind == 'YAML':
         write_parameters(path, NODE, {'load.mass': found.inertia, 'load.damping': found.damping},
-                         [origin, *found.notes])
-    else:
-        text = (mjcf if kind == 'MJCF' else urdf)(found, origin)
-        write_text(path, text)
-    return row | _replayed(diagnosis, text) if kind == 'MJCF' else row
+                         [origin, *found.notes.values()])
+        row['unsaid'] += [text for field, text in found.notes.items() if field not in PARAMETERS]
+        return row
+    if kind == 'URDF':
+        write_text(path, urdf(found, origin))
+        row['unsaid'] += unsaid_in_urdf(found)
+        return row
+    text = mjcf(found, origin)
+    write_text(path, text)
+    return row | _replayed(diagnosis, found, text)
 
 
-def _replayed(diagnosis: Diagnosis, text: str) -> dict[str, Any]:
+def _replayed(diagnosis: Diagnosis, found: JointModel, text: str) -> dict[str, Any]:
     """Return the errors of the motion in MuJoCo, nominal and as exported."""
     try:
         import mujoco
@@ -73,7 +79,7 @@ def _replayed(diagnosis: Diagnosis, text: str) -> dict[str, Any]:
     row: dict[str, Any] = {'simulator': f'MuJoCo {mujoco.__version__}'}
     try:
         errors = [replay_error(diagnosis, nominal, mjcf(nominal, '')),
-                  replay_error(diagnosis, joint_model(diagnosis), text)]
+                  replay_error(diagnosis, found, text)]
     except ValueError:
         return row
     if not all(map(math.isfinite, errors)):
@@ -85,8 +91,8 @@ def _replayed(diagnosis: Diagnosis, text: str) -> dict[str, Any]:
 def in_words(exports: list[Mapping[str, Any]]) -> Iterator[str]:
     """Yield what was exported, in words."""
     for row in exports:
-        yield f'export: {row["file"]} ({row["format"]})' + ''.join(
-            f'; not in it: {each}' for each in row['unsaid'])
+        yield f'export: {row["file"]} ({row["format"]})' + (
+            f'; not in it: {"; ".join(row["unsaid"])}' if row['unsaid'] else '')
         if row['shrink'] is not None:
             yield (f'In {row["simulator"]} the error of the motion is '
                    f'{percent(row["after_nrmse"])} of it (rms), and '

@@ -88,12 +88,8 @@ def _hints(model: JointModel) -> list[str]:
 
 def urdf(model: JointModel, origin: str) -> str:
     """Return a joint as a robot of two links; what URDF has no word for is in its comment."""
-    drive = {'gain': model.gain if model.gain != 1.0 else 0.0, 'constant push': model.bias,
-             'kp': model.kp, 'kv': model.kv, 'delay (s)': model.delay_s, 'lag (s)': model.lag_s,
-             'stiffness': model.stiffness}
-    unsaid = [f'URDF has no word for {name} {_text(value)}' for name, value in drive.items()
-              if value]
     root = ET.Element('robot', name='joint')
+    unsaid = [f'URDF has no word for {each}' for each in unsaid_in_urdf(model)]
     root.append(_comment([
         origin, *_about(model), *unsaid,
         'limit: what was found, else the largest of the recording; the ends of the travel are not '
@@ -118,6 +114,14 @@ def urdf(model: JointModel, origin: str) -> str:
     ET.SubElement(joint, 'limit', limit)
     ET.SubElement(joint, 'dynamics', damping=_text(model.damping), friction=_text(model.friction))
     return _document(root)
+
+
+def unsaid_in_urdf(model: JointModel) -> list[str]:
+    """Return the values of a joint model that URDF has no word for."""
+    drive = {'gain': model.gain if model.gain != 1.0 else 0.0, 'constant push': model.bias,
+             'kp': model.kp, 'kv': model.kv, 'delay (s)': model.delay_s, 'lag (s)': model.lag_s,
+             'stiffness': model.stiffness}
+    return [f'{name} {_text(value)}' for name, value in drive.items() if value]
 
 
 def _link(model: JointModel) -> tuple[float, tuple[float, float, float], float]:
@@ -151,7 +155,8 @@ def _about(model: JointModel) -> list[str]:
     if model.kp:
         lines.append('The inertia behind the servo does not show. It is 1 here: with another, '
                      'gain, bias, kp, kv, damping and forcerange grow as it does.')
-    return [*lines, *model.notes, *(f'Not in this model: {each}' for each in model.unsaid)]
+    return [*lines, *model.notes.values(),
+            *(f'Not in this model: {each}' for each in model.unsaid)]
 
 
 def _text(value: float) -> str:

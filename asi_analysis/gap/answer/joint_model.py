@@ -1,5 +1,7 @@
 """A joint as plain numbers, as a simulator takes them: `joint_model` of a diagnosis."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -9,7 +11,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import UNKNOWN, Variant
+from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
 from asi_analysis.gap.prepare import Array
 from asi_analysis.gap.words import (
     SIZES,
@@ -70,7 +72,8 @@ class JointModel(NamedTuple):
     travel: tuple[float, float] = (0.0, 0.0)   # of the recording, with its largest force, speed
     seen_push: float = 0.0
     seen_speed: float = 0.0
-    notes: tuple[str, ...] = ()    # the values in words, with intervals
+    notes: Mapping[str, str] = MappingProxyType({})   # values in words, with intervals, by field
+    loads: tuple[float, ...] = ()  # constant load of each recording, beyond the first's
     unsaid: tuple[str, ...] = ()   # what was found that has no field here
 
 
@@ -86,10 +89,11 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
     if servo and (run.reference_n is None or run.controlled() != 'position'):
         raise InputError(f'{run.source}: --export takes a joint that is moved by a force, or that '
                          'follows a reference of its position')
-    notes, unsaid = [], []
+    notes: dict[str, str] = {}
+    unsaid: list[str] = []
     for weighed in () if nominal else groups.values():
         more, left = _in_words(diagnosis, weighed)
-        notes += more
+        notes |= more
         unsaid += left
     records = {channel: weighed.group.as_given if nominal else
                _held(diagnosis, weighed).fitted.record for channel, weighed in groups.items()}
@@ -101,7 +105,7 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
             found = _driven(found, records['valve'])
     if UNKNOWN in diagnosis.verdict and not nominal:
         unsaid.append(in_words(UNKNOWN, True))
-    return found._replace(notes=(*notes, *found.notes), unsaid=(*unsaid, *found.unsaid))
+    return found._replace(notes={**notes, **found.notes}, unsaid=(*unsaid, *found.unsaid))
 
 
 def _moved(weighed: Weighed, p: np.void, run: Run) -> JointModel:
@@ -122,22 +126,29 @@ def _moved(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     sine, cosine = taken.get('gravity_sine', 0.0), taken.get('gravity_cosine', 0.0)
     driving = 'command' if run.force_n is None else 'force'
     force = run.unit(driving)
-    notes = []   # of what was identified before the fit
+    notes = {}   # of what was identified before the fit
     if sine or cosine:
-        notes.append(f'gravity {digits(sine, force)} sin q and {digits(cosine, force)} cos q '
-                     '(no interval)')
+        notes['gravity'] = (f'gravity {digits(sine, force)} sin q and {digits(cosine, force)} '
+                            'cos q (no interval)')
     if 'constant' in taken:
-        notes.append(f'beside the constant load {digits(taken["constant"], force)} (no interval)')
+        notes['constant'] = (f'beside the constant load {digits(taken["constant"], force)} (no '
+                             'interval)')
+    loads = [r.taken.get('constant', 0.0) + float(p[of_recording('load_offset', r.number)])
+             for r in weighed.group.recordings]
+    others = {digits(r.taken.get('constant', 0.0), force) for r in weighed.group.recordings
+              if r.taken.get('constant') != taken.get('constant')}
     mass, damping = float(p['load_mass']), float(p['load_damping'] + p['viscous'])
     if mass < damping * recording.period_s:
         mass = damping * recording.period_s
-        notes.append('the inertia is too small to show: that of a sample is taken')
+        notes['too_small'] = 'the inertia is too small to show: that of a sample is taken'
     return JointModel(
         unit.startswith('rad'), mass, damping, level, float(p['load_stiffness']), origin, sine,
         cosine, bias=-constant, delay_s=delay, lag_s=float(p['drive_lag']),
         period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
         seen_push=_most(run.signal(driving)),
-        seen_speed=_most(motion.velocity), notes=tuple(notes), unit=force)
+        seen_speed=_most(motion.velocity), notes=notes, unit=force,
+        loads=tuple(each - loads[0] for each in loads),
+        unsaid=tuple(f'constant load of another recording, {each}' for each in sorted(others)))
 
 
 def _driven(moved: JointModel, p: np.void) -> JointModel:
@@ -161,8 +172,8 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     unsaid: tuple[str, ...] = ()
     if taken:
         w, damping = taken['pulsation'], taken['damping']
-        notes = (f'natural frequency {digits(w, "rad/s")}, damping ratio {digits(damping)} '
-                 '(no interval)',)
+        notes = {'servo': f'natural frequency {digits(w, "rad/s")}, damping ratio '
+                          f'{digits(damping)} (no interval)'}
         # A push that the damping of the joint balances at the largest speed.
         if limited:
             steady = 2.0 * damping * w * rate
@@ -176,8 +187,8 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
         late = max(SHARE_LATE * (delay + lag), SAMPLES * recording.period_s)
         w, damping = 2.0 / late, 1.0
         delay, lag = max(delay - late, 0.0), max(min(lag, delay + lag - late), 0.0)
-        notes = (f'kp and kv are of a servo that follows within {digits(late, "s")}: the '
-                 'recording shows no slower one',)
+        notes = {'servo': f'kp and kv are of a servo that follows within {digits(late, "s")}: the '
+                          'recording shows no slower one'}
     shift, most = float(p['command_bias']), (float(p['valve_limit']) or np.inf) / gain
     return JointModel(
         run.unit('position') == 'rad', 1.0, gain=w * w * gain, kp=w * w,
@@ -225,13 +236,13 @@ def _unsaid_variants(best: Candidate, weighed: Weighed) -> list[Variant]:
             and free.field.partition('@')[0] in SIZES.keys() - held]
 
 
-def _in_words(diagnosis: Diagnosis, weighed: Weighed) -> tuple[list[str], list[str]]:
+def _in_words(diagnosis: Diagnosis, weighed: Weighed) -> tuple[dict[str, str], list[str]]:
     """Return the values of a group that a joint model holds, and those of the verdict beyond."""
     best, kept = diagnosis.best(weighed), _held(diagnosis, weighed)
     held = _sizes(diagnosis, weighed, kept)
     more = {} if kept is best else _sizes(diagnosis, weighed, best)
     fields = HELD[weighed.group.channels[0]]
-    return ([text for field, text in held.items() if field in fields],
+    return ({field: text for field, text in held.items() if field in fields},
             [text for field, text in (held | more).items() if field not in fields])
 
 

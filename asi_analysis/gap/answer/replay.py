@@ -39,13 +39,14 @@ def replay_error(diagnosis: Diagnosis, model: JointModel, xml: str) -> float:
     engine = mujoco.MjModel.from_xml_string(xml)
     missed = moved = 0.0
     recordings = diagnosis.groups[-1].group.recordings
-    for run, recording in zip(diagnosis.runs, recordings, strict=True):
+    loads = model.loads or (0.0,) * len(recordings)
+    for run, recording, load in zip(diagnosis.runs, recordings, loads, strict=True):
         if not recording.report.any():
             continue
         played = _played(run, recording, servo=model.kp > 0.0)
         before = math.ceil((model.delay_s + LAGS * model.lag_s) / played.period_s)
         for piece in played.pieces:
-            error = (_simulated(engine, played, piece, before) - played.position[piece])
+            error = (_simulated(engine, played, piece, before, load) - played.position[piece])
             way = played.position[piece] - (
                 played.position[piece.start] if model.kp == 0.0 else played.position.mean())
             known = recording.report[piece]
@@ -106,14 +107,16 @@ def _held(times: Array, run: Run, name: str) -> Array:
     return values[known[np.clip(before, 0, None)]]
 
 
-def _simulated(engine: Any, played: Played, piece: slice, before: int) -> Array:
+def _simulated(engine: Any, played: Played, piece: slice, before: int, load: float) -> Array:
     """
     Return the position in MuJoCo over a piece.
 
-    For `before` samples the measured motion is held, while the drive takes up its command.
+    For `before` samples the motion is as measured, while the drive takes up its command. load:
+    constant, that this recording alone has.
     """
     import mujoco
     data = mujoco.MjData(engine)
+    data.qfrc_applied[0] = -load
     count = round(played.period_s / engine.opt.timestep)
     out = np.empty(piece.stop - piece.start)
     for k in range(piece.start - before, piece.stop):
