@@ -1,11 +1,12 @@
 """`asi gap --export`: what was found, as a file for a simulator, and its replay there."""
 
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.joint_files import mjcf, unsaid_in_urdf, urdf
 from asi_analysis.gap.answer.joint_model import JointModel, joint_model
 from asi_analysis.gap.answer.replay import replay_error
@@ -80,7 +81,9 @@ def _replayed(diagnosis: Diagnosis, found: JointModel, text: str) -> dict[str, A
     try:
         errors = [replay_error(diagnosis, nominal, mjcf(nominal, '')),
                   replay_error(diagnosis, found, text)]
-    except ValueError:
+    except ValueError as error:   # such as an attribute that an older version does not know
+        warnings.warn(f'{row["simulator"]} does not load the export: {str(error).splitlines()[0]}',
+                      InputWarning, stacklevel=2)
         return row
     if not all(map(math.isfinite, errors)):
         return row
