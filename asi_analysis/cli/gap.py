@@ -18,6 +18,7 @@ from asi_analysis.cli.options import (
     new_file,
     show,
 )
+from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
 
 
@@ -63,25 +64,48 @@ def gap(
     export: Annotated[list[Path] | None, typer.Option(
         metavar='FILE', help='What was found, for a simulator: .xml (MJCF of MuJoCo) or .urdf of '
         'a joint, .yaml (what --model takes); may be repeated')] = None,
+    joint: Annotated[str | None, typer.Option(
+        metavar='NAME|all', help='Of a bag with joint states, or a folder with a bag for each '
+        'joint (asi import with {joint}): this one, or all in one table')] = None,
+    jobs: Jobs = 2,
     as_json: Json = False,
 ) -> None:
     """
     Find where and why recordings differ from the simulator, and how far the gap shrinks.
 
     What has changed in a machine: `asi gap today --baseline healthy_1 --baseline healthy_2`.
+    All joints of a robot: `asi gap robot --plant joint --joint all --jobs 4`.
     """
     from asi_analysis.bags.bag import read_bag
+    from asi_analysis.bags.exchange.importing import read_joint, read_joints
     from asi_analysis.gap.answer.command import diagnose, parse_tolerances
     from asi_analysis.gap.answer.export import format_of
     for path in export or []:   # before the diagnosis, which takes long
         format_of(path, plant)
         new_file(path)
     usual, own = parse_tolerances(tolerance or [])
+    if joint is not None:
+        if plant != 'joint':
+            raise InputError(f'--joint {joint} takes --plant joint')
+        if joint == 'all':
+            if export:
+                raise InputError('--export takes one joint: --joint NAME')
+            from asi_analysis.gap.answer.joints import diagnose_joints
+            from asi_analysis.parallel import workers
+            with workers(jobs), bar() as progress:
+                progress('reading', None)
+                show(diagnose_joints(
+                    read_joints(bags), read_joints(baseline or []), read_joints(held_out or []),
+                    report, progress, model=model, tolerance=usual, drive=drive,
+                    settings=set_ or [], tolerances=own), as_json)
+            return
     with bar() as progress:
         progress('reading', None)
-        result = diagnose([read_bag(bag) for bag in bags], model, plant,
-                          [read_bag(bag) for bag in held_out or []], usual, drive,
-                          progress, set_ or [], own, [read_bag(bag) for bag in baseline or []])
+        runs, out, healthy = (read_joint(each or [], joint) if joint else
+                              [read_bag(bag) for bag in each or []]
+                              for each in (bags, held_out, baseline))
+        result = diagnose(runs, model, plant, out, usual, drive, progress, set_ or [], own,
+                          healthy)
         if report:
             progress('report', None)
             result.write_report(report)
