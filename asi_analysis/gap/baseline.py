@@ -5,7 +5,7 @@ Their diagnosis is the nominal model; how far its parameters are known, and diff
 recording to the next, are the tolerances; what it leaves of them is what any model leaves.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -57,7 +57,25 @@ def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> He
 
     tolerance, own: how far nominal parameters may be off at most, as a share; own: by field.
     """
-    group, known = fitted.problem.group, likelihood(fitted)
+    group = fitted.problem.group
+    errors = {channel: np.array([_left(fitted, recording, channel)
+                                 for recording in group.recordings]).max(axis=0)
+              for channel in group.channels}
+    left, share, over = ({channel: float(each[n]) for channel, each in errors.items()}
+                         for n in range(3))
+    spread = {field: _spread(fitted, field, values, own.get(field, tolerance))
+              for field, values in _values(fitted, over).items()}
+    return Healthy(fitted, spread, left, share, over)
+
+
+def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
+    """Return the ends of the intervals of what is the machine's, and its values in each run."""
+    group = fitted.problem.group
+    measured_floor = replace(group, error_floor={
+        channel: _measured_floor(level, group.noise[channel], over_floor[channel])
+        for channel, level in group.error_floor.items()})
+    fitted = fitted._replace(problem=replace(fitted.problem, group=measured_floor, _key=b''))
+    known = likelihood(fitted)
     alone = [_alone(fitted, recording) for recording in group.recordings]
     found: dict[str, list[float]] = {}
     for free in fitted.free:
@@ -66,22 +84,24 @@ def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> He
             found.setdefault(field, []).extend((
                 *interval(fitted, known, free.field),
                 *(values[free.field] for values in alone if free.field in values)))
-    spread = {}
-    for field, values in found.items():
-        frees = [free for free in fitted.free if free.field.partition('@')[0] == field]
-        value = float(np.mean([fitted.record[free.field] for free in frees]))
-        bounds = fitted.problem.parameter(frees[0])
-        most = own.get(field, tolerance) * abs(value) if field in NOMINAL_FIELDS else np.inf
-        least = LEAST_SPREAD * abs(value)
-        below, above = (min(max(OF_MANY * each, least), most)
-                        for each in (value - min(values), max(values) - value))
-        spread[field] = Spread(value, max(value - below, bounds.low),
-                               min(value + above, bounds.high), frees[0].unit)
-    errors = {channel: np.array([_left(fitted, recording, channel)
-                                 for recording in group.recordings]).max(axis=0)
-              for channel in group.channels}
-    return Healthy(fitted, spread, *({channel: float(each[n]) for channel, each in errors.items()}
-                                     for n in range(3)))
+    return found
+
+
+def _measured_floor(level: float, noise: float, over_floor: float) -> float:
+    """Return an error floor (mean square) whose model error is what healthy recordings show."""
+    return noise ** 2 + (level - noise ** 2) * min(over_floor, 1.0)
+
+
+def _spread(fitted: Fitted, field: str, values: Sequence[float], tolerance: float) -> Spread:
+    """Return the spread of a parameter that has these values."""
+    frees = [free for free in fitted.free if free.field.partition('@')[0] == field]
+    value = float(np.mean([fitted.record[free.field] for free in frees]))
+    bounds = fitted.problem.parameter(frees[0])
+    most = tolerance * abs(value) if field in NOMINAL_FIELDS else np.inf
+    below, above = (min(max(OF_MANY * each, LEAST_SPREAD * abs(value)), most)
+                    for each in (value - min(values), max(values) - value))
+    return Spread(value, max(value - below, bounds.low), min(value + above, bounds.high),
+                  frees[0].unit)
 
 
 def _alone(fitted: Fitted, recording: Recording) -> Values:
@@ -147,9 +167,8 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
     for channel, level in group.noise.items():
         noise[channel] = max(level, before.noise[channel])
         power = float(np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings]))
-        # The error that any model may have is known of this machine.
-        general = (group.error_floor[channel] - level ** 2) * min(healthy.over_floor[channel], 1.0)
-        floor[channel] = max(noise[channel] ** 2 + general, healthy.left[channel],
+        general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
+        floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
                              healthy.share[channel] * power)
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
                    error_floor=floor, floor_measured=True)

@@ -42,7 +42,7 @@ def test_more_friction_is_named_with_its_size_before_and_now():
 
 
 def test_a_machine_that_was_worse_has_less_friction_now():
-    answer = asked(joint(**MACHINE), joint(**MACHINE | {'friction': 0.13}))
+    answer = asked(HEALTHY[0], joint(**MACHINE | {'friction': 0.13}))
     assert answer.verdict == 'coulomb_friction'
     row, = (row for row in answer.baseline['parameters'] if row['changed'])
     assert row['now'] == pytest.approx(0.1, rel=0.03) and row['now'] < row['healthy_low']
@@ -56,7 +56,8 @@ def rigid(inertia: float, seed: int) -> Run:
     wave = 0.2 * np.exp(1j * (pulsation * TIME_S + 2.0 * np.pi * phase))
     angle, speed, change = ((wave * (1j * pulsation) ** n).sum(axis=0).real for n in range(3))
     torque = inertia * change + 0.05 * speed + 0.02 * rng.standard_normal(TIME_S.size)
-    return Run(TIME_S, command_n=torque, position_m=angle, source='rigid', information=PENDULUM)
+    run = Run(TIME_S, command_n=torque, position_m=angle, source='rigid', information=PENDULUM)
+    return run.between(0.0, 6.0)
 
 
 def test_a_heavier_load_is_named_but_not_a_little_more():
@@ -69,8 +70,8 @@ def test_a_heavier_load_is_named_but_not_a_little_more():
 
 
 @pytest.mark.parametrize('healthy', [
-    HEALTHY, (HEALTHY[1], HEALTHY[0], HEALTHY[0]), (HEALTHY[0],),
-    (HEALTHY[0].between(0.0, 8.0), HEALTHY[0].between(8.0, 16.0), HEALTHY[1])])
+    (HEALTHY[0],), (HEALTHY[1], HEALTHY[1], HEALTHY[0].between(0.0, 8.0),
+                    HEALTHY[0].between(8.0, 16.0))])
 def test_a_healthy_recording_has_not_changed(healthy):
     """In any order of the others, one twice, or one cut in two."""
     answer = asked(HEALTHY[0], *healthy)
@@ -81,7 +82,7 @@ def test_a_healthy_recording_has_not_changed(healthy):
 
 def test_what_no_effect_explains_is_no_change_if_the_healthy_machine_has_it():
     teeth = {'friction': 0.1, 'gravity': 0.15, 'teeth': 9.0}
-    healthy, more = (joint(**each).between(0.0, 8.0) for each in (teeth, teeth | {'gravity': 0.6}))
+    healthy, more = (joint(**each).between(0.0, 5.0) for each in (teeth, teeth | {'gravity': 0.6}))
     assert asked(healthy, healthy).baseline['change'] == 'none'
     answer = asked(more, healthy)
     assert answer.baseline['change'] != 'none' and answer.verdict == 'unknown'
@@ -92,14 +93,15 @@ def test_what_no_effect_explains_is_no_change_if_the_healthy_machine_has_it():
 @pytest.mark.filterwarnings('ignore:without')
 def test_the_actuator_is_compared_by_the_simulator():
     def forces(lag_s: float) -> Run:
-        run = recorded(nominal | {'valve_flexure.lag_time': lag_s}, duration_s=1.5)
+        run = recorded(nominal | {'valve_flexure.lag_time': lag_s}, duration_s=1.2)
         return replace(run, position_m=None, valve_position_m=None, velocity_m_s=None)
 
     nominal = {'load.type': 'spring'}
-    healthy = diagnosis_of([forces(0.001)], nominal)
+    healthy = diagnosis_of([forces(0.0)], nominal)
     slower = diagnosis_of([forces(0.003)], nominal, healthy=healthy)
-    assert healthy.verdict == slower.verdict == ('valve_lag',)
-    assert slower.machine[('force',)].spread['valve_flexure_lag_time'].high < 0.002
+    assert healthy.verdict == () and slower.verdict == ('valve_lag',)
+    spread = slower.machine[('force',)].spread['valve_characteristic_maximum_force']
+    assert 0.8 < spread.low / spread.value < 1.0 < spread.high / spread.value < 1.2
     assert improved_of(slower, nominal)['valve_flexure.lag_time'] == pytest.approx(0.003, rel=0.1)
 
 
@@ -122,5 +124,5 @@ def test_other_signals_than_those_of_the_healthy_recordings_are_refused():
 @needs_data
 def test_parts_of_one_measured_recording_have_not_changed():
     run = emps('DATA_EMPS.mat')
-    answer = asked(cut(run, 0.5, 0.75), cut(run, 0.25, 0.5))
+    answer = asked(cut(run, 0.5, 0.65), cut(run, 0.25, 0.4))
     assert answer.baseline['change'] == 'none'
