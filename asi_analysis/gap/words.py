@@ -37,7 +37,8 @@ SIZES: Final = {
     'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',
     'disturbance_start': 'from', 'disturbance_end': 'to', 'sensor_offset': 'offset',
     'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
-    'drive_delay': 'delay', 'drive_lag': 'time'}
+    'drive_delay': 'delay', 'drive_lag': 'time', 'gravity_sine': 'more of sin q',
+    'gravity_cosine': 'more of cos q'}
 UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
 DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}

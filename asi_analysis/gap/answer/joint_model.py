@@ -123,7 +123,8 @@ def _moved(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     delay = float(p['drive_delay'])
     if delay:   # a command that is held is late by half a sample without any
         delay += float(p['drive_hold']) - 0.5 * recording.period_s * (run.force_n is None)
-    sine, cosine = taken.get('gravity_sine', 0.0), taken.get('gravity_cosine', 0.0)
+    sine, cosine = (taken.get(name, 0.0) + float(p[name])
+                    for name in ('gravity_sine', 'gravity_cosine'))
     driving = 'command' if run.force_n is None else 'force'
     force = run.unit(driving)
     notes = {}   # of what was identified before the fit

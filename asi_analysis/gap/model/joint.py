@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant
+from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
 from asi_analysis.gap.model.group import Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.servo import servo_of, with_servo
@@ -98,16 +98,20 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
         return [_servo(followed, tolerance, False)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
+    turns = _turns(recordings, runs)
     gravity = gravity_of(of, healthy or runs)
     recordings, notes = without_gravity(recordings, runs, gravity)
     of = without_gravity(of, healthy, gravity)[0] if healthy else recordings
     recordings, more = _without_bias(recordings, of)
+    if turns:
+        recordings = [replace(r, taken={**r.taken, 'middle': float(np.nanmean(
+            run.signal('position')))}) for run, r in zip(runs, recordings, strict=True)]
     notes = [*notes, *more]
     groups = []
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
-    mechanics = _mechanics(recordings, given, tolerance, force_measured)
+    mechanics = _mechanics(recordings, given, tolerance, force_measured, turns and bool(healthy))
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
@@ -160,8 +164,12 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
-               force_measured: bool) -> Group:
-    """Return the group that compares the force with what the motion takes."""
+               force_measured: bool, weighs: bool) -> Group:
+    """
+    Return the group that compares the force with what the motion takes.
+
+    weighs: its gravity may have changed.
+    """
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
                             'load.stiffness': 0.0, **rest})
@@ -189,6 +197,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured)
+    effects += (GRAVITY,) * weighs
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
                       model_error=RIGID_ERROR)
 
@@ -243,6 +252,13 @@ class Gravity(NamedTuple):
     left: float
 
 
+def _turns(recordings: Sequence[Recording], runs: Sequence[Run]) -> bool:
+    """Return whether the angle of a joint, on which its gravity depends, was measured."""
+    return not any(run.position_m is None or run.unit('position') != 'rad'
+                   or r.force_judged is None or r.motion is None
+                   for run, r in zip(runs, recordings, strict=True))
+
+
 def gravity_of(recordings: Sequence[Recording], runs: Sequence[Run]) -> Gravity | None:
     """
     Return the gravity of a joint that turns; None if it needs none.
@@ -251,8 +267,7 @@ def gravity_of(recordings: Sequence[Recording], runs: Sequence[Run]) -> Gravity 
     damping, friction and offset, by least squares on the fitted parts. It is there if the
     held-out parts need it: they then have less than LEFT_WITHOUT of their residual power.
     """
-    if any(run.position_m is None or run.unit('position') != 'rad' or r.force_judged is None
-           or r.motion is None for run, r in zip(runs, recordings, strict=True)):
+    if not _turns(recordings, runs):
         return None
     shapes = [_shapes(r, float(np.nanmean(run.signal('position'))))
               for run, r in zip(runs, recordings, strict=True)]

@@ -48,6 +48,15 @@ def test_a_machine_that_was_worse_has_less_friction_now():
     assert row['now'] == pytest.approx(0.1, rel=0.03) and row['now'] < row['healthy_low']
 
 
+def test_more_weight_on_a_joint_is_named_beside_the_friction_that_it_always_had():
+    answer = asked(joint(**MACHINE | {'gravity': 0.55}), *HEALTHY)
+    assert answer.verdict == 'gravity' and answer.where[0]['block'] == 'mechanics'
+    row, = (row for row in answer.baseline['parameters'] if row['changed'])
+    assert row['parameter'] == 'gravity_sine' and row['unit'] == 'Nm'
+    assert row['now'] == pytest.approx(0.05, abs=0.003)
+    assert 'Changed: gravity: more of sin q from 0.00 to 0.0' in str(answer)
+
+
 def rigid(inertia: float, seed: int) -> Run:
     """Return a joint of this inertia (kg m2) and no friction, on a course of four waves."""
     rng = np.random.default_rng(seed)
