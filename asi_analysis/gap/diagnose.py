@@ -224,7 +224,9 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         done += 1
         report('fitting effects', min(done / steps, 1.0))
 
-    for note in notes:   # before the checks, since they may explain why one fails
+    told = healthy.notes if healthy else []
+    # Before the checks, since they may explain why one fails.
+    for note in (each for each in notes if each not in told):
         warnings.warn(note, InputWarning, stacklevel=2)
     weighed = None
     if simulated:

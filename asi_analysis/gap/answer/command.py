@@ -218,8 +218,11 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
              if plant == 'actuator' else [])
     for note in notes[1:]:   # now, for they may say why a recording is refused
         warnings.warn(note, InputWarning, stacklevel=2)
+    # Mass and damping of a healthy joint are identified, unless they are given.
+    declared = {name: share for name, share in own.items()
+                if plant == 'actuator' or name in values}
     healthy = diagnosis_of(baseline, values, plant, tolerance, None, drive, progress,
-                           own) if baseline else None
+                           declared) if baseline else None
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
                              [False] * len(runs) + [True] * len(held_out), drive, progress, own,
                              healthy)
