@@ -24,6 +24,7 @@ from asi_analysis.gap.prepare import Recording
 LEAST_SPREAD: Final = 1e-3    # of a parameter: less is not told apart
 # Times the range, in which 95 % lie: of some twenty parameters all do.
 OF_MANY: Final = 1.5
+NEARER: Final = (1.2, 0.85)   # of the healthy value: starts of a fit
 LEAST_PROBABILITY: Final = 0.01   # of an effect that is looked for in the healthy recordings
 # Of one recording, but of the machine: the others are of its course or its beginning.
 CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance')
@@ -170,8 +171,16 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
         floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
                              healthy.share[channel] * power)
+    effects = tuple(effect._replace(variants=tuple(
+        variant._replace(free=tuple(map(_nearer, variant.free))) for variant in effect.variants))
+        for effect in group.effects)
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
-                   error_floor=floor, floor_measured=True)
+                   error_floor=floor, effects=effects, floor_measured=True)
+
+
+def _nearer(free: Free) -> Free:
+    """Return a free parameter with starts that are no farther than its spread may be."""
+    return free._replace(starts=(*NEARER, *free.starts)) if free.scale == 'nominal' else free
 
 
 def _free(name: str, spread: Spread, simulated: bool) -> Free:
