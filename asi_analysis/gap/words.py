@@ -208,8 +208,9 @@ def _changes(answer: Mapping[str, Any], joint: bool) -> list[str]:
         return []
     count = len(found['sources'])
     of = f'the {count} healthy recordings' if count > 1 else 'the healthy recording'
+    whose = 'their' if count > 1 else 'its'
     gap = next(row for row in found['left'] if row['channel'] == answer['gap']['channel'])
-    lines = [f'The model of {of} leaves at most {percent(gap["healthy_nrmse"])} of their '
+    lines = [f'The model of {of} leaves at most {percent(gap["healthy_nrmse"])} of {whose} '
              f'{gap["signal"].replace("_", " ")} (rms), and now {percent(gap["now_nrmse"])}.']
     rows = found['parameters']
     changed = [f'{_called(row, joint)} {_healthy(row)} to '

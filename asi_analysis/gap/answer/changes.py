@@ -27,7 +27,8 @@ def changes(diagnosis: Diagnosis) -> dict[str, Any]:
                   'signal': signal_of(shrink.channel, diagnosis.runs[0],
                                       diagnosis.plant == 'joint'),
                   'healthy_nrmse': machine.share[shrink.channel] ** 0.5,
-                  'now_nrmse': shrink.refitted}
+                  # A refit within the spread may hide much of a change.
+                  'now_nrmse': shrink.nominal if diagnosis.verdict else shrink.refitted}
                  for machine in diagnosis.machine.values() for shrink in diagnosis.shrinks
                  if shrink.channel in machine.left]}
 
