@@ -58,6 +58,7 @@ setup(
         'pandas': ['pandas>=2.0'],   # to_frame() of results and runs
         'live': ['nicegui>=3.18'],
         'view': ['rerun-sdk>=0.41'],
+        'mujoco': ['mujoco>=3.5'],   # replays what asi gap --export writes; 3.5 has delays
         # What `make bench` compares with, over what the tests need.
         'bench': ['mujoco', 'mcap-ros2-support'],
         # What `make docs` builds the documents with.

@@ -142,11 +142,13 @@ def import_(
 
     `asi import FILE` alone previews it: columns, units, rate, gaps, and a command to copy.
     Signals: time, reference, command, force, valve_position, position, velocity. A column of a
-    rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. More in doc/how_to/importing.md.
+    rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. With {joint} in a column each joint that has it
+    becomes a bag in the folder of --out. More in doc/how_to/importing.md.
     """
-    from asi_analysis.bags.exchange.importing import import_recording
+    from asi_analysis.bags.exchange.importing import import_joints, import_recording
+    from asi_analysis.bags.exchange.joints import JOINT
     from asi_analysis.bags.exchange.preview import preview
-    from asi_analysis.bags.exchange.summary import Imported, Previews
+    from asi_analysis.bags.exchange.summary import Imported, ImportedJoints, Previews
     reading: dict[str, Any] = {'skip_lines': skip_lines, 'delimiter': delimiter,
                                'columns': columns.split(',') if columns else None}
     if out is None and map_:
@@ -155,6 +157,11 @@ def import_(
         progress(f'reading {", ".join(map(str, files))}', None)
         if out is None:
             shown: Any = Previews.of([preview(file, rate, **reading) for file in files])
+        elif any(JOINT in text for text in map_ or []):
+            if len(files) > 1:
+                raise InputError(f'{JOINT} in a mapping takes one file')
+            joints = import_joints(files[0], map_ or [], rate, **reading, zero_s=zero, out=out)
+            shown = ImportedJoints.of(joints, out)
         else:
             run = import_recording(files, map_ or [], rate, **reading, zero_s=zero, out=out)
             shown = Imported.of(run, out)

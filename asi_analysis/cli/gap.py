@@ -15,8 +15,10 @@ from asi_analysis.cli.options import (
     app,
     command,
     directory,
+    new_file,
     show,
 )
+from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
 
 
@@ -36,7 +38,8 @@ gap_app = typer.Typer(cls=GapCommands, help='The sim-to-real gap: where, which e
 app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --model m.yaml`')
 
 
-@command('of', 'asi gap real_1 real_2 --model m.yaml --report why', gap_app)
+@command('of', 'asi gap real_1 real_2 --model m.yaml --report why` or '
+         '`asi gap arm --plant joint --export arm.xml', gap_app)
 def gap(
     bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
     model: Annotated[Path | None, typer.Option(
@@ -47,6 +50,9 @@ def gap(
         help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
     held_out: Annotated[list[Path] | None, typer.Option(
         help='A recording of the validation set, not fitted; may be repeated')] = None,
+    baseline: Annotated[list[Path] | None, typer.Option(
+        help='A recording of the same machine when it was healthy: the answer is what has changed '
+        'since; may be repeated')] = None,
     tolerance: Annotated[list[str] | None, typer.Option(
         metavar='SHARE|NAME=SHARE', help='Tolerance of the nominal parameters, as a share '
         '(default: 0.2), or of one, such as load.mass=0.5; may be repeated')] = None,
@@ -55,20 +61,57 @@ def gap(
     report: Annotated[Path | None, typer.Option(
         callback=directory,
         help='Directory for an HTML report and the improved model file')] = None,
+    export: Annotated[list[Path] | None, typer.Option(
+        metavar='FILE', help='What was found, for a simulator: .xml (MJCF of MuJoCo) or .urdf of '
+        'a joint, .yaml (what --model takes); may be repeated')] = None,
+    joint: Annotated[str | None, typer.Option(
+        metavar='NAME|all', help='Of a bag with joint states, or a folder with a bag for each '
+        'joint (asi import with {joint}): this one, or all in one table')] = None,
+    jobs: Jobs = 2,
     as_json: Json = False,
 ) -> None:
-    """Find where and why recordings differ from the simulator, and how far the gap shrinks."""
+    """
+    Find where and why recordings differ from the simulator, and how far the gap shrinks.
+
+    What has changed in a machine: `asi gap today --baseline healthy_1 --baseline healthy_2`.
+    All joints of a robot: `asi gap robot --plant joint --joint all --jobs 4`.
+    """
     from asi_analysis.bags.bag import read_bag
+    from asi_analysis.bags.exchange.importing import read_joint, read_joints
     from asi_analysis.gap.answer.command import diagnose, parse_tolerances
+    from asi_analysis.gap.answer.export import format_of
+    for path in export or []:   # before the diagnosis, which takes long
+        format_of(path, plant)
+        new_file(path)
     usual, own = parse_tolerances(tolerance or [])
+    if joint is not None:
+        if plant != 'joint':
+            raise InputError(f'--joint {joint} takes --plant joint')
+        if joint == 'all':
+            if export:
+                raise InputError('--export takes one joint: --joint NAME')
+            from asi_analysis.gap.answer.joints import diagnose_joints
+            from asi_analysis.parallel import workers
+            with workers(jobs), bar() as progress:
+                progress('reading', None)
+                show(diagnose_joints(
+                    read_joints(bags), read_joints(baseline or []), read_joints(held_out or []),
+                    report, progress, model=model, tolerance=usual, drive=drive,
+                    settings=set_ or [], tolerances=own), as_json)
+            return
     with bar() as progress:
         progress('reading', None)
-        result = diagnose([read_bag(bag) for bag in bags], model, plant,
-                          [read_bag(bag) for bag in held_out or []], usual, drive,
-                          progress, set_ or [], own)
+        runs, out, healthy = (read_joint(each or [], joint) if joint else
+                              [read_bag(bag) for bag in each or []]
+                              for each in (bags, held_out, baseline))
+        result = diagnose(runs, model, plant, out, usual, drive, progress, set_ or [], own,
+                          healthy)
         if report:
             progress('report', None)
             result.write_report(report)
+        for path in export or []:
+            progress('export', None)
+            result.write_export(path)
     show(result, as_json)
 
 

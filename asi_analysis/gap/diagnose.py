@@ -4,7 +4,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.gap.baseline import Healthy, against, changed_only, healthy_of, shares
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import localisation, plausibility
@@ -35,9 +36,10 @@ from asi_analysis.gap.model.group import (
     simulator_group,
     with_tolerances,
 )
-from asi_analysis.gap.model.joint import drive_of, joint_groups
+from asi_analysis.gap.model.joint import OF_ANY_SIZE, drive_of, joint_groups
+from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.simulator import by_simulator, simulator_record
+from asi_analysis.gap.model.simulator import by_simulator, of_simulator, simulator_record
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_of, unit_of
 from asi_analysis.terminal import Progress, silent
@@ -65,6 +67,9 @@ class Diagnosis:
     notes: list[str]
     next_experiment: dict[str, object] | None
     chain: dict[str, float] | None
+    # With a baseline: the diagnosis of the healthy recordings, and their machine, by channels.
+    healthy: 'Diagnosis | None' = None
+    machine: Mapping[tuple[str, ...], Healthy] = field(default_factory=dict)
 
     def best(self, weighed: Weighed) -> Candidate:
         """Return the hypothesis of a group that agrees with the verdict, but for `unknown`."""
@@ -149,35 +154,69 @@ def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tole
         for group in groups]
 
 
+def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, tolerance: float,
+            held_out: Sequence[bool], drive: str | None, healthy: Diagnosis | None
+            ) -> tuple[list[Group], list[Group], list[str]]:
+    """Return the groups of channels, the same as the simulator predicts them, and notes."""
+    simulated: list[Group] = []
+    before = healthy.runs if healthy else []
+    if plant == 'joint':
+        known = dict(model)
+        for record in _records(healthy)[-1:] if healthy else ():
+            known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
+        groups, notes = joint_groups(runs, known, tolerance, held_out,
+                                     drive or drive_of(before or runs), before)
+    else:
+        groups, notes = actuator_groups(runs, model, tolerance, held_out)
+        simulated = simulated_groups(groups, improved_of(healthy, model) if healthy else model,
+                                     tolerance)
+    return groups, simulated, [
+        note for run in runs for note in plausibility.check_signals(run)] + notes
+
+
+def improved_of(diagnosis: Diagnosis, model: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the nominal parameters of the actuator with what was found put in."""
+    return improved_model(model, _records(diagnosis))[0]
+
+
+def _records(diagnosis: Diagnosis) -> list[np.void]:
+    """Return the verdict's records, one a group of channels."""
+    return [diagnosis.best(weighed).fitted.record for weighed in diagnosis.groups]
+
+
 def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actuator',
              tolerance: float = TOLERANCE, held_out: Sequence[bool] | None = None,
              drive: str | None = None, report: Progress = silent,
-             tolerances: Mapping[str, float] = MappingProxyType({})) -> Diagnosis:
+             tolerances: Mapping[str, float] = MappingProxyType({}),
+             healthy: Diagnosis | None = None, simulate: bool = True) -> Diagnosis:
     """
     Return where recordings differ from their nominal model, why, and by how much a fit helps.
 
     runs: one or more; model: the nominal parameters; plant: 'actuator' or 'joint'; tolerance of
     the nominal parameters, as a share; held_out: which runs are used for validation only;
     drive: of a joint, 'force' or 'position'; None: found from the signals; tolerances: of single
-    parameters, by dotted name.
+    parameters, by dotted name. healthy: the diagnosis of other recordings: what has changed since
+    them is found. simulate: the simulator itself is tried first as the predictor.
     Raises InputError for recordings that cannot be diagnosed; `notes` holds the warnings.
     """
     out = list(held_out) if held_out is not None else [False] * len(runs)
-    notes: list[str] = []
-    if plant == 'joint':
-        groups, notes = joint_groups(runs, model, tolerance, out, drive or drive_of(runs))
-    else:
-        groups, notes = actuator_groups(runs, model, tolerance, out)
-    notes = [note for run in runs for note in plausibility.check_signals(run)] + notes
+    groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy)
     own = {field_name(name): share for name, share in tolerances.items()}
-    simulated = simulated_groups(groups, model, tolerance) if plant == 'actuator' else []
     uncertain = sorted({DOTTED[free.field] for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'})
     for name in tolerances.keys() - set(uncertain):
         raise InputError(f'tolerance {name}: no uncertain parameter of the nominal model; '
                          f'uncertain are: {", ".join(uncertain) or "none"}')
     groups, simulated = ([with_tolerances(group, own) for group in each]
-                         for each in (groups, simulated))
+                         for each in (groups, simulated if simulate else []))
+    machine: dict[tuple[str, ...], Healthy] = {}
+    if healthy is not None:
+        machine = {w.group.channels: healthy_of(healthy.best(w).fitted, tolerance, own)
+                   for w in healthy.groups}
+        simulated = [against(group, machine) for group in simulated] if (
+            of_simulator(healthy.groups[0].group.nominal)) else []
+        groups = groups if simulated else [against(group, machine) for group in groups]
+        own |= shares(machine)
     steps, done = 4 * sum(len(group.effects) for group in groups), 0
 
     def tick() -> None:
@@ -185,12 +224,19 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         done += 1
         report('fitting effects', min(done / steps, 1.0))
 
-    for note in notes:   # before the checks, since they may explain why one fails
+    told = healthy.notes if healthy else []
+    # Before the checks, since they may explain why one fails.
+    for note in (each for each in notes if each not in told):
         warnings.warn(note, InputWarning, stacklevel=2)
     weighed = None
     if simulated:
         # The other formulations follow the measured force, which hardly shows on a free load.
         weighed = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
+    if weighed is None and simulated and healthy is not None:
+        by_blocks = diagnose(healthy.runs, model, plant, tolerance, report=report,
+                             tolerances=tolerances, simulate=False)
+        return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
+                        by_blocks, simulate=False)
     if weighed is None:
         for group in groups:
             if plant == 'actuator':
@@ -200,10 +246,12 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             else:
                 plausibility.check_joint(group)
         weighed = weigh_groups(groups, tick)
+        if machine:
+            weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
-                       None)
+                       None, healthy, machine)
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
                          answer.best(w).fitted.record)
                for w in weighed for channel in w.group.channels]
@@ -356,7 +404,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'chain': diagnosis.chain,
         'regimes': [regime._asdict() for regime in regimes],
         'unexplained': unexplained,
-        'consequences': [],
+        'consequences': [], 'baseline': None,
         'next_experiment': diagnosis.next_experiment, 'at_limit': _at_limit(diagnosis),
         'notes': diagnosis.notes, 'sources': [run.source for run in diagnosis.runs],
         'nuisance': {weighed.group.channels[-1]: {

@@ -92,6 +92,9 @@ class Recording:
     # By channel: what a shorter sub-step adds to the simulator's predictions with a longer one.
     corrections: dict[str, Array] = field(default_factory=dict)
     corrected_substep_s: float = 0.0
+    # What the nominal model of a joint took off: gravity_sine and gravity_cosine Nm, constant N;
+    # or the fields of its `Servo`.
+    taken: Mapping[str, float] = field(default_factory=dict)
     cache: dict[Any, Any] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:

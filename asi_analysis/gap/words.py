@@ -37,7 +37,8 @@ SIZES: Final = {
     'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',
     'disturbance_start': 'from', 'disturbance_end': 'to', 'sensor_offset': 'offset',
     'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
-    'drive_delay': 'delay', 'drive_lag': 'time'}
+    'drive_delay': 'delay', 'drive_lag': 'time', 'gravity_sine': 'more of sin q',
+    'gravity_cosine': 'more of cos q'}
 UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
 DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
@@ -146,6 +147,8 @@ def _named(name: str, answer: Mapping[str, Any], joint: bool) -> str:
     value, low, high = (row[key][field] / nominal
                         for key in ('parameters', 'parameters_low', 'parameters_high'))
     times = between(value, low, high, 'times nominal')
+    if answer['baseline']:
+        return f'{DOTTED[field]} is {times.replace("nominal", "the healthy one")}'
     return (f'{DOTTED[field]} is {times}, beyond the tolerance of '
             f'{percent(row["tolerance"][field])}')
 
@@ -160,8 +163,11 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
             if verdict != answer['verdict']]
     following = answer['next_experiment']
     return [each for each in (
-        _found(answer, joint), _error(answer), answer['unexplained'],
-        limits and f'At the limit of the tolerance: {limits}. If the real value lies beyond it, '
+        answer['baseline'] and answer['baseline']['change'] == 'cannot_tell'
+        and 'It is uncertain whether anything has changed.',
+        _found(answer, joint), *_changes(answer, joint), _error(answer), answer['unexplained'],
+        limits and f'At the limit of the {"spread" if answer["baseline"] else "tolerance"}: '
+                   f'{limits}. If the real value lies beyond it, '
                    'the answer may be wrong.',
         f'It could also be {"; or ".join(rest)}.' if rest else
         answer['verdict'] != NO_GAP and 'Nothing else explains it nearly as well.',
@@ -177,19 +183,56 @@ def _together(verdict: str, joint: bool) -> str:
 def _found(answer: Mapping[str, Any], joint: bool) -> str:
     names = sorted(answer['verdict'].split('+'), key=lambda name: name == UNKNOWN)
     sure = f'(probability {chance(answer["probability"])})'
+    changed = answer['baseline']
     if names == [NO_GAP]:
-        return f'No gap beyond the noise and the tolerance of the model {sure}.'
+        return (f'Nothing has changed beyond the spread of the healthy recordings {sure}.'
+                if changed else f'No gap beyond the noise and the tolerance of the model {sure}.')
     where = {row['block']: row['share'] for row in answer['where']
              if row['share'] >= LEAST_SHARE}
     named = {block for name in names if (block := block_of(name))}
     blocks = [block for block in where if block in named] or list(where)[:1]
-    found = (f'The gap lies in the {" and the ".join(in_words(each, joint) for each in blocks)}: '
+    what = ('The gap' if not changed else 'The change' if changed['change'] == 'changed' else
+            'A change, if there is one,')
+    found = (f'{what} lies in the {" and the ".join(in_words(each, joint) for each in blocks)}: '
              f'{" and ".join(_named(name, answer, joint) for name in names)} {sure}.')
     if len(where) < 2:
         return found
     return found + ' Shares of the gap: ' + ', '.join(
         f'{in_words(block, joint)} {share:.0%}'.replace('%', ' %')
         for block, share in where.items()) + '.'
+
+
+def _changes(answer: Mapping[str, Any], joint: bool) -> list[str]:
+    """Return what has changed from the healthy recordings to what, and what has not."""
+    if not (found := answer['baseline']):
+        return []
+    count = len(found['sources'])
+    of = f'the {count} healthy recordings' if count > 1 else 'the healthy recording'
+    whose = 'their' if count > 1 else 'its'
+    gap = next(row for row in found['left'] if row['channel'] == answer['gap']['channel'])
+    lines = [f'The model of {of} leaves at most {percent(gap["healthy_nrmse"])} of {whose} '
+             f'{gap["signal"].replace("_", " ")} (rms), and now {percent(gap["now_nrmse"])}.']
+    rows = found['parameters']
+    changed = [f'{_called(row, joint)} {_healthy(row)} to '
+               f'{between(row["now"], row["now_low"], row["now_high"], row["unit"])}'
+               for row in rows if row['changed']]
+    within = dict.fromkeys(_called(row, joint) for row in rows if not row['changed'])
+    return [*lines, *([f'Changed: {"; ".join(changed)}.'] if changed else []),
+            *([f'Within the spread of {of}: {", ".join(within)}.'] if within else [])]
+
+
+def _called(row: Mapping[str, Any], joint: bool) -> str:
+    """Return the name of a parameter of the baseline; the size of an effect with the effect."""
+    name = row['parameter']
+    size = name if row['effect'] is None else f'{in_words(row["effect"], joint)}: {SIZES[name]}'
+    return size + (f' in recording {row["recording"]}' if row['recording'] else '')
+
+
+def _healthy(row: Mapping[str, Any]) -> str:
+    low, high = row['healthy_low'], row['healthy_high']
+    if low == high:
+        return f'from {digits(row["healthy"])}'
+    return f'from {between(row["healthy"], low, high)}'
 
 
 def _error(answer: Mapping[str, Any]) -> str:

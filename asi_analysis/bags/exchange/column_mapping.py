@@ -76,9 +76,14 @@ def column_of(mapping: Assignment, table: Table) -> str | None:
     term = whole if whole in table else mapping.term
     if term in table:
         return term
-    found = _TERM.fullmatch(term)
-    column = found['column'].strip() if found else ''
+    column = column_part(mapping)
     return column if column in table else None
+
+
+def column_part(mapping: Assignment) -> str:
+    """Return the column of a mapping without scale and offset."""
+    found = _TERM.fullmatch(mapping.term)
+    return found['column'].strip() if found else ''
 
 
 def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:

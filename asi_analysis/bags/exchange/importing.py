@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import (
     Assignment,
@@ -16,6 +16,8 @@ from asi_analysis.bags.exchange.column_mapping import (
     own_mapping,
     parse_mapping,
 )
+from asi_analysis.bags.exchange.joints import JOINT, bags_in, folder_name, joints_of
+from asi_analysis.bags.exchange.preview import message_types
 from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.run import SIGNALS, Array, Run
@@ -50,25 +52,99 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     [0.0, 500.0, 1000.0]
     """
     paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
-    if not zero_s >= 0.0:
-        raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
-    path, texts = paths[0], list(mapping)
+    texts = list(mapping)
     if len(paths) > 1:
         if rate_hz is not None or any(is_bag(each) for each in paths):
             raise InputError('several files are tables with a time each: import bags, and files '
                              'with a rate, one by one')
         signals = read_several({each: read_table(each, skip_lines, delimiter, columns)
                                 for each in paths}, texts)
-    elif is_bag(path):
-        texts += ['time=time'] * (rate_hz is None and not any(
-            parse_mapping(text).signal == 'time' for text in texts))
-        mappings = [parse_mapping(text) for text in texts]
-        table = read_bag_table(path, [each.term for each in mappings if each.signal != 'time'])
-        signals = _evaluated(mappings, table, path)
     else:
+        texts, table = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns)
+        signals = _evaluated([parse_mapping(text) for text in texts], table, paths[0])
+    run = _run(signals, texts, paths, rate_hz, zero_s)
+    if out is not None:
+        write_bag(run, out)
+    return run
+
+
+def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
+                  skip_lines: int = 0, delimiter: str | None = None,
+                  columns: Sequence[str] | None = None, zero_s: float = 0.0,
+                  out: str | Path | None = None) -> dict[str, Run]:
+    """
+    Return a recording of several joints, by the name of the joint; their times are the same.
+
+    mapping: `{joint}` stands for the name, as in `position=/joint_states/{joint}/position[rad]`;
+    out: a folder for a bag of each joint. The rest is as of `import_recording`.
+    """
+    path = Path(path)
+    texts, table = _read(path, list(mapping), rate_hz, skip_lines, delimiter, columns)
+    runs = {joint: _run(_evaluated([parse_mapping(text) for text in own], table, path), own,
+                        [path], rate_hz, zero_s)
+            for joint, own in joints_of(texts, table, path).items()}
+    for joint, run in runs.items() if out is not None else ():
+        write_bag(run, Path(str(out), folder_name(joint)))
+    return runs
+
+
+def read_joints(paths: Sequence[Path]) -> dict[str, list[Run]]:
+    """
+    Return the runs of each joint of the first recording, by its name.
+
+    paths: bags with joint states, or folders of `import_joints`. Of joint states the effort is
+    the force; they have no units: those of joints that turn are assumed. Raises InputError.
+    """
+    found = [_joints_in(path) for path in paths]
+    for path, each in zip(paths, found, strict=True):
+        if missing := found[0].keys() - each.keys():
+            raise InputError(f'{path}: no joint {", ".join(sorted(missing))}; it has '
+                             + ', '.join(each))
+    return {joint: [each[joint] for each in found] for joint in (found[0] if found else ())}
+
+
+def read_joint(paths: Sequence[Path], joint: str) -> list[Run]:
+    """Return the runs of one joint; as `read_joints`."""
+    found = read_joints(paths)
+    if paths and joint not in found:
+        raise InputError(f'{paths[0]}: no joint {joint}; it has {", ".join(found)}')
+    return found.get(joint, [])
+
+
+def _joints_in(path: Path) -> dict[str, Run]:
+    if not is_bag(path) or (path.is_dir() and not (path / 'metadata.yaml').exists()):
+        return {joint: read_bag(bag) for joint, bag in bags_in(path).items()}
+    topic = next((name for name, type_ in message_types(path).items()
+                  if type_.endswith('/JointState')), None)
+    if topic is None:
+        raise InputError(f'{path}: no joint states; import it with {JOINT} in the mapping')
+    table = read_bag_table(path, [f'{topic}/'])
+    return import_joints(path, [
+        f'{signal}={topic}/{JOINT}/{field}[{unit}]' for signal, field, unit in (
+            ('position', 'position', 'rad'), ('velocity', 'velocity', 'rad/s'),
+            ('force', 'effort', 'Nm'))
+        if any(name.endswith(f'/{field}') and np.ptp(values) > 0.0
+               for name, values in table.items())])
+
+
+def _read(path: Path, texts: list[str], rate_hz: float | None, skip_lines: int,
+          delimiter: str | None, columns: Sequence[str] | None) -> tuple[list[str], Table]:
+    """Return the mapping, completed with what a file or bag tells itself, and its columns."""
+    if not is_bag(path):
         table = read_table(path, skip_lines, delimiter, columns)
-        texts = texts or own_mapping(table)
-        signals = _evaluated([parse_mapping(text) for text in texts], table, path)
+        return texts or own_mapping(table), table
+    texts = texts + ['time=time'] * (rate_hz is None and not any(
+        parse_mapping(text).signal == 'time' for text in texts))
+    terms = [each.term for each in map(parse_mapping, texts) if each.signal != 'time']
+    return texts, read_bag_table(path, terms)
+
+
+def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz: float | None,
+         zero_s: float) -> Run:
+    """Return the run of signals with their units. Raises InputError."""
+    if not zero_s >= 0.0:
+        raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
+    path = paths[0]
     _check_reference(signals, texts, path)
     length = len(next(iter(signals.values()))[0])
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
@@ -84,10 +160,7 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     if unusual:
         information['signals'] = unusual
     arrays: dict[str, Any] = {signal.field: values.get(signal.name) for signal in SIGNALS}
-    run = Run(time_s, **arrays, source=str(path), information=information)
-    if out is not None:
-        write_bag(run, out)
-    return run
+    return Run(time_s, **arrays, source=str(path), information=information)
 
 
 def _check_reference(signals: Signals, texts: Sequence[str], path: Path) -> None:

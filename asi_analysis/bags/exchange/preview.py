@@ -296,7 +296,7 @@ def command(paths: Sequence[Path], mapping: Sequence[str], options: Mapping[str,
 
 def _bag_columns(path: Path) -> Table:
     """Return the columns of the topics of PREVIEWED types; the first joint state is the base."""
-    types = _types(path)
+    types = message_types(path)
     topics = sorted((topic for topic, type_ in types.items() if type_ in PREVIEWED),
                     key=lambda topic: PREVIEWED.index(types[topic]))
     if not topics:
@@ -305,7 +305,7 @@ def _bag_columns(path: Path) -> Table:
     return read_bag_table(path, [f'{topic}/' for topic in topics])
 
 
-def _types(path: Path) -> dict[str, str]:
+def message_types(path: Path) -> dict[str, str]:
     """Return the message types of the topics that have messages."""
     try:
         with opened(path) as reader:

@@ -1,11 +1,12 @@
 """The results of `asi import` and `asi export`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from asi_analysis.bags.exchange.joints import folder_name
 from asi_analysis.bags.exchange.preview import command
 from asi_analysis.bags.run import Run
-from asi_analysis.reporting.result import Result, Table
+from asi_analysis.reporting.result import Result, Table, table_of
 
 
 class Imported(Result):
@@ -21,6 +22,23 @@ class Imported(Result):
     def parts(self) -> Iterator[str | Table]:
         yield from self.run.parts()
         yield f'bag: {self.bag}'
+
+
+class ImportedJoints(Result):
+    """A recording of several joints that was imported, by the keys of `asi import --json`."""
+
+    rows = 'joints'
+
+    @classmethod
+    def of(cls, runs: Mapping[str, Run], out: Path) -> 'ImportedJoints':
+        return cls({'joints': [{'joint': joint, **Imported.of(run, out / folder_name(joint))}
+                               for joint, run in runs.items()]})
+
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of(self.joints, {
+            'joint': '{joint}', 'samples': '{samples:d}', 'rate, Hz': '{rate_hz:.5g}',
+            'duration, s': '{duration_s:.5g}', 'bag': '{bag}'})
+        yield 'signals of each: ' + ', '.join(self.joints[0]['signals'])
 
 
 class Previews(Result):

@@ -12,6 +12,7 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
+from asi_analysis.gap.answer.changes import changes
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
@@ -134,13 +135,14 @@ def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool)
 def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
     """Return notes: what the nominal model of a joint is."""
     notes = []
+    origin = 'near the healthy one' if diagnosis.healthy else 'near the given one'
     for weighed in diagnosis.groups if diagnosis.plant == 'joint' else ():
         channel, run = weighed.group.channels[0], diagnosis.runs[0]
         if channel == 'load':
             p = diagnosis.best(weighed).fitted.record
             notes.append('nominal joint: ' + ', '.join(
                 f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, True))} '
-                f'({"near the given one" if DOTTED[field] in values else "identified"})'
+                f'({origin if DOTTED[field] in values or diagnosis.healthy else "identified"})'
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
                 ) + ', and a constant force')
         else:
@@ -154,6 +156,10 @@ def _of_the_tolerances(diagnosis: Diagnosis) -> list[str]:
     """Return a note of the tolerances, if a nominal parameter has one."""
     uncertain = any(free.scale == 'nominal' for weighed in diagnosis.groups
                     for free in weighed.group.nuisance)
+    if diagnosis.healthy is not None:
+        return ['tolerances of the parameters: their spread in '
+                f'{len(diagnosis.healthy.runs)} healthy recordings, at most '
+                f'{percent(diagnosis.tolerance)}']
     return [', '.join((f'tolerance of its parameters: {percent(diagnosis.tolerance)}', *(
         f'{DOTTED[field]} {percent(share)}' for field, share in diagnosis.tolerances.items())
         ))] if uncertain else []
@@ -172,7 +178,8 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
 def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actuator',
              held_out: Sequence[Run] = (), tolerance: float = TOLERANCE, drive: str | None = None,
              progress: Progress = silent, settings: Sequence[str] = (),
-             tolerances: Mapping[str, float] = MappingProxyType({})) -> Gap:
+             tolerances: Mapping[str, float] = MappingProxyType({}),
+             baseline: Sequence[Run] = ()) -> Gap:
     """
     Return where recordings of the real machine differ from their model, why, and how far.
 
@@ -181,7 +188,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     'actuator', or 'joint' for any rigid joint or drive. held_out: recordings on which the result
     is only judged. tolerance: how far the nominal parameters may be off, as a share; tolerances:
     the same of single ones, by dotted name. drive: of a joint, 'force' or 'position'; None: by its
-    signals. Raises InputError for recordings that
+    signals. baseline: recordings of the same machine when it was healthy; the answer is then what
+    has changed since. Raises InputError for recordings that
     cannot be judged; `notes` says what is doubtful.
 
     >>> import asi_analysis as asi
@@ -196,7 +204,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     own = _tolerances({**model_tolerances(model), **tolerances, '': tolerance})
     del own['']
     everything = [*runs, *held_out]
-    values = (recorded_model(runs) if model is None and plant == 'actuator' else
+    values = (recorded_model([*baseline, *runs]) if model is None and plant == 'actuator' else
               nominal_model(model, plant))
     for text in settings:
         _, name, value = parse_setting(f'actuator.{text}')
@@ -206,16 +214,25 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
             completed(values, ACTUATOR_PARAMETERS)
         except ParameterError as error:
             raise InputError(f'--set: {error}') from None
-    notes = _of_the_model(everything, values, model is not None) if plant == 'actuator' else []
+    notes = (_of_the_model([*baseline, *everything], values, model is not None)
+             if plant == 'actuator' else [])
     for note in notes[1:]:   # now, for they may say why a recording is refused
         warnings.warn(note, InputWarning, stacklevel=2)
+    # Mass and damping of a healthy joint are identified, unless they are given.
+    declared = {name: share for name, share in own.items()
+                if plant == 'actuator' or name in values}
+    healthy = diagnosis_of(baseline, values, plant, tolerance, None, drive, progress,
+                           declared) if baseline else None
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
-                             [False] * len(runs) + [True] * len(held_out), drive, progress, own)
+                             [False] * len(runs) + [True] * len(held_out), drive, progress, own,
+                             healthy)
     notes += [*_of_the_joint(diagnosis, values), *_of_the_tolerances(diagnosis)]
     if plant == 'actuator':
         notes += _of_the_predictor(diagnosis, values)
     answer = plain(document(diagnosis))
-    doubtful = doubts(everything)
+    if baseline:
+        answer['baseline'] = plain(changes(diagnosis))
+    doubtful = doubts([*baseline, *everything])
     answer['notes'] = [*(f'doubtful, because {each}' for each in doubtful), *notes,
                        *answer['notes']]
     if plant == 'actuator':
@@ -228,7 +245,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
             longer = f'{following["command"]} --actuator {model}'
             following['advice'] = following['advice'].replace(following['command'], longer)
             following['command'] = longer
-    return Gap(answer | {'report': None, 'quality': quality_of(everything),
+    return Gap(answer | {'report': None, 'exports': [], 'quality': quality_of(everything),
                          'reliable': not doubtful},
                runs=everything, diagnosis=diagnosis,
                model=values if plant == 'actuator' else None)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnose import Diagnosis, improved_of
 from asi_analysis.gap.inference.uncertainty import draw, likelihood
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.loop.closed_loop import simulate_loop
@@ -51,7 +51,7 @@ def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Conseque
     Return the figures of the loop with the nominal and the improved model, and as measured.
 
     model: nominal parameters of the actuator; run: the recording; measured figures are given if
-    it holds a closed loop.
+    it holds a closed loop. With a baseline the healthy machine stands for the nominal model.
     """
     known = {p.name for p in (*COMPENSATOR_PARAMETERS, *REFERENCE_PARAMETERS)}
     recorded_settings = {name: value for name, value
@@ -66,7 +66,8 @@ def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Conseque
         return loop_figures(improved_model(model, records)[0], controller, rate_hz, duration_s,
                             lowest)
 
-    nominal = loop_figures(model, controller, rate_hz, duration_s, LOWEST_GAINS)
+    before = improved_of(diagnosis.healthy, model) if diagnosis.healthy else model
+    nominal = loop_figures(before, controller, rate_hz, duration_s, LOWEST_GAINS)
     improved = loop([candidate.fitted.record for candidate in best], LOWEST_GAINS)
     known_gain = improved['onset_gain']
     lowest = [NEAR * known_gain] if known_gain else []

@@ -9,16 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asi_analysis.gap.answer import pictures
+from asi_analysis.gap.answer.export import write_export
 from asi_analysis.gap.answer.tables import LEAST_PROBABILITY, tables
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
-from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.words import in_words, sentences
 from asi_analysis.reporting.report import write_report
 from asi_analysis.reporting.result import Pictures, as_html
 from asi_common.parameter import Value
-from asi_common.parameter_file import write_parameters
 
 WAVES = 12     # of the signal, in the picture of the recording
 SHORTEST_S, LONGEST_S = 0.25, 5.0
@@ -34,10 +33,8 @@ def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
     """
     missing = None
     if model is not None and diagnosis.verdict:
-        values, missing = improved_model(model, [diagnosis.best(w).fitted.record
-                                                 for w in diagnosis.groups])
         out.mkdir(parents=True, exist_ok=True)
-        write_parameters(out / 'improved.yaml', '/**/asi_actuator', dict(sorted(values.items())))
+        missing = write_export(diagnosis, model, out / 'improved.yaml')['unsaid']
     joint = diagnosis.plant == 'joint'
     return write_report(
         out, 'gap.html', drawn(diagnosis, answer), answer=answer, sentences=sentences(answer),

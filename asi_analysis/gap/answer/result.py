@@ -33,6 +33,9 @@ class Gap(Result):
         yield from (f'note: {note}' for note in self.notes)
         if self.report:
             yield f'report: {self.report}'
+        if self.exports:
+            from asi_analysis.gap.answer.export import in_words
+            yield from in_words(self.exports)
 
     def pictures(self) -> Pictures:
         from asi_analysis.gap.answer.report import drawn
@@ -44,3 +47,14 @@ class Gap(Result):
         page = write_gap_report(self.diagnosis, self, out, self.model)
         self['report'] = str(page)
         return page
+
+    def write_export(self, path: Path) -> Path:
+        """
+        Write what was found for a simulator: MJCF (.xml), URDF (.urdf) or parameters (.yaml).
+
+        With the package mujoco the recordings are replayed with an MJCF. Raises InputError for
+        another ending, or for what the format has no words for.
+        """
+        from asi_analysis.gap.answer.export import write_export
+        self['exports'].append(write_export(self.diagnosis, self.model, path))
+        return path

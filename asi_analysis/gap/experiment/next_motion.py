@@ -6,6 +6,7 @@ of its drive. Range, speed and acceleration stay within those of the recording.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -106,4 +107,4 @@ def simulated(group: Group, name: str) -> tuple[Recording, float, float]:
         return prepare([run], 'position')[0], size, frequency
     force = np.asarray(np.gradient(position, known.period_s))   # any: only the motion counts
     run = Run(time, position_m=position, force_n=force, source=name)
-    return prepare([run], 'force')[0], size, frequency
+    return replace(prepare([run], 'force')[0], taken=known.taken), size, frequency

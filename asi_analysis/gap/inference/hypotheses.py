@@ -243,7 +243,8 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         {names: len({free.field.partition('@')[0] for variant in candidate.variants
                      for free in variant.free})
          for names, candidate in found.items()},
-        {names: _far_off(candidate, group) for names, candidate in found.items()})
+        {names: _far_off(candidate, group) for names, candidate in found.items()},
+        group.floor_measured)
 
 
 def _far_off(candidate: Candidate, group: Group) -> float:

@@ -60,6 +60,7 @@ CONSTANTS = Constants()
 NOISE_SHARE = 0.1   # of the mean square noise: a smaller difference of residuals does not count
 LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
 USUAL_S = 5.0
+MEASURED = 2.0      # times as surely is more than the error floor unknown, where that was measured
 BEYOND_TOLERANCE = 1.1   # log prior odds of an effect against a parameter beyond its tolerance
 USUAL_FACTOR = 2.0       # by which such a parameter differs: the spread of its log
 
@@ -76,7 +77,7 @@ class Evidence(NamedTuple):
     noise, error_floor, formulation: mean squares, as in `Group`; independent: effective sample
     size; residual: mean square on the held-out parts; all by channel. parameters: number of free
     parameters of the effects. far: log prior odds against nominal parameters so far beyond their
-    tolerance.
+    tolerance. measured: the error floor is what healthy recordings of the same machine leave.
     """
 
     noise: Values
@@ -87,6 +88,7 @@ class Evidence(NamedTuple):
     residual: dict[Names, Values]
     parameters: dict[Names, int]
     far: Mapping[Names, float] = MappingProxyType({})
+    measured: bool = False
 
 
 def as_plain(e: Evidence) -> dict[str, Any]:
@@ -179,12 +181,13 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
     It grows with the residual of the best hypothesis above the error floor, in the worst channel.
     """
     worst, masked = -math.inf, 0.0
+    slope = c.unknown_floor * (MEASURED if e.measured else 1.0)
     for channel, floor in e.error_floor.items():
         masked = max(masked, c.masked * e.formulation[channel] / floor)
         residual, gap = e.residual[best][channel], e.residual[()][channel]
         over = residual - floor
         if over > 0.0:
-            worst = max(worst, c.unknown_offset + c.unknown_floor * math.log(residual / floor)
+            worst = max(worst, c.unknown_offset + slope * math.log(residual / floor)
                         + c.unknown_gap * math.log(over / max(gap - floor, over)))
     outside = 1.0 / (1.0 + math.exp(-worst)) if worst > -50.0 else 0.0
     return max(outside, 0.0 if best else masked)

@@ -102,6 +102,8 @@ EFFECT_FIELDS = (
     'sensor_drift_curve',       # N/s2
     'sensor_drift_bend',        # N/s3
     'load_offset',              # N, a constant that a joint's nominal model declares
+    'gravity_sine',             # N m, what gravity has gained since healthy recordings: of sin q
+    'gravity_cosine',           # N m, of cos q
     'drive_hold',               # s, how late a joint's command acts, held as it is: below a sample
     'drive_delay',              # s, more than that
     'drive_lag',                # s, the same

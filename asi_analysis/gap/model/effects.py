@@ -248,6 +248,10 @@ EFFECTS: tuple[Effect, ...] = (
                  Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'N/s3')), BOTH),
     )),
 )
+# Of a joint that turns, against healthy recordings: else gravity is of its nominal model.
+GRAVITY = Effect('gravity', MECHANICS, 'the joint carries more or less weight', (
+    Variant(tuple(Free(f'gravity_{part}', -2.0, 2.0, (0.05, -0.05), 'force', 'N')
+                  for part in ('sine', 'cosine')), LOAD_SIDE),), exact=True)
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}
 
@@ -263,7 +267,7 @@ BEYOND = 5.0   # largest factor, up or down, of a parameter beyond its tolerance
 def block_of(name: str) -> str | None:
     """Return the block of an effect, or of a parameter beyond its tolerance; None: neither."""
     if not name.startswith(PARAMETER):
-        return BLOCK_OF.get(name)
+        return GRAVITY.block if name == GRAVITY.name else BLOCK_OF.get(name)
     parameter = name.removeprefix(PARAMETER)
     return next((block for start, block in BLOCK_OF_PARAMETER.items()
                  if parameter.startswith(start)), None)
@@ -271,7 +275,7 @@ def block_of(name: str) -> str | None:
 
 def has_one_law(name: str) -> bool:
     """Return whether an effect has one law; see `Effect`."""
-    return name.startswith(PARAMETER) or BY_NAME[name].exact
+    return name.startswith(PARAMETER) or name == GRAVITY.name or BY_NAME[name].exact
 
 
 def parameter_error(parameter: str, field: str, limit: str, bounds: tuple[float, float],

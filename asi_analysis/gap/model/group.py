@@ -80,6 +80,7 @@ class Group:
     effects: tuple[Effect, ...] = EFFECTS
     given: np.void | None = None   # as nominal, but for what another group has found
     exact_substep_s: float = 0.0   # of the simulator
+    floor_measured: bool = False   # the error floor is what healthy recordings leave
 
     @property
     def held_out_s(self) -> float:
@@ -368,6 +369,7 @@ def _channels_by_field() -> dict[str, set[str]]:
     """Return the channels that each parameter acts on, by field."""
     acts_on: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
                                   'drive_delay': {'load'}, 'drive_lag': {'load'},
+                                  'gravity_sine': {'load'}, 'gravity_cosine': {'load'},
                                   'corner': {'valve', 'force'}}
     for channel, names in UNCERTAIN.items():
         for name in names:

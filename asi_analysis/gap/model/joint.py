@@ -10,16 +10,17 @@ that turns has rad, N m, kg m2 in place of m, N, kg.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.gap.model.effects import EFFECTS, Effect, Free, Variant
+from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
 from asi_analysis.gap.model.group import Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.servo import with_servo
+from asi_analysis.gap.model.servo import servo_of, with_servo
 from asi_analysis.gap.prepare import Array, Recording, judged, prepare
 from asi_common.parameter import Value
 
@@ -83,21 +84,34 @@ def drive_of(runs: Sequence[Run]) -> str:
 
 
 def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
-                 held_out: Sequence[bool], drive: str) -> tuple[list[Group], list[str]]:
-    """Return the groups of channels that a joint has, and notes."""
+                 held_out: Sequence[bool], drive: str, healthy: Sequence[Run] = ()
+                 ) -> tuple[list[Group], list[str]]:
+    """
+    Return the groups of channels that a joint has, and notes.
+
+    healthy: recordings that servo, gravity and mean force are identified on; none: `runs`.
+    """
+    recordings = prepare(runs, drive, held_out)
+    of = prepare(healthy, drive) if healthy else recordings
     if drive == 'position':
-        followed, notes = with_servo(prepare(runs, drive, held_out), runs[0].unit('reference'))
+        followed, notes = with_servo(recordings, runs[0].unit('reference'), servo_of(of))
         return [_servo(followed, tolerance, False)], notes
     if drive != 'force':
-        return [_servo(prepare(runs, drive, held_out), tolerance, True)], []
-    recordings, notes = without_gravity(prepare(runs, drive, held_out), runs)
-    recordings, more = _without_bias(recordings)
+        return [_servo(recordings, tolerance, True)], []
+    turns = _turns(recordings, runs)
+    gravity = gravity_of(of, healthy or runs)
+    recordings, notes = without_gravity(recordings, runs, gravity)
+    of = without_gravity(of, healthy, gravity)[0] if healthy else recordings
+    recordings, more = _without_bias(recordings, of)
+    if turns:
+        recordings = [replace(r, taken={**r.taken, 'middle': float(np.nanmean(
+            run.signal('position')))}) for run, r in zip(runs, recordings, strict=True)]
     notes = [*notes, *more]
     groups = []
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
-    mechanics = _mechanics(recordings, given, tolerance, force_measured)
+    mechanics = _mechanics(recordings, given, tolerance, force_measured, turns and bool(healthy))
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
@@ -150,8 +164,12 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
-               force_measured: bool) -> Group:
-    """Return the group that compares the force with what the motion takes."""
+               force_measured: bool, weighs: bool) -> Group:
+    """
+    Return the group that compares the force with what the motion takes.
+
+    weighs: its gravity may have changed.
+    """
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
                             'load.stiffness': 0.0, **rest})
@@ -179,6 +197,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured)
+    effects += (GRAVITY,) * weighs
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
                       model_error=RIGID_ERROR)
 
@@ -225,18 +244,31 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     return tuple(effects)
 
 
-def without_gravity(recordings: list[Recording], runs: Sequence[Run]
-                     ) -> tuple[list[Recording], list[str]]:
+class Gravity(NamedTuple):
+    """Torque sine * sin q + cosine * cos q, N m; left: share of the power that is left with it."""
+
+    sine: float
+    cosine: float
+    left: float
+
+
+def _turns(recordings: Sequence[Recording], runs: Sequence[Run]) -> bool:
+    """Return whether the angle of a joint, on which its gravity depends, was measured."""
+    return not any(run.position_m is None or run.unit('position') != 'rad'
+                   or r.force_judged is None or r.motion is None
+                   for run, r in zip(runs, recordings, strict=True))
+
+
+def gravity_of(recordings: Sequence[Recording], runs: Sequence[Run]) -> Gravity | None:
     """
-    Return recordings of a joint that turns without its gravity, and notes.
+    Return the gravity of a joint that turns; None if it needs none.
 
     Gravity is a sin q + b cos q, linear in a and b, which are identified together with inertia,
-    damping, friction and offset, by least squares on the fitted parts. It is taken off if the
+    damping, friction and offset, by least squares on the fitted parts. It is there if the
     held-out parts need it: they then have less than LEFT_WITHOUT of their residual power.
     """
-    if any(run.position_m is None or run.unit('position') != 'rad' or r.force_judged is None
-           or r.motion is None for run, r in zip(runs, recordings, strict=True)):
-        return recordings, []
+    if not _turns(recordings, runs):
+        return None
     shapes = [_shapes(r, float(np.nanmean(run.signal('position'))))
               for run, r in zip(runs, recordings, strict=True)]
 
@@ -254,18 +286,30 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run]
         columns, force = stacked('held_out', count)
         left.append(float(np.mean((force - columns @ found) ** 2)) if len(force) else np.nan)
     if not left[1] < LEFT_WITHOUT * left[0]:
+        return None
+    return Gravity(float(found[5]), float(found[6]), left[1] / left[0])
+
+
+def without_gravity(recordings: list[Recording], runs: Sequence[Run], gravity: Gravity | None
+                    ) -> tuple[list[Recording], list[str]]:
+    """Return recordings of a joint without this gravity, and notes."""
+    if gravity is None:
         return recordings, []
-    most, zero = float(np.hypot(*found[5:])), float(np.degrees(np.arctan2(-found[6], found[5])))
     taken = []
     for run, r in zip(runs, recordings, strict=True):
-        assert r.motion is not None and r.force is not None and r.force_judged is not None
+        if run.position_m is None or r.motion is None or r.force is None or r.force_judged is None:
+            raise InputError(f'{run.source}: without the position the gravity of the joint '
+                             'cannot be taken off')
         angle = _angle(r, float(np.nanmean(run.signal('position'))))
-        torque = (found[5] * np.sin(angle) + found[6] * np.cos(angle))[_inner(r)]
+        torque = (gravity.sine * np.sin(angle) + gravity.cosine * np.cos(angle))[_inner(r)]
         taken.append(replace(r, force=r.force - torque,
-                             force_judged=r.force_judged - judged(torque, r.motion)))
-    return taken, [f'gravity is taken off: {most:.4g} Nm times the sine of the position less '
-                   f'{zero:.3g} degrees; it leaves {100.0 * left[1] / left[0]:.2g} % of what '
-                   'inertia, damping and friction leave']
+                             force_judged=r.force_judged - judged(torque, r.motion),
+                             taken={'gravity_sine': gravity.sine,
+                                    'gravity_cosine': gravity.cosine}))
+    zero = np.degrees(np.arctan2(-gravity.cosine, gravity.sine))
+    return taken, [f'gravity is taken off: {np.hypot(*gravity[:2]):.4g} Nm times the sine of the '
+                   f'position less {zero:.3g} degrees; it leaves {100.0 * gravity.left:.2g} % of '
+                   'what inertia, damping and friction leave']
 
 
 def _inner(recording: Recording) -> slice:
@@ -295,20 +339,24 @@ def _shapes(recording: Recording, middle: float) -> Array:
     return np.column_stack([rate, *(judged(each[inner], motion) for each in columns)])
 
 
-def _without_bias(recordings: list[Recording]) -> tuple[list[Recording], list[str]]:
+def _without_bias(recordings: list[Recording], of: Sequence[Recording]
+                  ) -> tuple[list[Recording], list[str]]:
     """
     Return recordings without a large mean force (pressure, gravity), and notes.
 
-    The error is relative to the varying part of the force. If the means differ by more than that,
-    each recording has its own mean.
+    The error is relative to the varying part of the force. It is the mean of `of`, but if their
+    means differ by more than that, each recording has its own.
     """
-    means = [float(r.force[r.valid].mean()) for r in recordings if r.force is not None]
-    deviation = min(float(r.force.std()) for r in recordings if r.force is not None)
-    if max(map(abs, means), default=0.0) < BIASED * deviation:
+    def means(each: Sequence[Recording]) -> list[float]:
+        return [float(r.force[r.valid].mean()) for r in each if r.force is not None]
+
+    common, deviation = means(of), min(float(r.force.std()) for r in of if r.force is not None)
+    if max(map(abs, common), default=0.0) < BIASED * deviation:
         return recordings, []
-    similar = max(means) - min(means) < 2.0 * deviation
-    taken = [float(np.mean(means))] * len(means) if similar else means
-    shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean)
+    similar = max(common) - min(common) < 2.0 * deviation
+    taken = [float(np.mean(common))] * len(recordings) if similar else means(recordings)
+    shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean,
+                       taken={**r.taken, 'constant': mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
     return shifted, ['a constant force is taken off, load_offset counts from there: '

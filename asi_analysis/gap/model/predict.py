@@ -214,6 +214,9 @@ def _load(recording: Recording, p: np.void) -> Array:
     extra, slack = np.zeros((2, motion.velocity.size))
     blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
                           recording.period_s, -motion.pad * recording.period_s, extra, slack)
+    if p['gravity_sine'] != 0.0 or p['gravity_cosine'] != 0.0:
+        angle = motion.position + recording.taken['middle']
+        extra += p['gravity_sine'] * np.sin(angle) + p['gravity_cosine'] * np.cos(angle)
     if p['backlash_floating'] > 0.0:
         mass = float(p['load_mass'] * p['piston_share'])
         carried = np.empty_like(extra)

@@ -163,14 +163,13 @@ def _response(servo: Servo, recording: Recording) -> Array:
                   recording.period_s)
 
 
-def with_servo(recordings: list[Recording], unit: str) -> tuple[list[Recording], list[str]]:
+def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
+               ) -> tuple[list[Recording], list[str]]:
     """
     Return recordings whose command is what a servo of second order makes of it, and notes.
 
-    Its delay is left to the effects. Recordings that need no second order are returned as they
-    are.
+    Its delay is left to the effects. servo: None, if a delay and a lag do.
     """
-    servo = servo_of(recordings)
     if servo is None:
         return recordings, []
     at_once = servo._replace(delay=0.0)
@@ -179,6 +178,7 @@ def with_servo(recordings: list[Recording], unit: str) -> tuple[list[Recording],
         if math.isfinite(value)]
     # A command acts from its sample on: at the next one the ideal servo has it.
     moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
-    return ([replace(r, command=each) for r, each in zip(recordings, moved, strict=True)],
+    return ([replace(r, command=each, taken=at_once._asdict())
+             for r, each in zip(recordings, moved, strict=True)],
             [f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
              f'ratio {servo.damping:.3g}' + ''.join(f', {each}' for each in limits)])

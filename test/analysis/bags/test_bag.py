@@ -24,7 +24,7 @@ from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_file import Contents, Topic
 from asi_analysis.bags.bag_writer import BagWriter
 from asi_analysis.bags.exchange import bag_table
-from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.importing import import_recording, read_joint, read_joints
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 
@@ -479,6 +479,13 @@ def test_bag_of_another_robot_is_imported_by_topic_joint_and_field(
         import_recording(bag, ['position=/leg/states/ankle/position[rad]'])
     with pytest.raises(InputError, match='it has /leg/states, /leg/effort/commands, /leg/goal'):
         import_recording(bag, ['position=hip-1[rad]'])
+    joints = read_joints([bag])
+    assert set(joints) == {'hip-1', 'knee'}
+    run, = joints['knee']
+    assert run.unit('position') == 'rad' and run.unit('force') == 'Nm'
+    np.testing.assert_array_equal(run.signal('force'), 7.0 * np.arange(40.0))
+    with pytest.raises(InputError, match='no joint ankle; it has'):
+        read_joint([bag], 'ankle')
 
 
 def test_messages_longer_than_their_type_are_left_out(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_errors_within_the_tolerance_are_no_gap():
     assert answer['probability'] > 0.9
     # Refitting alone mends it.
     assert answer['gap']['after_nrmse'] < 1.2 * answer['gap']['refitted_nrmse']
-    answer |= {'report': None, 'quality': [], 'reliable': True}
+    answer |= {'report': None, 'exports': [], 'quality': [], 'reliable': True}
     assert problems(answer, 'asi gap') == []
 
 

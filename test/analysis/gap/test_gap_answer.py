@@ -57,7 +57,7 @@ def test_parameter_at_the_limit_of_its_tolerance_is_said():
     assert limit['limit'] == 'high'
     assert limit['value'] == pytest.approx(1.2 * limit['nominal'], rel=1e-3)
     assert 'At the limit of the tolerance: ' in ' '.join(sentences(answer))
-    answer |= {'report': None, 'quality': [], 'reliable': True}
+    answer |= {'report': None, 'exports': [], 'quality': [], 'reliable': True}
     assert problems(answer, 'asi gap') == []
 
 

@@ -15,7 +15,7 @@ from asi_analysis.gap.answer import report
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
-from asi_analysis.gap.model.joint import without_gravity
+from asi_analysis.gap.model.joint import gravity_of
 from asi_analysis.gap.prepare import prepare
 
 RATE_HZ, SUB_STEPS = 500.0, 40
@@ -24,7 +24,8 @@ PENDULUM = {'signals': {'position': 'rad', 'command': 'Nm'}}
 
 
 @numba.njit(cache=True)
-def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, offset, out):
+def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, offset, bristle_rad,
+           out):
     """Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n)."""
     step = 1.0 / RATE_HZ / SUB_STEPS
     angle, speed, bristle, before, rate = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -40,9 +41,9 @@ def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, offset,
             if friction > 0.0:
                 level = friction * (1.0 + (breakaway - 1.0) * np.exp(-(speed / 0.1) ** 2))
                 level *= 1.0 + uneven * np.sign(speed)
-                slope = speed - friction / 1e-3 * abs(speed) / level * bristle
+                slope = speed - friction / bristle_rad * abs(speed) / level * bristle
                 bristle += step * slope
-            friction_torque = friction / 1e-3 * bristle + 0.02 * slope * (friction > 0.0)
+            friction_torque = friction / bristle_rad * bristle + 0.02 * slope * (friction > 0.0)
             speed += step / INERTIA * (torque - DAMPING * speed - friction_torque
                                        - gravity * np.sin(teeth * angle) - offset)
             angle += step * speed
@@ -56,11 +57,11 @@ TWO_WAVES = 0.6 * np.sin(2.0 * np.pi * 0.4 * TIME_S) + 0.2 * np.sin(2.0 * np.pi 
 
 def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
           gravity: float = 0.0, teeth: float = 1.0, uneven: float = 0.0, offset: float = 0.0,
-          course: np.ndarray = WITH_RESTS) -> Run:
+          course: np.ndarray = WITH_RESTS, bristle_rad: float = 1e-3) -> Run:
     """Return 16 s of the joint on a smooth course, read by a 14 bit encoder."""
     out = np.empty((2, course.size))
     _joint(course, friction, breakaway, uneven, round(late_s * RATE_HZ * SUB_STEPS), gravity,
-           teeth, offset, out)
+           teeth, offset, bristle_rad, out)
     count = 2.0 * np.pi / 2 ** 14
     return Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
                source='joint', information=PENDULUM)
@@ -138,7 +139,7 @@ def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(frictio
 def test_no_gravity_is_found_where_there_is_none(changed, course):
     run = joint(**changed, course=course)
     recordings = prepare([run], 'force')
-    assert without_gravity(recordings, [run]) == (recordings, [])
+    assert gravity_of(recordings, [run]) is None
 
 
 @pytest.mark.parametrize(('changed', 'perhaps'), [

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from scipy.io import loadmat
 
 from asi_analysis.bags.run import Run
+from asi_analysis.gap.answer.export import write_export
 from asi_analysis.gap.diagnose import diagnose, document
 
 DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
@@ -23,6 +25,12 @@ def emps(name: str) -> Run:
                position_m=data['qm'].ravel(), source=name)
 
 
+def cut(run: Run, start: float, end: float) -> Run:
+    """Return the part of a recording between two shares of its length."""
+    part = run.between(start * run.duration_s, end * run.duration_s)
+    return replace(part, time_s=part.time_s - part.time_s[0])
+
+
 def press(name: str) -> Run:
     """Return a recording of the press: commanded and measured displacement m."""
     with gzip.open(DATA / 'servohydraulic_mts' / name, 'rt') as file:
@@ -35,7 +43,7 @@ def press(name: str) -> Run:
 
 
 @needs_data
-def test_joint_with_coulomb_friction():
+def test_joint_with_coulomb_friction(tmp_path):
     runs = [emps('DATA_EMPS.mat'), emps('DATA_EMPS_PULSES.mat')]
     diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])
     answer = document(diagnosis)
@@ -50,12 +58,21 @@ def test_joint_with_coulomb_friction():
     assert alone['friction_level'] == pytest.approx(20.394, rel=0.01)
     assert answer['gap']['before_nrmse'] == pytest.approx(0.17, abs=0.01)
     assert answer['gap']['after_nrmse'] < 0.054
+    row = write_export(diagnosis, None, tmp_path / 'emps.xml')
+    assert ['asymmetry of the viscous friction' in each for each in row['unsaid']] == [True]
+    if row['simulator']:
+        assert row['after_nrmse'] < 0.055 < 0.12 < row['before_nrmse']
 
 
 @needs_data
-def test_press_with_lag_and_dead_time():
+def test_press_with_lag_and_dead_time(tmp_path):
     runs = [press(f'actuator_chirp_damper_{current}.txt.gz') for current in ('0A', '1A')]
-    answer = document(diagnose(runs, {}, 'joint', held_out=[False, True]))
+    diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])
+    answer = document(diagnosis)
     assert answer['verdict'] == 'transport_delay+valve_lag'
     assert answer['gap']['before_nrmse'] > 1.0
     assert answer['gap']['after_nrmse'] < 0.05
+    row = write_export(diagnosis, None, tmp_path / 'press.xml')
+    assert row['unsaid'] == []
+    if row['simulator']:
+        assert row['after_nrmse'] < 0.05 < 1.0 < row['before_nrmse']

@@ -1,0 +1,274 @@
+"""A joint as plain numbers, as a simulator takes them: `joint_model` of a diagnosis."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.uncertainty import interval, likelihood
+from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
+from asi_analysis.gap.prepare import Array
+from asi_analysis.gap.words import (
+    SIZES,
+    UNIT_OF_SCALE,
+    UNITS,
+    between,
+    digits,
+    in_words,
+    unit_of,
+)
+
+# Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
+HELD: Final = {
+    'load': frozenset(('load_mass', 'load_damping', 'load_stiffness', 'load_offset', 'drive_hold',
+                       'drive_delay', 'drive_lag', 'viscous', 'friction_level',
+                       'friction_asymmetry')),
+    'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
+                        'valve_limit'))}
+# The nearest to an effect that a simulator's joint has no field for.
+NEAREST: Final = {'stiction': 'coulomb_friction', 'friction_asymmetry': 'coulomb_friction'}
+# A servo that follows at once: time of its response, as a share of delay and lag, or in samples.
+SHARE_LATE: Final = 0.1
+SAMPLES: Final = 1.0
+
+
+class JointModel(NamedTuple):
+    """
+    A joint with its drive, in SI units: of a joint that turns rad, N m, kg m2.
+
+        inertia a = push - damping v - friction sign(v) - stiffness (q - rest)
+                    - sine sin(q) - cosine cos(q)
+        push = gain u + bias - kp q - kv v
+
+    u is the command, late by `delay_s` and `lag_s`; of a servo the reference. Where the command is
+    no force, its `unit` stands in place of that.
+    """
+
+    turns: bool
+    inertia: float
+    damping: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    sine: float = 0.0
+    cosine: float = 0.0
+    gain: float = 1.0
+    bias: float = 0.0
+    kp: float = 0.0
+    kv: float = 0.0
+    delay_s: float = 0.0
+    lag_s: float = 0.0
+    least_command: float = -np.inf
+    most_command: float = np.inf
+    most_push: float = np.inf      # of gain u + bias - kp q - kv v, either way
+    most_speed: float = np.inf     # of a servo
+    unit: str = ''                 # of the command or force
+    period_s: float = 1e-3         # of the samples
+    travel: tuple[float, float] = (0.0, 0.0)   # of the recording, with its largest force, speed
+    seen_push: float = 0.0
+    seen_speed: float = 0.0
+    notes: Mapping[str, str] = MappingProxyType({})   # values in words, with intervals, by field
+    loads: tuple[float, ...] = ()  # constant load of each recording, beyond the first's
+    unsaid: tuple[str, ...] = ()   # what was found that has no field here
+
+
+def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
+    """
+    Return the joint with what was found, or the nominal one.
+
+    Raises InputError for a joint without a motion, or that follows anything but a position.
+    """
+    run = diagnosis.runs[0]
+    groups = {weighed.group.channels[0]: weighed for weighed in diagnosis.groups}
+    servo = 'load' not in groups
+    if servo and (run.reference_n is None or run.controlled() != 'position'):
+        raise InputError(f'{run.source}: --export takes a joint that is moved by a force, or that '
+                         'follows a reference of its position')
+    notes: dict[str, str] = {}
+    unsaid: list[str] = []
+    for weighed in () if nominal else groups.values():
+        more, left = _in_words(diagnosis, weighed)
+        notes |= more
+        unsaid += left
+    records = {channel: weighed.group.as_given if nominal else
+               _held(diagnosis, weighed).fitted.record for channel, weighed in groups.items()}
+    if servo:
+        found = _followed(groups['valve'], records['valve'], run)
+    else:
+        found = _moved(groups['load'], records['load'], run)
+        if 'valve' in records:
+            found = _driven(found, records['valve'])
+    if UNKNOWN in diagnosis.verdict and not nominal:
+        unsaid.append(in_words(UNKNOWN, True))
+    return found._replace(notes={**notes, **found.notes}, unsaid=(*unsaid, *found.unsaid))
+
+
+def _moved(weighed: Weighed, p: np.void, run: Run) -> JointModel:
+    """Return a joint that is moved by a force."""
+    recording = weighed.group.recordings[0]
+    taken, motion = recording.taken, recording.motion
+    assert motion is not None
+    origin = 0.0 if run.position_m is None else float(np.nanmean(run.position_m))
+    unit = run.unit('position' if run.position_m is not None else 'velocity')
+    level = float(p['friction_level'])
+    # Friction level (sign(v) + asymmetry) is even friction and a constant force.
+    constant = (taken.get('constant', 0.0) + float(p['load_offset'] - p['disturbance'])
+                + level * float(p['friction_asymmetry']))
+    inner = motion.position[motion.pad:motion.pad + recording.fit.size] + origin
+    delay = float(p['drive_delay'])
+    if delay:   # a command that is held is late by half a sample without any
+        delay += float(p['drive_hold']) - 0.5 * recording.period_s * (run.force_n is None)
+    sine, cosine = (taken.get(name, 0.0) + float(p[name])
+                    for name in ('gravity_sine', 'gravity_cosine'))
+    driving = 'command' if run.force_n is None else 'force'
+    force = run.unit(driving)
+    notes = {}   # of what was identified before the fit
+    if sine or cosine:
+        notes['gravity'] = (f'gravity {digits(sine, force)} sin q and {digits(cosine, force)} '
+                            'cos q (no interval)')
+    if 'constant' in taken:
+        notes['constant'] = (f'beside the constant load {digits(taken["constant"], force)} (no '
+                             'interval)')
+    loads = [r.taken.get('constant', 0.0) + float(p[of_recording('load_offset', r.number)])
+             for r in weighed.group.recordings]
+    others = {digits(r.taken.get('constant', 0.0), force) for r in weighed.group.recordings
+              if r.taken.get('constant') != taken.get('constant')}
+    mass, damping = float(p['load_mass']), float(p['load_damping'] + p['viscous'])
+    if mass < damping * recording.period_s:
+        mass = damping * recording.period_s
+        notes['too_small'] = 'the inertia is too small to show: that of a sample is taken'
+    return JointModel(
+        unit.startswith('rad'), mass, damping, level, float(p['load_stiffness']), origin, sine,
+        cosine, bias=-constant, delay_s=delay, lag_s=float(p['drive_lag']),
+        period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
+        seen_push=_most(run.signal(driving)),
+        seen_speed=_most(motion.velocity), notes=notes, unit=force,
+        loads=tuple(each - loads[0] for each in loads),
+        unsaid=tuple(f'constant load of another recording, {each}' for each in sorted(others)))
+
+
+def _driven(moved: JointModel, p: np.void) -> JointModel:
+    """Return a joint whose force is what a drive makes of its command."""
+    gain = float(p['valve_characteristic_gain'])
+    shift, most = float(p['command_bias']), (float(p['valve_limit']) or np.inf) / abs(gain)
+    return moved._replace(
+        gain=gain, bias=moved.bias + gain * shift, delay_s=float(p['command_delay']),
+        lag_s=float(p['valve_lag']), least_command=-most - shift, most_command=most - shift)
+
+
+def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
+    """Return a servo of a unit inertia that follows a reference of its position."""
+    recording = weighed.group.recordings[0]
+    assert run.reference_n is not None and run.position_m is not None
+    taken, gain = recording.taken, float(p['valve_characteristic_gain'])
+    origin = float(np.nanmean(run.reference_n))
+    delay, lag = float(p['command_delay']), float(p['valve_lag'])
+    most_push, rate = taken.get('acceleration', np.inf), taken.get('rate', np.inf)
+    limited = bool(np.isfinite(rate))
+    unsaid: tuple[str, ...] = ()
+    if taken:
+        w, damping = taken['pulsation'], taken['damping']
+        notes = {'servo': f'natural frequency {digits(w, "rad/s")}, damping ratio '
+                          f'{digits(damping)} (no interval)'}
+        # A push that the damping of the joint balances at the largest speed.
+        if limited:
+            steady = 2.0 * damping * w * rate
+            if most_push < steady:
+                unsaid = (f'acceleration of the servo, at most {digits(most_push)} '
+                          f'{run.unit("position")}/s2',)
+            most_push = steady
+    else:
+        # The response of a critically damped servo is late by 2 / w, which the delay, then the lag
+        # have less.
+        late = max(SHARE_LATE * (delay + lag), SAMPLES * recording.period_s)
+        w, damping = 2.0 / late, 1.0
+        delay, lag = max(delay - late, 0.0), max(min(lag, delay + lag - late), 0.0)
+        notes = {'servo': f'kp and kv are of a servo that follows within {digits(late, "s")}: the '
+                          'recording shows no slower one'}
+    shift, most = float(p['command_bias']), (float(p['valve_limit']) or np.inf) / gain
+    return JointModel(
+        run.unit('position') == 'rad', 1.0, gain=w * w * gain, kp=w * w,
+        bias=w * w * (origin * (1.0 - gain) + gain * shift),
+        kv=0.0 if limited else 2.0 * damping * w, damping=2.0 * damping * w if limited else 0.0,
+        delay_s=delay, lag_s=lag, least_command=origin - shift - most,
+        most_command=origin - shift + most,
+        most_push=most_push, most_speed=rate,
+        period_s=recording.period_s, notes=notes, unsaid=unsaid,
+        travel=(float(np.nanmin(run.position_m)), float(np.nanmax(run.position_m))),
+        seen_push=w * w * float(np.ptp(run.position_m[np.isfinite(run.position_m)])),
+        seen_speed=_most(np.gradient(run.position_m, run.time_s)))
+
+
+def _most(values: Array) -> float:
+    """Return the largest size of a signal, rare peaks left out."""
+    return float(np.nanquantile(np.abs(values), 0.999))
+
+
+def _held(diagnosis: Diagnosis, weighed: Weighed) -> Candidate:
+    """
+    Return the verdict of a group as far as a joint model has fields for it.
+
+    Where it has none for an effect, the fit without that: what remains of a fit, once a part is
+    left out, fits worse.
+    """
+    best = diagnosis.best(weighed)
+    names = {NEAREST.get(name, '') if variant in _unsaid_variants(best, weighed) else name
+             for variant, name in _effects(best, weighed).items()} - {''}
+    return next((candidate for each, candidate in weighed.candidates.items()
+                 if set(each) == names), best)
+
+
+def _effects(best: Candidate, weighed: Weighed) -> dict[Variant, str]:
+    """Return the effect that each variant of a hypothesis is of."""
+    return {variant: effect.name for effect in weighed.group.effects if effect.name in best.names
+            for variant in effect.variants if variant in best.variants}
+
+
+def _unsaid_variants(best: Candidate, weighed: Weighed) -> list[Variant]:
+    """Return the variants that set a size that a joint model has no field for."""
+    held = HELD[weighed.group.channels[0]]
+    return [variant for variant in best.variants for free in variant.free
+            if best.fitted.record[free.field] != 0.0
+            and free.field.partition('@')[0] in SIZES.keys() - held]
+
+
+def _in_words(diagnosis: Diagnosis, weighed: Weighed) -> tuple[dict[str, str], list[str]]:
+    """Return the values of a group that a joint model holds, and those of the verdict beyond."""
+    best, kept = diagnosis.best(weighed), _held(diagnosis, weighed)
+    held = _sizes(diagnosis, weighed, kept)
+    more = {} if kept is best else _sizes(diagnosis, weighed, best)
+    fields = HELD[weighed.group.channels[0]]
+    return ({field: text for field, text in held.items() if field in fields},
+            [text for field, text in (held | more).items() if field not in fields])
+
+
+def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict[str, str]:
+    """Return the fitted values of a hypothesis in words, by field."""
+    fitted, channel = candidate.fitted, weighed.group.channels[0]
+    known = likelihood(fitted)
+    effects = {free.field: in_words(name, True) + ': ' for variant, name in
+               _effects(candidate, weighed).items() for free in variant.free}
+    found = {}
+    for free in fitted.free:
+        field, _, recording = free.field.partition('@')
+        word = NAMES.get(field) or SIZES.get(field)
+        if word is None or fitted.record[free.field] == 0.0 or (recording and field in NAMES):
+            continue
+        unit = '' if field == 'valve_characteristic_gain' else unit_of(
+            free.unit or UNITS.get(field, UNIT_OF_SCALE.get(free.scale, '')), channel,
+            diagnosis.runs[0], True)
+        low, high = interval(fitted, known, free.field)
+        size = between(float(fitted.record[free.field]), low, high, unit)
+        found[free.field] = (f'{effects.get(free.field, "")}{word} {size}'
+                             + (f' in recording {recording}' if recording else ''))
+    return found
+
+
+NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
+                'load_offset': 'constant load',
+                'valve_characteristic_gain': 'gain'}

@@ -1,0 +1,235 @@
+"""
+What changed since healthy recordings of the same machine.
+
+Their diagnosis is the nominal model; how far its parameters are known, and differ from one healthy
+recording to the next, are the tolerances; what it leaves of them is what any model leaves.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from asi_analysis.errors import InputError
+from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.posterior import Posterior, most_probable
+from asi_analysis.gap.inference.uncertainty import interval, likelihood
+from asi_analysis.gap.model.effects import OF_A_RECORDING, Free
+from asi_analysis.gap.model.group import Group, Values
+from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.prepare import Recording
+
+LEAST_SPREAD: Final = 1e-3    # of a parameter: less is not told apart
+# Times the range, in which 95 % lie: of some twenty parameters all do.
+OF_MANY: Final = 1.5
+NEARER: Final = (1.2, 0.85)   # of the healthy value: starts of a fit
+LEAST_PROBABILITY: Final = 0.01   # of an effect that is looked for in the healthy recordings
+# Of one recording, but of the machine: the others are of its course or its beginning.
+CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance')
+OF_PREDICTIONS: Final = frozenset(('maximum_substep',))
+
+
+class Spread(NamedTuple):
+    """A parameter of the healthy machine: its value, and the range of the healthy recordings."""
+
+    value: float
+    low: float
+    high: float
+    unit: str = ''   # of an effect's size, as the actuator has it
+
+
+class Healthy(NamedTuple):
+    """The healthy machine in a group of channels."""
+
+    fitted: Fitted                # of all its recordings together
+    spread: dict[str, Spread]     # by field
+    # Mean square that is left, of the recording with most of it, by channel; as a share of the
+    # signal's; and over the error floor.
+    left: Values
+    share: Values
+    over_floor: Values
+
+
+def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> Healthy:
+    """
+    Return the healthy machine as fitted to its recordings.
+
+    tolerance, own: how far nominal parameters may be off at most, as a share; own: by field.
+    """
+    group = fitted.problem.group
+    errors = {channel: np.array([_left(fitted, recording, channel)
+                                 for recording in group.recordings]).max(axis=0)
+              for channel in group.channels}
+    left, share, over = ({channel: float(each[n]) for channel, each in errors.items()}
+                         for n in range(3))
+    spread = {field: _spread(fitted, field, values, own.get(field, tolerance))
+              for field, values in _values(fitted, over).items()}
+    return Healthy(fitted, spread, left, share, over)
+
+
+def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
+    """Return the ends of the intervals of what is the machine's, and its values in each run."""
+    group = fitted.problem.group
+    measured_floor = replace(group, error_floor={
+        channel: _measured_floor(level, group.noise[channel], over_floor[channel])
+        for channel, level in group.error_floor.items()})
+    fitted = fitted._replace(problem=replace(fitted.problem, group=measured_floor, _key=b''))
+    known = likelihood(fitted)
+    alone = [_alone(fitted, recording) for recording in group.recordings]
+    found: dict[str, list[float]] = {}
+    for free in fitted.free:
+        field = free.field.partition('@')[0]
+        if field in CONSTANT or field not in OF_A_RECORDING:
+            found.setdefault(field, []).extend((
+                *interval(fitted, known, free.field),
+                *(values[free.field] for values in alone if free.field in values)))
+    return found
+
+
+def _measured_floor(level: float, noise: float, over_floor: float) -> float:
+    """Return an error floor (mean square) whose model error is what healthy recordings show."""
+    return noise ** 2 + (level - noise ** 2) * min(over_floor, 1.0)
+
+
+def _spread(fitted: Fitted, field: str, values: Sequence[float], tolerance: float) -> Spread:
+    """Return the spread of a parameter that has these values."""
+    frees = [free for free in fitted.free if free.field.partition('@')[0] == field]
+    value = float(np.mean([fitted.record[free.field] for free in frees]))
+    bounds = fitted.problem.parameter(frees[0])
+    most = tolerance * abs(value) if field in NOMINAL_FIELDS else np.inf
+    below, above = (min(max(OF_MANY * each, LEAST_SPREAD * abs(value)), most)
+                    for each in (value - min(values), max(values) - value))
+    return Spread(value, max(value - below, bounds.low), min(value + above, bounds.high),
+                  frees[0].unit)
+
+
+def _alone(fitted: Fitted, recording: Recording) -> Values:
+    """Return the parameters of a fit, fitted anew to one of its recordings; {} of the only one."""
+    problem = fitted.problem
+    if len(problem.group.recordings) == 1:
+        return {}
+    own = [number for number, free in enumerate(problem.free)
+           if free.field.partition('@')[0] not in OF_A_RECORDING
+           or int(free.field.partition('@')[2] or 1) == recording.number + 1]
+    free, theta = tuple(problem.free[n] for n in own), fitted.theta[own]
+    group = replace(problem.group, recordings=[recording])
+    if not isinstance(problem, Posterior):
+        return fit(group, free, [theta], problem.fixed).values
+    single = replace(problem, group=group, free=free)
+    record = single.record(most_probable(single, theta).theta)
+    return {each.field: float(record[each.field]) for each in free}
+
+
+def _left(fitted: Fitted, recording: Recording, channel: str) -> tuple[float, float, float]:
+    """Return the mean square that a fit leaves, over that of the signal, and over its floor."""
+    used = recording.valid
+    real = measured(recording, channel)[used]
+    left = float(np.mean((real - predict(recording, channel, fitted.record)[used]) ** 2))
+    return (left, left / max(float(np.mean(real ** 2)), 1e-300),
+            left / fitted.problem.group.error_floor[channel])
+
+
+def shares(machine: Mapping[tuple[str, ...], Healthy]) -> Values:
+    """Return how far nominal parameters differ in the healthy recordings, as a share, by field."""
+    return {field: max(spread.high / spread.value - 1.0, 1.0 - spread.low / spread.value)
+            for healthy in machine.values() for field, spread in healthy.spread.items()
+            if field in NOMINAL_FIELDS and spread.value > 0.0}
+
+
+def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
+    """
+    Return a group of other recordings whose nominal model is the healthy machine.
+
+    Raises InputError if the healthy recordings hold other signals.
+    """
+    if group.channels not in machine:
+        raise InputError(
+            f'{group.recordings[0].source}: the healthy recordings hold other signals: here '
+            f'{" and ".join(group.channels)} can be compared with a model, there '
+            f'{" and ".join(sorted({name for names in machine for name in names}))}')
+    healthy = machine[group.channels]
+    nominal = group.nominal.copy()
+    for name in nominal.dtype.names or ():
+        field = name.partition('@')[0]
+        if field in healthy.spread:
+            nominal[name] = healthy.spread[field].value
+        elif (field not in OF_A_RECORDING and field not in OF_PREDICTIONS
+              and field in (healthy.fitted.record.dtype.names or ())):
+            nominal[name] = healthy.fitted.record[field]
+    simulated = isinstance(healthy.fitted.problem, Posterior)
+    kept = [free for free in group.nuisance if free.field.partition('@')[0] not in healthy.spread]
+    known = [_free(name, healthy.spread[field], simulated)
+             for name in nominal.dtype.names or ()
+             if (field := name.partition('@')[0]) in healthy.spread
+             and (field not in NOMINAL_FIELDS or nominal[name] != 0.0)]
+    noise, floor, before = {}, {}, healthy.fitted.problem.group
+    for channel, level in group.noise.items():
+        noise[channel] = max(level, before.noise[channel])
+        power = float(np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings]))
+        general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
+        floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
+                             healthy.share[channel] * power)
+    effects = tuple(effect._replace(variants=tuple(
+        variant._replace(free=tuple(map(_nearer, variant.free))) for variant in effect.variants))
+        for effect in group.effects)
+    return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
+                   error_floor=floor, effects=effects, floor_measured=True)
+
+
+def _nearer(free: Free) -> Free:
+    """Return a free parameter with starts that are no farther than its spread may be."""
+    return free._replace(starts=(*NEARER, *free.starts)) if free.scale == 'nominal' else free
+
+
+def _free(name: str, spread: Spread, simulated: bool) -> Free:
+    """Return a parameter that is free within its spread."""
+    if name.partition('@')[0] not in NOMINAL_FIELDS:
+        return Free(name, spread.low, spread.high, (spread.value,), '', spread.unit)
+    low, high = sorted((spread.low / spread.value, spread.high / spread.value))
+    if simulated:
+        return Free(name, 0.05, 5.0, (1.0,), 'nominal', prior=0.5 * max(high - 1.0, 1.0 - low))
+    return Free(name, low, high, (1.0,), 'nominal')
+
+
+def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
+    """
+    Return a group in which an effect that a healthy recording shows as large is no change.
+
+    Its probability goes to the hypothesis without it.
+    """
+    chance = dict(weighed.probability)
+    for name in {name for names in weighed.candidates for name in names}:
+        holding = [c for names, c in weighed.candidates.items() if name in names]
+        best = max(holding, key=lambda candidate: chance.get(candidate.names, 0.0))
+        if (sum(p for names, p in chance.items() if name in names) < LEAST_PROBABILITY
+                or not _is_healthy(name, best, weighed.group, healthy)):
+            continue
+        for names in [names for names in chance if name in names]:
+            rest = tuple(each for each in names if each != name)
+            chance[rest] = chance.get(rest, 0.0) + chance.pop(names)
+    return weighed._replace(probability=chance)
+
+
+def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy) -> bool:
+    """Return whether an effect is as large in a healthy recording, within its uncertainty."""
+    fitted = candidate.fitted
+    field = next(variant.free[0].field for effect in group.effects if effect.name == name
+                 for variant in effect.variants if variant in candidate.variants)
+    usual = float(group.nominal[field])
+    size = float(fitted.record[field]) - usual
+    ends = interval(fitted, likelihood(fitted), field)
+    as_large = max(0.5, min((end - usual) / size for end in ends)) if size else 0.0
+    own = [number for number, free in enumerate(fitted.free) if '@' not in free.field]
+    free = tuple(fitted.free[number] for number in own)
+    for recording in healthy.fitted.problem.group.recordings:
+        alone = replace(group, recordings=[replace(recording, number=0, cache={})])
+        problem = Problem(alone, free, fitted.problem.fixed)
+        start = fitted.theta[own]
+        at = [each.field for each in free].index(field)
+        start[at] = min(max(problem.parameter(free[at]).share(usual), 0.001), 0.999)
+        found = fit(alone, free, [start], fitted.problem.fixed)
+        if size and (found.values[field] - usual) / size >= as_large:
+            return True
+    return False

@@ -1,0 +1,136 @@
+"""What has changed since healthy recordings: the machine has friction and gravity all along."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from documented import problems
+from test_gap_joint import PENDULUM, TIME_S, TWO_WAVES, joint
+from test_gap_real import cut, emps, needs_data
+from test_gap_simulator import recorded
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.answer.result import Gap
+from asi_analysis.gap.baseline import healthy_of
+from asi_analysis.gap.diagnose import diagnose as diagnosis_of
+from asi_analysis.gap.diagnose import improved_of
+
+MACHINE = {'friction': 0.1, 'gravity': 0.5}
+HEALTHY = (joint(**MACHINE), joint(**MACHINE, course=TWO_WAVES))
+pytestmark = pytest.mark.filterwarnings('ignore:.*gravity is taken off')
+
+
+def asked(new: Run, *healthy: Run) -> Gap:
+    return diagnose([new], plant='joint', baseline=healthy)
+
+
+def test_more_friction_is_named_with_its_size_before_and_now():
+    answer = asked(joint(**MACHINE | {'friction': 0.13}), *HEALTHY)
+    assert answer.verdict == 'coulomb_friction' and answer.baseline['change'] == 'changed'
+    assert answer.baseline['verdict'] == 'coulomb_friction'
+    row, = (row for row in answer.baseline['parameters'] if row['changed'])
+    assert (row['parameter'], row['effect'], row['unit']) == (
+        'friction_level', 'coulomb_friction', 'Nm')
+    assert row['healthy'] == pytest.approx(0.1, rel=0.03)
+    assert row['now'] == pytest.approx(0.13, rel=0.03)
+    assert 'Changed: Coulomb friction: sliding friction from 0.100' in str(answer)
+    assert 'Within the spread of the 2 healthy recordings: load.mass, load.damping' in str(answer)
+    assert problems(json.loads(json.dumps(answer.to_dict(), allow_nan=False)), 'asi gap') == []
+
+
+def test_a_machine_that_was_worse_has_less_friction_now():
+    answer = asked(HEALTHY[0], joint(**MACHINE | {'friction': 0.13}))
+    assert answer.verdict == 'coulomb_friction'
+    row, = (row for row in answer.baseline['parameters'] if row['changed'])
+    assert row['now'] == pytest.approx(0.1, rel=0.03) and row['now'] < row['healthy_low']
+
+
+def test_more_weight_on_a_joint_is_named_beside_the_friction_that_it_always_had():
+    answer = asked(joint(**MACHINE | {'gravity': 0.55}), *HEALTHY)
+    assert answer.verdict == 'gravity' and answer.where[0]['block'] == 'mechanics'
+    row, = (row for row in answer.baseline['parameters'] if row['changed'])
+    assert row['parameter'] == 'gravity_sine' and row['unit'] == 'Nm'
+    assert row['now'] == pytest.approx(0.05, abs=0.003)
+    assert 'Changed: gravity: more of sin q from 0.00 to 0.0' in str(answer)
+
+
+def rigid(inertia: float, seed: int) -> Run:
+    """Return a joint of this inertia (kg m2) and no friction, on a course of four waves."""
+    rng = np.random.default_rng(seed)
+    phase = rng.random(4)[:, None]
+    pulsation = 2.0 * np.pi * np.array([0.4, 1.1, 2.3, 4.9])[:, None]
+    wave = 0.2 * np.exp(1j * (pulsation * TIME_S + 2.0 * np.pi * phase))
+    angle, speed, change = ((wave * (1j * pulsation) ** n).sum(axis=0).real for n in range(3))
+    torque = inertia * change + 0.05 * speed + 0.02 * rng.standard_normal(TIME_S.size)
+    run = Run(TIME_S, command_n=torque, position_m=angle, source='rigid', information=PENDULUM)
+    return run.between(0.0, 6.0)
+
+
+def test_a_heavier_load_is_named_but_not_a_little_more():
+    heavier = asked(rigid(0.024, 3), rigid(0.02, 1), rigid(0.02, 2))
+    assert heavier.verdict == 'parameter:load.mass'
+    assert heavier.which[0]['parameters']['load_mass'] == pytest.approx(0.024, rel=0.02)
+    assert heavier.baseline['change'] == 'changed'
+    # Between those of two healthy recordings.
+    assert asked(rigid(0.0203, 3), rigid(0.02, 1), rigid(0.0208, 2)).verdict == 'no_gap'
+
+
+@pytest.mark.parametrize('healthy', [
+    (HEALTHY[0],), (HEALTHY[0].between(0.0, 8.0), HEALTHY[0], HEALTHY[0].between(8.0, 16.0))])
+def test_a_healthy_recording_has_not_changed(healthy):
+    """In any order of the others, one twice, or one cut in two."""
+    answer = asked(HEALTHY[0], *healthy)
+    assert answer.verdict == 'no_gap' and answer.baseline['change'] == 'none'
+    assert not any(row['changed'] for row in answer.baseline['parameters'])
+    assert str(answer).startswith('Nothing has changed beyond the spread')
+
+
+def test_what_no_effect_explains_is_no_change_if_the_healthy_machine_has_it():
+    teeth = {'friction': 0.1, 'gravity': 0.15, 'teeth': 9.0}
+    healthy, more = (joint(**each).between(0.0, 5.0) for each in (teeth, teeth | {'gravity': 0.6}))
+    assert asked(healthy, healthy).baseline['change'] == 'none'
+    answer = asked(more, healthy)
+    assert answer.baseline['change'] != 'none' and answer.verdict == 'unknown'
+    left, = answer.baseline['left']
+    assert left['now_nrmse'] > 2.0 * left['healthy_nrmse']
+
+
+@pytest.mark.filterwarnings('ignore:without')
+def test_the_actuator_is_compared_by_the_simulator():
+    def forces(lag_s: float) -> Run:
+        run = recorded(nominal | {'valve_flexure.lag_time': lag_s}, duration_s=1.2)
+        return replace(run, position_m=None, valve_position_m=None, velocity_m_s=None)
+
+    nominal = {'load.type': 'spring'}
+    healthy = diagnosis_of([forces(0.0)], nominal)
+    slower = diagnosis_of([forces(0.003)], nominal, healthy=healthy)
+    assert healthy.verdict == () and slower.verdict == ('valve_lag',)
+    spread = slower.machine[('force',)].spread['valve_characteristic_maximum_force']
+    assert 0.8 < spread.low / spread.value < 1.0 < spread.high / spread.value < 1.2
+    assert improved_of(slower, nominal)['valve_flexure.lag_time'] == pytest.approx(0.003, rel=0.1)
+
+
+def test_a_spread_holds_each_recording_alone_and_at_most_the_tolerance():
+    diagnosis = diagnosis_of([rigid(0.02, 1), rigid(0.021, 2)], {}, 'joint')
+    fitted = diagnosis.best(diagnosis.groups[0]).fitted
+    for tolerance in (0.002, 0.2):
+        value, low, high, _ = healthy_of(fitted, tolerance, {}).spread['load_mass']
+        assert value * (1.0 - 1.001 * tolerance) <= low < value < high <= value * (
+            1.0 + 1.001 * tolerance)
+
+
+def test_other_signals_than_those_of_the_healthy_recordings_are_refused():
+    alone = replace(HEALTHY[0], command_n=None, reference_n=HEALTHY[0].position_m * 1.1,
+                    information={'signals': {'position': 'rad', 'reference': 'rad'}})
+    with pytest.raises(InputError, match='the healthy recordings hold other signals|takes'):
+        asked(HEALTHY[0], alone)
+
+
+@needs_data
+def test_parts_of_one_measured_recording_have_not_changed():
+    run = emps('DATA_EMPS.mat')
+    answer = asked(cut(run, 0.5, 0.6), cut(run, 0.3, 0.4))
+    assert answer.baseline['change'] == 'none'

@@ -1,0 +1,80 @@
+"""Several joints of a robot, in a table and in one answer."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documented import problems
+from test_gap_joint import RATE_HZ, TIME_S, joint
+
+from asi_analysis.bags.exchange.importing import import_joints, read_joints
+from asi_analysis.bags.exchange.summary import ImportedJoints
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.answer.joints import Rest, _coupled, diagnose_joints
+from asi_analysis.parallel import workers
+
+MAPPING = ('time=t', 'position=q_{joint}[rad]', 'command=tau_{joint}*2[Nm]')
+SHORT = slice(0.0, 8.0)
+
+
+def table(path: Path, **joints: Run) -> Path:
+    """Write joints as a table; `temperature` and the angle of a camera are no joints of it."""
+    time_s = next(iter(joints.values())).time_s
+    columns = {'t': time_s, 'temperature': 20.0 + 0.0 * time_s, 'q_camera': 0.0 * time_s}
+    for name, run in joints.items():
+        columns |= {f'q_{name}': run.position_m, f'tau_{name}': 0.5 * run.command_n}
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=',',
+               header=','.join(columns), comments='')
+    return path
+
+
+def test_joints_of_a_table_become_bags_with_one_clock(tmp_path):
+    hip, knee = joint()[SHORT], joint(friction=0.15)[SHORT]
+    found = import_joints(table(tmp_path / 'log.csv', hip=hip, knee=knee), MAPPING,
+                          out=tmp_path / 'robot')
+    again = read_joints([tmp_path / 'robot'])
+    for name, run in (('hip', hip), ('knee', knee)):
+        for other in (found[name], *again[name]):
+            np.testing.assert_allclose(other.signal('command'), run.command_n)
+            np.testing.assert_allclose(other.time_s, run.time_s)
+            assert other.unit('position') == 'rad'
+    assert problems(ImportedJoints.of(found, tmp_path / 'robot').to_dict(),
+                    'asi import {joint}') == []
+    with pytest.raises(InputError, match=r'no joint has a column of each signal: .*_hip|has none'):
+        import_joints(tmp_path / 'log.csv', (*MAPPING, 'velocity=dq_{joint}[rad/s]'))
+    with pytest.raises(InputError, match='expected a bag with joint states, or a folder'):
+        read_joints([tmp_path])
+
+
+def test_each_joint_is_diagnosed_and_one_that_cannot_be_says_why():
+    robot = {'hip': [joint(late_s=0.012)[SHORT]], 'knee': [joint(friction=0.15)[SHORT]]}
+    robot['wheel'] = [replace(robot['hip'][0], position_m=np.zeros(robot['hip'][0].time_s.size))]
+    with workers(2):
+        answer = diagnose_joints(robot)
+    hip, knee, wheel = answer.joints
+    assert [each['joint'] for each in answer.joints] == list(robot)
+    assert 'transport_delay' in hip['answer']['ambiguity_set']
+    assert knee['answer']['which'][0]['effect'] == 'coulomb_friction'
+    assert wheel['answer'] is None and 'nothing to compare' in wheel['error']
+    assert problems(json.loads(json.dumps(answer.to_dict(), allow_nan=False)),
+                    'asi gap --joint all') == []
+    assert 'sliding friction 0.15' in str(answer) and 'one clock' in str(answer)
+    with pytest.raises(InputError, match='wheel: .*nothing to compare'):
+        diagnose_joints({'wheel': robot['wheel']})
+    with pytest.raises(InputError, match='knee: no healthy recording of this joint'):
+        diagnose_joints({'knee': robot['knee']}, {'hip': robot['hip']})
+
+
+def test_what_another_joint_does_to_one_is_told():
+    hip, knee = joint(), joint(gravity=1.0)
+    shaken = np.gradient(np.gradient(hip.position_m)) * RATE_HZ ** 2
+    rng = np.random.default_rng(1)
+    runs = {'hip': [hip], 'knee': [replace(knee, position_m=np.sin(TIME_S))]}
+    noise = rng.standard_normal(TIME_S.size)
+    rests = {'hip': [Rest(TIME_S, noise)], 'knee': [Rest(TIME_S, shaken + 0.1 * noise)]}
+    assert _coupled('hip', rests, runs) == (None, None)
+    other, share = _coupled('knee', rests, runs)
+    assert other == 'hip' and share > 0.5
