@@ -21,7 +21,7 @@ PARAMETERS = (
 
 @jit
 def scheduled(velocity, half, least):
-    """Return the factor of the gain at a velocity (m/s): halfway to the `least` at `half` (m/s)."""
+    """Return the factor of the gain at a velocity (m/s); at `half` it is halfway to `least`."""
     if half == 0.0:
         return 1.0
     return least + (1.0 - least) * half / (half + abs(velocity))

@@ -1,12 +1,13 @@
 """The settings of config/force_control.yaml: every row reached, quiet at rest and moved."""
 
+import numpy as np
 import pytest
 from conftest import ROOT
 
 from asi_analysis.experiments.experiment import read_parameters
-from asi_analysis.limit_cycle.quench.attack import search
+from asi_analysis.limit_cycle.quench.attack import NAMES, Condition, run_trials, search
 from asi_analysis.tuning.figures import figures, missed
-from asi_analysis.tuning.search import left_in_motion
+from asi_analysis.tuning.search import RATES_HZ
 
 SUBSTEP = 'maximum_substep'
 
@@ -23,9 +24,14 @@ def test_settings_reach_every_row(controller, actuator):
 
 
 def test_moved_piston_does_not_oscillate(controller):
-    assert left_in_motion({}, controller, (5000.0, 2000.0)) == 0.0
+    random = np.random.default_rng(3)
+    moved = 0.99   # the last of LOADS
+    conditions = [Condition({**dict(zip(NAMES, random.random(len(NAMES)), strict=True)),
+                             'load': moved}) for _ in range(60)]
+    trials = run_trials(conditions, {}, controller, RATES_HZ)
+    assert not any(trial.sustained for trial in trials)
 
 
 def test_attack_finds_nothing(controller):
     assert not any(trial.sustained for trial in search(
-        {}, controller, (5000.0, 2000.0, 1000.0), 60, seed=4))
+        {}, controller, RATES_HZ, 60, seed=4))
