@@ -43,6 +43,7 @@ UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
 DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
 LEAST_SHARE: Final = 0.05   # of the gap, for a block to be named
+LISTED: Final = 6   # unchanged parameters that are named
 NARROW: Final = 0.02   # share of a value: a smaller interval is shown as ±
 
 
@@ -216,7 +217,9 @@ def _changes(answer: Mapping[str, Any], joint: bool) -> list[str]:
     changed = [f'{_called(row, joint)} {_healthy(row)} to '
                f'{between(row["now"], row["now_low"], row["now_high"], row["unit"])}'
                for row in rows if row['changed']]
-    within = dict.fromkeys(_called(row, joint) for row in rows if not row['changed'])
+    within = list(dict.fromkeys(_called(row, joint) for row in rows if not row['changed']))
+    if len(within) > LISTED:
+        within = [f'{len(within)} parameters (--json lists them)']
     return [*lines, *([f'Changed: {"; ".join(changed)}.'] if changed else []),
             *([f'Within the spread of {of}: {", ".join(within)}.'] if within else [])]
 
