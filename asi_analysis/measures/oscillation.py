@@ -216,12 +216,18 @@ def _period(time: Array, drive: Array, noise_floor: float) -> float | None:
     return None if np.var(residual) > 0.05 * np.var(drive) else 1.0 / frequency
 
 
-def _without_period(time: Array, output: Array, period: float) -> Array:
-    """Return a signal without its linear trend and without a period and its harmonics."""
+def _without_period(time: Array, output: Array, period: float) -> tuple[Array, float]:
+    """
+    Return a signal without its linear trend and without a period and its harmonics.
+
+    And the largest amplitude of the harmonics from the second on.
+    """
     angle = 2.0 * np.pi / period * np.outer(time - time.mean(), np.arange(1, HARMONICS + 1))
     columns = np.column_stack([np.ones_like(time), time - time.mean(), np.cos(angle),
                                np.sin(angle)])
-    return output - columns @ least_squares(columns, output)
+    weights = least_squares(columns, output)
+    sizes = np.hypot(*np.split(weights[2:], 2))
+    return output - columns @ weights, float(sizes[1:].max())
 
 
 def oscillation(run: Run, name: str | None = None) -> Oscillation:
@@ -254,14 +260,17 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
             return Oscillation(
                 None, reason=f'{drive.name} moves at many frequencies until the end of the run')
         if period:
-            output = _without_period(time, output, period)
-            periods.append((drive, period))
+            output, harmonic = _without_period(time, output, period)
+            periods.append((drive, period, harmonic))
     found = _steady(time, output, noise_floor)
     span = float(time[-1] - time[0])
-    for drive, period in periods:
+    for drive, period, harmonic in periods:
         if found.sustained is not False:
             cycles = found.frequency_hz * period
-            if abs(cycles - round(cycles)) < LOCKED * period / span:
+            apart = abs(cycles - round(cycles)) / period   # Hz, from the next harmonic
+            if apart < max(LOCKED / span, 3.0 * found.frequency_sd_hz):
+                if found.amplitude_n <= harmonic:   # one more of them
+                    return Oscillation()
                 return Oscillation(None, reason=(
                     f'what is left is at {found.frequency_hz:.4g} Hz, {round(cycles)} times the '
                     f'frequency of {drive.name}: its harmonic, or an oscillation locked to it'))

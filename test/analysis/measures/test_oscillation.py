@@ -67,6 +67,18 @@ def test_forced_sine_with_harmonics_is_not_self_sustained(frequency):
     assert found.sustained is False
 
 
+@pytest.mark.parametrize('frequency', [2.0, 7.0])
+def test_a_high_harmonic_of_the_reference_is_no_oscillation_of_its_own(frequency):
+    corners = sum(30.0 / k * np.sin(2 * np.pi * k * frequency * T) for k in range(1, 40, 2))
+    assert nothing(swing(corners, 100.0 * np.sin(2 * np.pi * frequency * T)))
+
+
+def test_an_oscillation_at_a_harmonic_may_be_locked_to_the_reference():
+    found = swing(90.0 * np.sin(14.0 * np.pi * T) + 30.0 * np.sin(182.0 * np.pi * T),
+                  100.0 * np.sin(14.0 * np.pi * T))
+    assert found.sustained is None and 'locked' in found.reason
+
+
 def test_own_oscillation_on_top_of_a_forced_one():
     found = swing(90.0 * np.sin(2 * np.pi * 7.0 * T - 0.2) + 30.0 * np.sin(2 * np.pi * 88.0 * T),
                   100.0 * np.sin(2 * np.pi * 7.0 * T))
