@@ -15,7 +15,7 @@ def _is_mapping(value: object) -> bool:
 def _are_parameters(value: object) -> bool:
     return isinstance(value, dict) and all(
         isinstance(number := value.get(parameter.name, parameter.default), int | float)
-        and math.isfinite(number)
+        and -math.inf < number < math.inf
         for parameter in ACTUATOR_PARAMETERS if isinstance(parameter.default, float))
 
 

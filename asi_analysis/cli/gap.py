@@ -109,10 +109,16 @@ def gap(
         if report:
             progress('report', None)
             result.write_report(report)
+        refused = None
         for path in export or []:
             progress('export', None)
-            result.write_export(path)
+            try:
+                result.write_export(path)
+            except InputError as error:   # the answer is not lost for it
+                refused = error
     show(result, as_json)
+    if refused:
+        raise refused
 
 
 @command('check', 'asi gap check --cases 60 --seed 20000', gap_app)

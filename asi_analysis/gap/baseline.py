@@ -167,7 +167,8 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
     noise, floor, before = {}, {}, healthy.fitted.problem.group
     for channel, level in group.noise.items():
         noise[channel] = max(level, before.noise[channel])
-        power = float(np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings]))
+        power = float(np.mean([np.mean(measured(r, channel)[r.valid] ** 2)
+                              for r in group.recordings]))
         general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
         floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
                              healthy.share[channel] * power)
@@ -200,7 +201,7 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
     Its probability goes to the hypothesis without it.
     """
     chance = dict(weighed.probability)
-    for name in {name for names in weighed.candidates for name in names}:
+    for name in sorted({name for names in weighed.candidates for name in names}):
         holding = [c for names, c in weighed.candidates.items() if name in names]
         best = max(holding, key=lambda candidate: chance.get(candidate.names, 0.0))
         if (sum(p for names, p in chance.items() if name in names) < LEAST_PROBABILITY
@@ -208,6 +209,7 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
             continue
         for names in [names for names in chance if name in names]:
             rest = tuple(each for each in names if each != name)
+            rest = rest if rest in weighed.candidates else ()
             chance[rest] = chance.get(rest, 0.0) + chance.pop(names)
     return weighed._replace(probability=chance)
 

@@ -42,7 +42,7 @@ def bursts(time: Array, values: Array, period: float) -> Bursts | None:
         return None
     envelope = np.abs(analytic_signal(even, step, frequency))
     phase = (PHASES * seconds / period).astype(int) % PHASES
-    course = np.bincount(phase, envelope) / np.bincount(phase)
+    course = np.bincount(phase, envelope) / np.maximum(np.bincount(phase), 1)
     independent = frequency * seconds[-1]
     left = np.var(envelope - course[phase]) / np.var(envelope)
     follows = 1.0 - left * independent / max(independent - PHASES, 1.0)

@@ -8,6 +8,7 @@ criterion is `is_sustained`. The growth rate is estimated by maximum likelihood 
 A test compares the two.
 """
 
+import itertools
 import math
 from typing import Any, Final, NamedTuple
 
@@ -230,6 +231,14 @@ def _without_period(time: Array, output: Array, period: float) -> tuple[Array, f
     return output - columns @ weights, float(sizes[1:].max())
 
 
+def _combined(frequency_hz: float, span: float, drives_hz: list[float]) -> bool:
+    """Return whether a frequency is a sum of multiples of two of the drives', of either sign."""
+    multiples = np.arange(-HARMONICS, HARMONICS + 1)
+    return any(bool((np.abs(np.add.outer(multiples * one, multiples * other) - frequency_hz)
+                     < LOCKED / span).any())
+               for one, other in itertools.combinations(drives_hz, 2))
+
+
 def oscillation(run: Run, name: str | None = None) -> Oscillation:
     """
     Return the self-sustained oscillation of a signal in the steady part of a run.
@@ -264,6 +273,12 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
             periods.append((drive, period, harmonic))
     found = _steady(time, output, noise_floor)
     span = float(time[-1] - time[0])
+    if found.sustained and len(periods) > 1 and _combined(found.frequency_hz, span, [
+            1.0 / period for _, period, _ in periods]):
+        names = ' and '.join(drive.name for drive, _, _ in periods)
+        return Oscillation(None, reason=(
+            f'what is left is at {found.frequency_hz:.4g} Hz, a sum of multiples of the '
+            f'frequencies of {names}: a nonlinear response to both, or an oscillation there'))
     for drive, period, harmonic in periods:
         if found.sustained is not False:
             cycles = found.frequency_hz * period

@@ -66,11 +66,14 @@ def margins(actuator: Values, controller: Values, rate_hz: float) -> list[Margin
     c = compensator({name: value for name, value in controller.items()
                      if not name.startswith('reference.')}, rate_hz)
     frequency = np.geomspace(LOWEST_HZ, 0.499 * rate_hz, FREQUENCIES)
-    loop = (linear.plant(p, 1.0 / rate_hz, linear.damping_slope(p), seals_stuck=True)(frequency)
-            * frequency_response(c, frequency, rate_hz))
+    plant = linear.plant(p, 1.0 / rate_hz, linear.damping_slope(p), seals_stuck=True)(frequency)
+    # The schedule is that of the compensator, not of the integrator beside it.
+    z = np.exp(2j * np.pi * frequency / rate_hz)
+    integral = float(c['integrator_rate']) / rate_hz / (z - 1.0)
+    direct = frequency_response(c, frequency, rate_hz) - integral
     schedule = float(c['gain_schedule_velocity']), float(c['gain_schedule_least'])
-    return [Margins(velocity, *_of(frequency, loop * moved_gain(actuator, velocity)
-                                   * scheduled(velocity, *schedule)))
+    return [Margins(velocity, *_of(frequency, plant * moved_gain(actuator, velocity)
+                                   * (direct * scheduled(velocity, *schedule) + integral)))
             for velocity in VELOCITIES_M_S]
 
 

@@ -114,16 +114,18 @@ def read_joint(paths: Sequence[Path], joint: str) -> list[Run]:
 def _joints_in(path: Path) -> dict[str, Run]:
     if not is_bag(path) or (path.is_dir() and not (path / 'metadata.yaml').exists()):
         return {joint: read_bag(bag) for joint, bag in bags_in(path).items()}
-    topic = next((name for name, type_ in message_types(path).items()
-                  if type_.endswith('/JointState')), None)
-    if topic is None:
-        raise InputError(f'{path}: no joint states; import it with {JOINT} in the mapping')
+    topics = [name for name, type_ in message_types(path).items()
+              if type_.endswith('/JointState')]
+    if len(topics) != 1:
+        raise InputError(f'{path}: joint states in {" and ".join(topics) or "no topic"}: import '
+                         f'one topic with {JOINT} in the mapping')
+    topic = topics[0]
     table = read_bag_table(path, [f'{topic}/'])
     return import_joints(path, [
         f'{signal}={topic}/{JOINT}/{field}[{unit}]' for signal, field, unit in (
             ('position', 'position', 'rad'), ('velocity', 'velocity', 'rad/s'),
             ('force', 'effort', 'Nm'))
-        if any(name.endswith(f'/{field}') and np.ptp(values) > 0.0
+        if any(name.endswith(f'/{field}') and np.nanstd(values) > 0.0
                for name, values in table.items())])
 
 

@@ -1,5 +1,6 @@
 """`asi gap`: recordings and a nominal model in, the diagnosis out."""
 
+import itertools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -175,6 +176,15 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
         'simulator does: the difference may be reported as a gap'] if on else [])
 
 
+def _check_units(baseline: Sequence[Run], runs: Sequence[Run]) -> None:
+    """Raise InputError if a signal has another unit in the healthy recordings."""
+    for before, run in itertools.product(baseline, runs):
+        for name in before.signals().keys() & run.signals().keys():
+            if before.unit(name) != run.unit(name):
+                raise InputError(f'{run.source}: {name} is in {run.unit(name)}, in the healthy '
+                                 f'{before.source} in {before.unit(name)}: import both alike')
+
+
 def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actuator',
              held_out: Sequence[Run] = (), tolerance: float = TOLERANCE, drive: str | None = None,
              progress: Progress = silent, settings: Sequence[str] = (),
@@ -221,6 +231,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     # Mass and damping of a healthy joint are identified, unless they are given.
     declared = {name: share for name, share in own.items()
                 if plant == 'actuator' or name in values}
+    _check_units(baseline, everything)
     healthy = diagnosis_of(baseline, values, plant, tolerance, None, drive, progress,
                            declared) if baseline else None
     diagnosis = diagnosis_of(everything, values, plant, tolerance,

@@ -20,7 +20,7 @@ from asi_common.parameter_file import write_parameters
 FORMATS: Final = {'.xml': 'MJCF', '.mjcf': 'MJCF', '.urdf': 'URDF', '.yaml': 'YAML',
                   '.yml': 'YAML'}
 NODE: Final = '/**/asi_actuator'
-PARAMETERS: Final = ('load_mass', 'load_damping')   # of a joint that --model takes
+PARAMETERS: Final = ('load_mass', 'load_damping', 'viscous')   # of a joint that --model takes
 
 
 def format_of(path: Path, plant: str) -> str:
@@ -57,6 +57,9 @@ def write_export(diagnosis: Diagnosis, model: Mapping[str, Value] | None, path: 
     origin = ('Written by asi gap from ' + ', '.join(run.source for run in diagnosis.runs)
               + '; values with their 95 % intervals:')
     if kind == 'YAML':
+        if found.kp:
+            raise InputError(f'--export {path}: the inertia behind a servo does not show, and '
+                             'load.mass is that: write .xml or .urdf')
         write_parameters(path, NODE, {'load.mass': found.inertia, 'load.damping': found.damping},
                          [origin, *found.notes.values()])
         row['unsaid'] += [text for field, text in found.notes.items() if field not in PARAMETERS]

@@ -1,6 +1,7 @@
 """A joint as a file for a simulator: MJCF of MuJoCo, URDF."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 from xml.etree import ElementTree as ET
@@ -175,7 +176,7 @@ def _add(parent: ET.Element, tag: str, values: Mapping[str, str | float]) -> Non
 
 def _comment(lines: Sequence[str]) -> Any:
     """Return lines as a comment, in which XML allows no two dashes."""
-    return ET.Comment('\n    ' + '\n    '.join(lines).replace('--', '- -') + '\n  ')
+    return ET.Comment('\n    ' + re.sub('-(?=-)', '- ', '\n    '.join(lines)) + '\n  ')
 
 
 def _document(root: ET.Element) -> str:

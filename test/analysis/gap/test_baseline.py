@@ -134,3 +134,9 @@ def test_parts_of_one_measured_recording_have_not_changed():
     run = emps('DATA_EMPS.mat')
     answer = asked(cut(run, 0.5, 0.6), cut(run, 0.3, 0.4))
     assert answer.baseline['change'] == 'none'
+
+
+def test_another_unit_than_that_of_the_healthy_recordings_is_refused():
+    amperes = replace(HEALTHY[0], information={'signals': PENDULUM['signals'] | {'command': 'A'}})
+    with pytest.raises(InputError, match='command is in A, in the healthy joint in Nm'):
+        asked(amperes, HEALTHY[0])

@@ -172,6 +172,16 @@ def test_a_loop_that_oscillates_only_while_it_is_moved_does_so_in_bursts():
     assert short.sustained is None and 'shorter than 2 periods' in short.reason
 
 
+def test_a_nonlinear_response_to_two_drives_is_no_oscillation_for_sure():
+    load = MOTION | {'load.velocity': 0.3}
+    run = Run(*simulate_loop(load, {
+        'gain': 0.5, 'reference.shape': 'sine', 'reference.amplitude': 200.0,
+        'reference.frequency': 5.0}, 6.0), information={'actuator': load})
+    found = oscillation(run)
+    assert found.sustained is not True and (
+        found.sustained is False or 'response to both' in found.reason)
+
+
 def test_noise_that_rings_is_not_in_bursts():
     random = np.random.default_rng(5)
     ringing = sosfiltfilt(butter(1, [0.034, 0.04], 'bandpass', output='sos'),

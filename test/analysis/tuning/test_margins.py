@@ -44,3 +44,14 @@ def test_schedule_gives_back_the_margin_that_the_motion_takes():
     for one, other in zip(plain[1:], held[1:], strict=True):
         assert one.gain == pytest.approx(other.gain * scheduled(one.velocity_m_s, half, least))
         assert one.gain == pytest.approx(plain[0].gain / moved_gain({}, one.velocity_m_s))
+
+
+def test_the_integrator_is_not_scheduled():
+    """At the crossing of the gain it then takes more of the phase."""
+    values = {'gain': 1.0, 'integrator.rate': 60.0}
+    still, = margins({}, values, 5000.0)[:1]
+    moved = margins({}, values | {'gain_schedule.velocity': 1e-6, 'gain_schedule.least': 0.2},
+                    5000.0)
+    assert moved[0] == still
+    scaled = margins({}, {'gain': 0.2, 'integrator.rate': 60.0}, 5000.0)
+    assert moved[1].phase_deg == pytest.approx(scaled[1].phase_deg, abs=0.1)
