@@ -19,6 +19,8 @@ from asi_analysis.terminal import Progress, silent
 
 COUPLING_RATE_HZ: Final = 25.0   # at which the joints are compared with each other
 COUPLED: Final = 0.2             # share of what is left of a joint that another explains
+SHIFTS: Final = 20               # times at which a motion is tried that it was not at
+CHANCE: Final = 1.1              # least of these times leave so many times the power
 
 
 class Rest(NamedTuple):
@@ -156,17 +158,24 @@ def _explained(rest: Rest, own: Run, other: Run) -> float:
     motions = [_motion(run, edges) for run in (own, other)]
     if any(motion is None for motion in motions):
         return 0.0
-    shapes = np.column_stack([np.ones(left.size), *(each for each in motions if each is not None)])
-    known = np.isfinite(left) & np.isfinite(shapes).all(axis=1)
-    if known.sum() < 2 * shapes.shape[1]:
+    alone, beside = np.column_stack([np.ones(left.size), motions[0]]), np.asarray(motions[1])
+    known = np.isfinite(left) & np.isfinite(alone).all(axis=1) & np.isfinite(beside).all(axis=1)
+    if known.sum() < 4 * (alone.shape[1] + beside.shape[1]):
         return 0.0
-    shapes, left = shapes[known], left[known]
-    shapes /= np.sqrt(np.mean(shapes ** 2, axis=0)) + 1e-300
+    alone, beside, left = alone[known], beside[known], left[known]
 
-    def power(columns: Array) -> float:
-        return float(np.mean((left - columns @ np.linalg.lstsq(columns, left)[0]) ** 2))
+    def power(*columns: Array) -> float:
+        shapes = np.column_stack(columns)
+        shapes /= np.sqrt(np.mean(shapes ** 2, axis=0)) + 1e-300
+        return float(np.mean((left - shapes @ np.linalg.lstsq(shapes, left)[0]) ** 2))
 
-    return (power(shapes[:, :4]) - power(shapes)) / max(float(np.var(left)), 1e-300)
+    # The same motion at another time explains as much as chance does.
+    found = power(alone, beside)
+    by_chance = min(power(alone, np.roll(beside, shift, axis=0))
+                    for shift in np.arange(1, SHIFTS) * len(left) // SHIFTS)
+    if by_chance < CHANCE * found:
+        return 0.0
+    return (power(alone) - found) / max(float(np.var(left)), 1e-300)
 
 
 def _motion(run: Run, edges: Array) -> Array | None:
