@@ -155,10 +155,10 @@ def _explained(rest: Rest, own: Run, other: Run) -> float:
     """Return the share of what is left that another joint's motion explains beyond the own."""
     edges = np.arange(rest.time_s[0], rest.time_s[-1], 1.0 / COUPLING_RATE_HZ)
     left = _means(rest.time_s, rest.left, edges)
-    motions = [_motion(run, edges) for run in (own, other)]
-    if any(motion is None for motion in motions):
+    mine, beside = _motion(own, edges), _motion(other, edges)
+    if mine is None or beside is None:
         return 0.0
-    alone, beside = np.column_stack([np.ones(left.size), motions[0]]), np.asarray(motions[1])
+    alone = np.column_stack([np.ones(left.size), mine])
     known = np.isfinite(left) & np.isfinite(alone).all(axis=1) & np.isfinite(beside).all(axis=1)
     if known.sum() < 4 * (alone.shape[1] + beside.shape[1]):
         return 0.0
