@@ -24,7 +24,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
 from asi_common.parameter_file import write_parameters
-from asi_examiner.cases import EFFECTS, Case, draw, excite
+from asi_examiner.cases import EFFECTS, ERROR, Case, draw, excite
 from asi_examiner.own import SMALLER, draw_own, truth
 from asi_examiner.plant import PERIOD_S, simulate
 
@@ -47,7 +47,7 @@ class Answer(NamedTuple):
     visibility: float       # in multiples of the noise
     sizes: dict[str, float]   # of effects that the diagnosis estimates, by its names and units
     rate_hz: float = 1000.0
-    also: tuple[str, ...] = ()   # small effects: naming one besides is not wrong
+    also: tuple[str, ...] = ()   # small effects, parameters: naming one besides is not wrong
 
 
 # Parameters of the plant with the same meaning in the diagnosis, and their names there.
@@ -133,21 +133,21 @@ def _write_new(run: Run, path: Path) -> None:
 
 
 def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str,
-           recordings: int) -> Answer:
+           recordings: int, error: float) -> Answer:
     if world == 'own':
         return write_own(seed, out, number, recordings)
-    return write_case(draw(seed, world, load), out, number, signals, recordings)
+    return write_case(draw(seed, world, load, error=error), out, number, signals, recordings)
 
 
 def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load: str = 'spring',
-                signals: str = 'all', recordings: int = 1) -> Iterator[int]:
+                signals: str = 'all', recordings: int = 1, error: float = ERROR) -> Iterator[int]:
     """
     Write `count` cases with seeds from `seed` on into a directory; yields the number written.
 
     An incomplete directory of the same call is completed; raises InputError for any other.
     """
     arguments = {'count': count, 'seed': seed, 'world': world, 'load': load,
-                 'signals': signals, 'recordings': recordings}
+                 'signals': signals, 'recordings': recordings, 'error': error}
     call, index, sealed = out / 'examiner.json', out / 'cases.json', out / 'answers.sealed'
     if not out.exists():
         out.mkdir(parents=True)
@@ -157,7 +157,8 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
                          'argument to check it again')
     answers = _unsealed(sealed) if sealed.exists() else {}
     first = len(answers)
-    written = each(_write, ((out, number, seed + number, world, load, signals, recordings)
+    written = each(_write, ((out, number, seed + number, world, load, signals, recordings,
+                                     error)
                             for number in range(first, count)))
     for number, answer in enumerate(written, first):
         answers[f'case_{number:04d}'] = answer._asdict()

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 Values = dict[str, float]
 
 DURATION_S = 10.0
-ERROR = 0.2
+ERROR = 0.2   # of a nominal parameter, at most: the tolerance of the diagnosis
 VISIBLE, INVISIBLE = 2.0, 0.5
 NOISE = np.array([1.0, 2e-8, 1e-6, 5e-4])   # N, m, m, m/s
 SMALL_EFFECTS = 3   # number of additional undetectable effects of a foreign case
@@ -96,6 +96,16 @@ MAY_BE_SMALL = ('transport_delay', 'valve_hysteresis', 'valve_deadband', 'valve_
             'position_gain', 'cubic_spring', 'fading_gain')
 
 
+# Effects that are the same as a nominal parameter of another value, beside the parameter itself.
+SAME = {'coil': ('valve_lag',), 'pipe': ('valve_lag',), 'pipe_damping': ('valve_lag',),
+        'delay': ('transport_delay',), 'damping': ('hydraulic_damping',),
+        'maximum_force': ('supply_pressure',), 'base_hysteresis': ('valve_hysteresis',),
+        'base_lag': ('valve_hysteresis',), 'base_coulomb': ('coulomb_friction',),
+        'base_push': ('stiction',), 'base_pull': ('stiction',), 'sensor_corner': ('sensor_lag',),
+        'sensor_delay': ('sensor_lag',), 'family_force': ('hydraulic_damping',),
+        'family_velocity': ('hydraulic_damping',)}
+
+
 class Case(NamedTuple):
     """One blind case: the recording and the true answer."""
 
@@ -112,7 +122,8 @@ class Case(NamedTuple):
     reference: Array
     bench: Bench
     recording: Array              # 5 x n
-    small: tuple[str, ...] = ()   # effects that are there too, at a fiftieth of their size
+    # What is there too: effects at a fiftieth of their size, parameters beyond the tolerance.
+    small: tuple[str, ...] = ()
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -273,8 +284,13 @@ def scaled_down(effect: Values) -> Values:
 
 
 def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | None = None,
-         effects: tuple[str, ...] | None = None, excitation: str | None = None) -> Case:
-    """Return the case of a seed; arguments that are not given are drawn."""
+         effects: tuple[str, ...] | None = None, excitation: str | None = None,
+         error: float = ERROR) -> Case:
+    """
+    Return the case of a seed; arguments that are not given are drawn.
+
+    error: of the nominal parameters, at most; beyond ERROR it is part of the answer.
+    """
     rng, world_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 13])
     excitation = excitation or EXCITATIONS[rng.choice(5, p=[0.3, 0.25, 0.2, 0.15, 0.1])]
     kind = kind or str(rng.choice(['effect', 'pair', 'none', 'small', 'outside'],
@@ -291,7 +307,7 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
     nominal: dict[str, Any] = dict(names.values())
     nominal |= {'load.type': load} | (
         TEXTBOOK_MODEL if model == 'textbook' else FULL_MODEL)
-    true = {key: value * (1.0 + ERROR * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
+    true = {key: value * (1.0 + error * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
     true['friction_inside'] = float(rng.random() < 0.5) if model == 'textbook' else 1.0
     true['saturates'] = true['family'] = float(model == 'full')
     believed = {key: value for key, (_, value) in names.items()}
@@ -307,6 +323,9 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
                       if world == 'foreign' else ()))
     for name in small:
         true |= scaled_down(draw_effect(name, world_rng, size, 'textbook'))
+    small += tuple(cause for key, (name, value) in names.items()
+                   if abs(true[key] / value - 1.0) > ERROR
+                   for cause in (f'parameter:{name}', *SAME.get(key, ())))
     without = plant(true)
 
     for _ in range(30):

@@ -141,6 +141,9 @@ def gap_check(
             help='What new cases record')] = 'all',
     recordings: Annotated[int, typer.Option(
         min=1, max=20, help='Recordings of each machine, diagnosed together')] = 1,
+    error: Annotated[float, typer.Option(
+        min=0.0, max=0.9, help='Error of the nominal parameters of new cases, at most; the '
+        'diagnosis allows 0.2, and one beyond is an answer')] = 0.2,
     jobs: Jobs = 2,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -156,7 +159,8 @@ def gap_check(
         if directory is None:
             from asi_examiner.bags import write_cases
             progress(f'0 of {cases} cases written', 0.0)
-            for done in write_cases(out, cases, seed, world, load, signals, recordings):
+            for done in write_cases(out, cases, seed, world, load, signals, recordings,
+                                    error):
                 progress(f'{done} of {cases} cases written', done / cases)
         result = check(directory or out, progress)
     show(result, as_json)

@@ -19,7 +19,7 @@ from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.prepare import Array, Recording
 
 LEAST_SPREAD: Final = 1e-3    # of a parameter: less is not told apart
 # Times the range, in which 95 % lie: of some twenty parameters all do.
@@ -114,11 +114,15 @@ def _alone(fitted: Fitted, recording: Recording) -> Values:
            if free.field.partition('@')[0] not in OF_A_RECORDING
            or int(free.field.partition('@')[2] or 1) == recording.number + 1]
     free, theta = tuple(problem.free[n] for n in own), fitted.theta[own]
-    group = replace(problem.group, recordings=[recording])
+    return _anew(problem, replace(problem.group, recordings=[recording]), free, theta)
+
+
+def _anew(problem: Problem, group: Group, free: tuple[Free, ...], start: Array) -> Values:
+    """Return free parameters, by field, fitted as in a problem to a group of one recording."""
     if not isinstance(problem, Posterior):
-        return fit(group, free, [theta], problem.fixed).values
+        return fit(group, free, [start], problem.fixed).values
     single = replace(problem, group=group, free=free)
-    record = single.record(most_probable(single, theta).theta)
+    record = single.record(most_probable(single, start).theta)
     return {each.field: float(record[each.field]) for each in free}
 
 
@@ -227,11 +231,10 @@ def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy)
     free = tuple(fitted.free[number] for number in own)
     for recording in healthy.fitted.problem.group.recordings:
         alone = replace(group, recordings=[replace(recording, number=0, cache={})])
-        problem = Problem(alone, free, fitted.problem.fixed)
         start = fitted.theta[own]
         at = [each.field for each in free].index(field)
-        start[at] = min(max(problem.parameter(free[at]).share(usual), 0.001), 0.999)
-        found = fit(alone, free, [start], fitted.problem.fixed)
-        if size and (found.values[field] - usual) / size >= as_large:
+        start[at] = min(max(fitted.problem.parameter(free[at]).share(usual), 0.001), 0.999)
+        found = _anew(fitted.problem, alone, free, start)
+        if size and (found[field] - usual) / size >= as_large:
             return True
     return False

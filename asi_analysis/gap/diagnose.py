@@ -246,8 +246,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             else:
                 plausibility.check_joint(group)
         weighed = weigh_groups(groups, tick)
-        if machine:
-            weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
+    if machine:
+        weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,

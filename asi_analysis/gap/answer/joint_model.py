@@ -1,6 +1,6 @@
 """A joint as plain numbers, as a simulator takes them: `joint_model` of a diagnosis."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -12,6 +12,7 @@ from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
+from asi_analysis.gap.model.joint import RIGID_ERROR
 from asi_analysis.gap.prepare import Array
 from asi_analysis.gap.words import (
     SIZES,
@@ -100,7 +101,7 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
     if servo:
         found = _followed(groups['valve'], records['valve'], run)
     else:
-        found = _moved(groups['load'], records['load'], run)
+        found = _moved(groups['load'], records['load'], diagnosis.runs)
         if 'valve' in records:
             found = _driven(found, records['valve'])
     if UNKNOWN in diagnosis.verdict and not nominal:
@@ -108,12 +109,13 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
     return found._replace(notes={**notes, **found.notes}, unsaid=(*unsaid, *found.unsaid))
 
 
-def _moved(weighed: Weighed, p: np.void, run: Run) -> JointModel:
+def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     """Return a joint that is moved by a force."""
+    run = runs[0]
     recording = weighed.group.recordings[0]
     taken, motion = recording.taken, recording.motion
     assert motion is not None
-    origin = 0.0 if run.position_m is None else float(np.nanmean(run.position_m))
+    origin = _origin(run)
     unit = run.unit('position' if run.position_m is not None else 'velocity')
     level = float(p['friction_level'])
     # Friction level (sign(v) + asymmetry) is even friction and a constant force.
@@ -134,22 +136,31 @@ def _moved(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     if 'constant' in taken:
         notes['constant'] = (f'beside the constant load {digits(taken["constant"], force)} (no '
                              'interval)')
-    loads = [r.taken.get('constant', 0.0) + float(p[of_recording('load_offset', r.number)])
-             for r in weighed.group.recordings]
-    others = {digits(r.taken.get('constant', 0.0), force) for r in weighed.group.recordings
-              if r.taken.get('constant') != taken.get('constant')}
+    # Each recording has its own origin, the same spring acts on all.
+    spring = float(p['load_stiffness'])
+    constants = [r.taken.get('constant', 0.0) + float(p[of_recording('load_offset', r.number)])
+             - spring * _origin(each) for each, r in zip(runs, weighed.group.recordings,
+                                                         strict=True)]
+    loads = [each - constants[0] for each in constants]
+    pushed = _most(run.signal(driving))
     mass, damping = float(p['load_mass']), float(p['load_damping'] + p['viscous'])
     if mass < damping * recording.period_s:
         mass = damping * recording.period_s
         notes['too_small'] = 'the inertia is too small to show: that of a sample is taken'
     return JointModel(
-        unit.startswith('rad'), mass, damping, level, float(p['load_stiffness']), origin, sine,
+        unit.startswith('rad'), mass, damping, level, spring, origin, sine,
         cosine, bias=-constant, delay_s=delay, lag_s=float(p['drive_lag']),
         period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
-        seen_push=_most(run.signal(driving)),
+        seen_push=pushed,
         seen_speed=_most(motion.velocity), notes=notes, unit=force,
-        loads=tuple(each - loads[0] for each in loads),
-        unsaid=tuple(f'constant load of another recording, {each}' for each in sorted(others)))
+        loads=tuple(loads),
+        unsaid=tuple(f'constant load of recording {number}, {digits(each, force)} more'
+                     for number, each in enumerate(loads, 1) if abs(each) > RIGID_ERROR * pushed))
+
+
+def _origin(run: Run) -> float:
+    """Return the position from which the fit counts that of a recording."""
+    return 0.0 if run.position_m is None else float(np.nanmean(run.position_m))
 
 
 def _driven(moved: JointModel, p: np.void) -> JointModel:
@@ -270,5 +281,6 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
 
 
 NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
+                'load_stiffness': 'stiffness',
                 'load_offset': 'constant load',
                 'valve_characteristic_gain': 'gain'}

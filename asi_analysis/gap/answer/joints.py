@@ -60,6 +60,8 @@ def _row(joint: Mapping[str, Any]) -> list[str]:
     if answer['baseline']:
         change = answer['baseline']['change']
         words = {'none': 'no change', 'cannot_tell': f'uncertain: {words}'}.get(change, words)
+    if not answer['reliable']:
+        words += ' (doubtful samples)'
     sizes: list[str] = []
     known: list[str] = []   # told with another effect
     for row in answer['which']:
@@ -86,8 +88,9 @@ def diagnose_joints(recordings: Mapping[str, Sequence[Run]],
     work = [(runs, options | {'baseline': (baseline or {}).get(joint, ()),
                               'held_out': (held_out or {}).get(joint, ())},
              report and report / joint) for joint, runs in recordings.items()]
-    for joint in recordings.keys() - (baseline or recordings).keys():
-        raise InputError(f'{joint}: no healthy recording of this joint')
+    for kind, others in (('healthy', baseline), ('held-out', held_out)):
+        for joint in sorted(recordings.keys() - (others or recordings).keys()):
+            raise InputError(f'{joint}: no {kind} recording of this joint')
     rows, rests = [], {}
     for number, (joint, (answer, error, left)) in enumerate(zip(
             recordings, parallel.each(_diagnosed, work), strict=True)):

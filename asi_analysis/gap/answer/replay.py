@@ -39,11 +39,12 @@ def replay_error(diagnosis: Diagnosis, model: JointModel, xml: str) -> float:
     engine = mujoco.MjModel.from_xml_string(xml)
     missed = moved = 0.0
     recordings = diagnosis.groups[-1].group.recordings
+    driven = diagnosis.groups[0].group.channels[0] == 'valve'   # the drive makes the force
     loads = model.loads or (0.0,) * len(recordings)
     for run, recording, load in zip(diagnosis.runs, recordings, loads, strict=True):
         if not recording.report.any():
             continue
-        played = _played(run, recording, servo=model.kp > 0.0)
+        played = _played(run, recording, model.kp > 0.0, driven)
         before = math.ceil((model.delay_s + LAGS * model.lag_s) / played.period_s)
         for piece in played.pieces:
             error = (_simulated(engine, played, piece, before, load) - played.position[piece])
@@ -55,8 +56,12 @@ def replay_error(diagnosis: Diagnosis, model: JointModel, xml: str) -> float:
     return math.sqrt(missed / moved) if moved else math.nan
 
 
-def _played(run: Run, recording: Recording, servo: bool) -> Played:
-    """Return what is played of a recording; of a servo all of it, else the report's pieces."""
+def _played(run: Run, recording: Recording, servo: bool, driven: bool) -> Played:
+    """
+    Return what is played of a recording; of a servo all of it, else the report's pieces.
+
+    driven: the command is that of a drive; else the force is played.
+    """
     times = run.time_s[0] + recording.time_s
     if servo:
         position = _at(times, run, 'position')
@@ -67,7 +72,7 @@ def _played(run: Run, recording: Recording, servo: bool) -> Played:
     inner = slice(motion.pad, motion.pad + recording.fit.size)
     origin = 0.0 if run.position_m is None else float(np.nanmean(run.position_m))
     position = motion.position[inner] + origin
-    if run.command_n is not None and run.force_n is not None:
+    if driven:
         command = _held(times, run, 'command')
     else:
         taken = recording.taken

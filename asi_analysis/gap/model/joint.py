@@ -2,8 +2,8 @@
 A rigid joint or drive as nominal model, in the block language of the actuator.
 
 Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
-friction, a constant offset and, if it turns, gravity, identified from the recording where no
-values are given. Commanded by its position: an ideal servo, or one of second order (`servo.py`).
+friction, a constant offset and, where the recording needs them, a spring and, if it turns, gravity,
+identified from the recording where no values are given. Commanded by its position: an ideal servo, or one of second order (`servo.py`).
 Where command and force are both measured, the drive between them is an ideal servo too. A joint
 that turns has rad, N m, kg m2 in place of m, N, kg.
 """
@@ -32,7 +32,7 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
                            'valve_characteristic.maximum_force': 1.0,
                            'valve_characteristic.full_opening': 0.01}
 # Parameters with another range than the actuator's: the inertia of a joint may be very small.
-OF_ANY_SIZE = frozenset(('load.mass', 'load.damping'))
+OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
 SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
 # General model error, share of a signal: a rigid model of gears, belts and cables,
 RIGID_ERROR = 0.02
@@ -42,8 +42,8 @@ BIASED = 0.5        # of the standard deviation of a force: a larger mean is rem
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
-# Gravity: share of the power left without it, below which it is taken off; speed, in standard
-# deviations, from which friction is full; least singular value that is told from rounding.
+# Gravity and spring: share of the power left without them, below which they are there; speed, in
+# standard deviations, from which friction is full; least singular value told from rounding.
 LEFT_WITHOUT = 0.7
 CREEP = 0.05
 LIKE = 1e-6
@@ -89,7 +89,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     """
     Return the groups of channels that a joint has, and notes.
 
-    healthy: recordings that servo, gravity and mean force are identified on; none: `runs`.
+    healthy: recordings that servo, gravity, spring and mean force are identified on; none: `runs`.
     """
     recordings = prepare(runs, drive, held_out)
     of = prepare(healthy, drive) if healthy else recordings
@@ -99,9 +99,12 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
     turns = _turns(recordings, runs)
-    gravity = gravity_of(of, healthy or runs)
-    recordings, notes = without_gravity(recordings, runs, gravity)
-    of = without_gravity(of, healthy, gravity)[0] if healthy else recordings
+    stiffness = given.get('load.stiffness')
+    found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness))
+    recordings, notes = without_gravity(recordings, runs, found)
+    of = without_gravity(of, healthy, found)[0] if healthy else recordings
+    recordings, of = (_from_one_origin(each, which, found.stiffness)
+                      for each, which in ((recordings, runs), (of, healthy or runs)))
     recordings, more = _without_bias(recordings, of)
     if turns:
         recordings = [replace(r, taken={**r.taken, 'middle': float(np.nanmean(
@@ -111,7 +114,8 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
-    mechanics = _mechanics(recordings, given, tolerance, force_measured, turns and bool(healthy))
+    mechanics = _mechanics(recordings, given, tolerance, force_measured, turns and bool(healthy),
+                           bool(found.stiffness) and not found.given)
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
@@ -164,24 +168,25 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
-               force_measured: bool, weighs: bool) -> Group:
+               force_measured: bool, weighs: bool, springs: bool) -> Group:
     """
     Return the group that compares the force with what the motion takes.
 
-    weighs: its gravity may have changed.
+    weighs: its gravity may have changed; springs: it has a spring whose stiffness is not given.
     """
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
                             'load.stiffness': 0.0, **rest})
     for name in OF_ANY_SIZE & given.keys():
         nominal[name.replace('.', '_')] = given[name]
-    identified, typical = _identified(recordings)
+    identified, typical = _identified(recordings, float(nominal['load_stiffness']), springs)
     nuisance = []
-    for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping')):
+    for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping'),
+                        ('load.stiffness', 'load_stiffness')):
         if name in given:
             if nominal[field] > 0.0:   # a share of nothing is nothing
                 nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
-        else:
+        elif field in identified:
             # Identified without friction; the true value may be far off.
             value = identified[field]
             nominal[field] = value
@@ -244,12 +249,20 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     return tuple(effects)
 
 
-class Gravity(NamedTuple):
-    """Torque sine * sin q + cosine * cos q, N m; left: share of the power that is left with it."""
+class ByPosition(NamedTuple):
+    """
+    What a joint's position makes: gravity, sine * sin q + cosine * cos q (N m), and a spring.
 
-    sine: float
-    cosine: float
-    left: float
+    given: the stiffness (N/m or N m/rad) was. left: share of the power that is left with them;
+    alike: another choice leaves about as little.
+    """
+
+    sine: float = 0.0
+    cosine: float = 0.0
+    stiffness: float = 0.0
+    given: bool = False
+    left: float = 1.0
+    alike: bool = False
 
 
 def _turns(recordings: Sequence[Recording], runs: Sequence[Run]) -> bool:
@@ -259,57 +272,99 @@ def _turns(recordings: Sequence[Recording], runs: Sequence[Run]) -> bool:
                    for run, r in zip(runs, recordings, strict=True))
 
 
-def gravity_of(recordings: Sequence[Recording], runs: Sequence[Run]) -> Gravity | None:
+def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
+                stiffness: float | None = None) -> ByPosition:
     """
-    Return the gravity of a joint that turns; None if it needs none.
+    Return the gravity of a joint that turns, and the spring of any.
 
-    Gravity is a sin q + b cos q, linear in a and b, which are identified together with inertia,
-    damping, friction and offset, by least squares on the fitted parts. It is there if the
-    held-out parts need it: they then have less than LEFT_WITHOUT of their residual power.
+    stiffness: of the spring, if that is given. Gravity is a sin q + b cos q, a spring c q; a, b
+    and c are identified together with inertia, damping, friction and offset, by least squares on
+    the fitted parts. They are there if the held-out parts need them: without, these have a
+    residual power so large that it falls below LEFT_WITHOUT of it.
     """
-    if not _turns(recordings, runs):
-        return None
+    turns = _turns(recordings, runs)
+    if any(run.position_m is None or r.force_judged is None or r.motion is None
+           for run, r in zip(runs, recordings, strict=True)):
+        return ByPosition(stiffness=stiffness or 0.0, given=stiffness is not None)
     shapes = [_shapes(r, float(np.nanmean(run.signal('position'))))
               for run, r in zip(runs, recordings, strict=True)]
 
-    def stacked(part: str, count: int) -> tuple[Array, Array]:
-        return (np.vstack([s[getattr(r, part), :count] for s, r in
-                           zip(shapes, recordings, strict=True)]),
-                np.concatenate([r.force_judged[getattr(r, part)] for r in recordings
-                                if r.force_judged is not None]))
+    def stacked(part: str, chosen: Sequence[int]) -> tuple[Array, Array]:
+        columns, forces = [], []
+        for s, r in zip(shapes, recordings, strict=True):
+            assert r.force_judged is not None
+            here, force = getattr(r, part), r.force_judged - (stiffness or 0.0) * s[:, -1]
+            # Each recording of a joint that does not turn may have a constant force of its own.
+            usual = s[r.fit].mean(axis=0) if not turns and r.fit.any() else 0.0 * s[0]
+            columns.append((s - usual)[np.ix_(here, chosen)])
+            forces.append(force[here] - (force[r.fit].mean() if usual.any() else 0.0))
+        return np.vstack(columns), np.concatenate(forces)
 
-    left, found = [], np.zeros(0)
-    for count in (5, 7):       # without gravity and with it
-        columns, force = stacked('fit', count)
+    # The simplest first: nothing, gravity, a spring, both.
+    unknown = stiffness is None
+    choices = [((), True), ((5, 6), turns), ((7,), unknown), ((5, 6, 7), turns and unknown)]
+    always = [*range(5), *[7] * (not unknown)]   # a stiffness that was given may be a little off
+    found: dict[tuple[int, ...], tuple[float, Array]] = {}
+    for more in [more for more, possible in choices if possible]:
+        columns, force = stacked('fit', [*always, *more])
         size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
-        found = np.linalg.lstsq(columns / size, force, rcond=LIKE)[0] / size
-        columns, force = stacked('held_out', count)
-        left.append(float(np.mean((force - columns @ found) ** 2)) if len(force) else np.nan)
-    if not left[1] < LEFT_WITHOUT * left[0]:
-        return None
-    return Gravity(float(found[5]), float(found[6]), left[1] / left[0])
+        values = np.linalg.lstsq(columns / size, force, rcond=LIKE)[0] / size
+        columns, force = stacked('held_out', [*always, *more])
+        left = float(np.mean((force - columns @ values) ** 2)) if len(force) else np.nan
+        if more == () or left == left and (7 not in more or values[-1] > 0.0):
+            found[more] = left, values
+    least = min(left for left, _ in found.values())
+    close = [more for more, (left, _) in found.items() if not least < LEFT_WITHOUT * left]
+    left, values = found[close[0]]
+    sine, cosine = values[-2 - (7 in close[0]):][:2] if 5 in close[0] else (0.0, 0.0)
+    spring = stiffness or (float(values[-1]) if 7 in close[0] else 0.0)
+    return ByPosition(float(sine), float(cosine), spring, not unknown,
+                      left / found[()][0] if close[0] else 1.0, len(close) > 1)
 
 
-def without_gravity(recordings: list[Recording], runs: Sequence[Run], gravity: Gravity | None
+def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByPosition
                     ) -> tuple[list[Recording], list[str]]:
-    """Return recordings of a joint without this gravity, and notes."""
-    if gravity is None:
-        return recordings, []
+    """Return recordings of a joint without its gravity, and notes of that and of a spring."""
+    leaves = (f'leaves {100.0 * found.left:.2g} % of what inertia, damping and friction leave')
+    notes = [f'a spring holds the joint: it {leaves}'] * bool(
+        found.stiffness and not found.given)
+    if not found.sine and not found.cosine:
+        return recordings, notes
     taken = []
     for run, r in zip(runs, recordings, strict=True):
         if run.position_m is None or r.motion is None or r.force is None or r.force_judged is None:
             raise InputError(f'{run.source}: without the position the gravity of the joint '
                              'cannot be taken off')
         angle = _angle(r, float(np.nanmean(run.signal('position'))))
-        torque = (gravity.sine * np.sin(angle) + gravity.cosine * np.cos(angle))[_inner(r)]
+        torque = (found.sine * np.sin(angle) + found.cosine * np.cos(angle))[_inner(r)]
         taken.append(replace(r, force=r.force - torque,
                              force_judged=r.force_judged - judged(torque, r.motion),
-                             taken={'gravity_sine': gravity.sine,
-                                    'gravity_cosine': gravity.cosine}))
-    zero = np.degrees(np.arctan2(-gravity.cosine, gravity.sine))
-    return taken, [f'gravity is taken off: {np.hypot(*gravity[:2]):.4g} Nm times the sine of the '
-                   f'position less {zero:.3g} degrees; it leaves {100.0 * gravity.left:.2g} % of '
-                   'what inertia, damping and friction leave']
+                             taken={'gravity_sine': found.sine,
+                                    'gravity_cosine': found.cosine}))
+    zero = np.degrees(np.arctan2(-found.cosine, found.sine))
+    size = np.hypot(found.sine, found.cosine)
+    return taken, [f'gravity is taken off: {size:.4g} Nm times the sine of the position less '
+                   f'{zero:.3g} degrees; it {leaves}'
+                   + ('; a spring in its place would leave about as little' if found.alike
+                      and not found.stiffness else ''), *notes]
+
+
+def _from_one_origin(recordings: Sequence[Recording], runs: Sequence[Run], stiffness: float
+                     ) -> list[Recording]:
+    """
+    Return recordings whose spring is counted from the middle of the first one's motion.
+
+    The fit counts each position from its own middle.
+    """
+    if not stiffness:
+        return list(recordings)
+    middles = [float(np.nanmean(run.signal('position'))) if run.position_m is not None else 0.0
+               for run in runs]
+    return [r if r.force is None or r.force_judged is None or middle == middles[0] else
+            replace(r, force=r.force - more, force_judged=r.force_judged - more,
+                    taken={**r.taken, 'constant': more})
+            for r, middle in zip(recordings, middles, strict=True)
+            for more in [stiffness * (middle - middles[0])]]
 
 
 def _inner(recording: Recording) -> slice:
@@ -326,7 +381,7 @@ def _angle(recording: Recording, middle: float) -> Array:
 
 def _shapes(recording: Recording, middle: float) -> Array:
     """
-    Return rate of the force, acceleration, velocity, direction of motion, 1, sine and cosine.
+    Return rate of force, acceleration, velocity, its direction, 1, sine, cosine, position.
 
     The rate of the force makes a short delay or lag of it, which would else bias the gravity.
     """
@@ -334,7 +389,7 @@ def _shapes(recording: Recording, middle: float) -> Array:
     assert motion is not None and recording.force_judged is not None
     angle, slow = _angle(recording, middle), CREEP * float(motion.velocity.std()) + 1e-30
     columns = (motion.acceleration, motion.velocity, np.tanh(motion.velocity / slow),
-               np.ones_like(angle), np.sin(angle), np.cos(angle))
+               np.ones_like(angle), np.sin(angle), np.cos(angle), angle)
     rate = np.gradient(recording.force_judged, recording.period_s)
     return np.column_stack([rate, *(judged(each[inner], motion) for each in columns)])
 
@@ -356,18 +411,20 @@ def _without_bias(recordings: list[Recording], of: Sequence[Recording]
     similar = max(common) - min(common) < 2.0 * deviation
     taken = [float(np.mean(common))] * len(recordings) if similar else means(recordings)
     shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean,
-                       taken={**r.taken, 'constant': mean})
+                       taken={**r.taken, 'constant': r.taken.get('constant', 0.0) + mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
     return shifted, ['a constant force is taken off, load_offset counts from there: '
                      + ', '.join(f'{mean:.4g}' for mean in dict.fromkeys(taken))]
 
 
-def _identified(recordings: Sequence[Recording]) -> tuple[dict[str, float], dict[str, float]]:
+def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
+                ) -> tuple[dict[str, float], dict[str, float]]:
     """
     Return mass, damping and offset by least squares on the fitted parts, none below zero.
 
-    And the values of each with which it would make the whole force by itself.
+    And the values of each with which it would make the whole force by itself. stiffness: that is
+    given; springs: one is identified too.
     """
     rows, right = [], []
     for recording in recordings:
@@ -375,16 +432,18 @@ def _identified(recordings: Sequence[Recording]) -> tuple[dict[str, float], dict
         if motion is None or force is None:
             raise InputError(f'{recording.source}: a joint that is driven by a force needs its '
                              'force (or command) and its position or velocity')
-        count = motion.velocity.size
-        inner = slice(motion.pad, motion.pad + recording.fit.size)
+        count, inner = motion.velocity.size, _inner(recording)
         columns = [np.fft.irfft(motion.velocity_spectrum * factor * motion.judge, count)[inner]
                    for factor in (1j * motion.omega, 1.0)]
-        rows.append(np.column_stack([*columns, np.ones(recording.fit.size)])[recording.fit])
-        right.append(force[recording.fit])
+        position = judged(motion.position[inner], motion)
+        columns += [position] * springs + [np.ones(recording.fit.size)]
+        rows.append(np.column_stack(columns)[recording.fit])
+        right.append((force - stiffness * position)[recording.fit])
     matrix, force = np.concatenate(rows), np.concatenate(right)
     size = np.sqrt(np.mean(matrix ** 2, axis=0)) + 1e-30
-    solution = lsq_linear(matrix / size, force, ([0.0, 0.0, -np.inf], np.inf)).x / size
-    names = ('load_mass', 'load_damping', 'load_offset')
+    least = [0.0] * (matrix.shape[1] - 1) + [-np.inf]
+    solution = lsq_linear(matrix / size, force, (least, np.inf)).x / size
+    names = ('load_mass', 'load_damping', *['load_stiffness'] * springs, 'load_offset')
     strength: Array = float(force.std()) / size
     return (dict(zip(names, map(float, solution), strict=True)),
             dict(zip(names, map(float, strength), strict=True)))

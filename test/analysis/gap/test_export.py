@@ -11,10 +11,10 @@ from test_gap_joint import (
     DAMPING,
     INERTIA,
     RATE_HZ,
-    STAIRS,
     TIME_S,
-    _servo,
     joint,
+    servo,
+    sprung,
 )
 
 from asi_analysis import cli
@@ -35,17 +35,6 @@ FRICTION, GRAVITY = 0.15, 1.0      # N m
 def arm():
     """Return the diagnosis of a joint with gravity whose friction slides almost at once."""
     return diagnose([joint(friction=FRICTION, gravity=GRAVITY, bristle_rad=1e-4)], plant='joint')
-
-
-def followed(late: int = 0, rate: float = 1e9, acceleration: float = 1e9):
-    """Return the diagnosis of a servo of second order, `late` samples of 5 ms late."""
-    position = np.empty(STAIRS.size)
-    _servo(STAIRS, 40.0, 0.6, rate, acceleration, position)
-    noise = np.random.default_rng(2).normal(0.0, 1e-3, STAIRS.size)
-    run = Run(0.005 * np.arange(STAIRS.size), reference_n=STAIRS,
-              position_m=np.roll(position, late) + noise, source='servo',
-              information={'signals': {'reference': 'rad', 'position': 'rad'}})
-    return diagnose([run], plant='joint')
 
 
 def exported(gap, tmp_path):
@@ -102,15 +91,25 @@ def test_a_delay_and_a_drive_between_command_and_force(tmp_path):
 
 
 @needs_mujoco
+def test_one_spring_holds_the_joint_in_recordings_about_other_positions(tmp_path):
+    runs = [sprung(middle, seed) for seed, middle in enumerate((0.7, -0.5))]
+    row, text = exported(diagnose(runs, plant='joint'), tmp_path)
+    assert row['before_nrmse'] < 0.05 and row['after_nrmse'] < 0.05
+    assert float(ET.fromstring(text).find('worldbody/body/joint').get('stiffness')) == (
+        pytest.approx(2.0, rel=0.01))
+    assert row['unsaid'] == []
+
+
+@needs_mujoco
 def test_servos_follow_in_mujoco_as_they_did(tmp_path):
-    row, text = exported(followed(late=8), tmp_path)
+    row, text = exported(diagnose([servo(late=8)], plant='joint'), tmp_path)
     assert row['after_nrmse'] < 0.005 < 0.2 < row['before_nrmse']
     kp, kv = (-float(each) for each in
               ET.fromstring(text).find('actuator/general').get('biasprm').split()[1:])
     assert kp == pytest.approx(40.0 ** 2, rel=0.03)
     assert kv == pytest.approx(2.0 * 0.6 * 40.0, rel=0.03)
     # A largest speed is a largest push against a damping, which no acceleration limits.
-    row, _ = exported(followed(rate=3.0, acceleration=60.0), tmp_path)
+    row, _ = exported(diagnose([servo(rate=3.0, acceleration=60.0)], plant='joint'), tmp_path)
     assert row['after_nrmse'] < 0.02
     assert 'acceleration of the servo, at most 59' in row['unsaid'][0]
 

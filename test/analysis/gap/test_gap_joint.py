@@ -1,5 +1,6 @@
 """Joints that turn, simulated by other equations than the diagnosis: LuGre friction, a hold."""
 
+import contextlib
 import dataclasses
 import math
 import re
@@ -15,7 +16,7 @@ from asi_analysis.gap.answer import report
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
-from asi_analysis.gap.model.joint import gravity_of
+from asi_analysis.gap.model.joint import ByPosition, by_position
 from asi_analysis.gap.prepare import prepare
 
 RATE_HZ, SUB_STEPS = 500.0, 40
@@ -139,7 +140,38 @@ def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(frictio
 def test_no_gravity_is_found_where_there_is_none(changed, course):
     run = joint(**changed, course=course)
     recordings = prepare([run], 'force')
-    assert gravity_of(recordings, [run]) is None
+    assert by_position(recordings, [run])[:3] == ByPosition()[:3]
+
+
+def sprung(middle: float = 0.0, seed: int = 0, friction: float = 0.1, unit: str = 'rad') -> Run:
+    """Return a joint on a spring of 2 N m/rad that moves about a position, in four waves."""
+    rng = np.random.default_rng(seed)
+    phase = rng.random(4)[:, None]
+    pulsation = 2.0 * np.pi * np.array([0.4, 1.1, 2.3, 4.9])[:, None]
+    wave = 0.2 * np.exp(1j * (pulsation * TIME_S + 2.0 * np.pi * phase))
+    angle, speed, change = ((wave * (1j * pulsation) ** n).sum(axis=0).real for n in range(3))
+    angle += middle
+    torque = (INERTIA * change + DAMPING * speed + 2.0 * angle + friction * np.tanh(100.0 * speed)
+              + 0.005 * rng.standard_normal(TIME_S.size))
+    return Run(TIME_S, command_n=torque, source='sprung',
+               position_m=angle + 1e-5 * rng.standard_normal(TIME_S.size), information={
+                   'signals': {'position': unit, 'command': 'Nm' if unit == 'rad' else 'N'}})
+
+
+@pytest.mark.parametrize(('unit', 'middles', 'given'), [
+    ('rad', (0.0,), {}), ('m', (0.3,), {}), ('rad', (0.7, -0.5), {}), ('m', (0.0, 1.0), {}),
+    ('rad', (0.0, 1.0), {'load.stiffness': 2.2})])
+@pytest.mark.filterwarnings('ignore:.*constant force is taken off')
+def test_a_spring_is_of_the_nominal_joint_and_friction_is_found_beside_it(unit, middles, given):
+    runs = [sprung(middle, seed, 0.2, unit) for seed, middle in enumerate(middles)]
+    with pytest.warns(InputWarning, match='spring') if not given else contextlib.nullcontext():
+        answer = document(diagnose(runs, given, 'joint'))
+    assert 'coulomb_friction' in answer['ambiguity_set'] and answer['unknown_probability'] < 0.1
+    assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.2, rel=0.05)
+    found = answer['nuisance']['load']
+    assert found['load_stiffness'] == pytest.approx(2.0, rel=0.01)
+    assert found['load_mass'] == pytest.approx(INERTIA, rel=0.01)
+    assert answer['gap']['before_nrmse'] < (0.2 if given else 0.1)
 
 
 @pytest.mark.parametrize(('changed', 'perhaps'), [
@@ -203,15 +235,20 @@ def _servo(reference, pulsation, damping, rate, acceleration, out):
             position += step * speed
 
 
-@pytest.mark.parametrize(('rate', 'acceleration', 'late', 'verdict'), [
-    (1e9, 1e9, 0, 'no_gap'), (3.0, 60.0, 0, 'no_gap'), (1e9, 1e9, 8, 'transport_delay')])
-def test_a_servo_of_second_order_with_its_limits(rate, acceleration, late, verdict):
+def servo(late: int = 0, rate: float = 1e9, acceleration: float = 1e9) -> Run:
+    """Return 16 s of a servo of 40 rad/s, damping ratio 0.6, `late` samples of 5 ms late."""
     position = np.empty(STAIRS.size)
     _servo(STAIRS, 40.0, 0.6, rate, acceleration, position)
     noise = np.random.default_rng(2).normal(0.0, 1e-3, STAIRS.size)
-    run = Run(0.005 * np.arange(STAIRS.size), reference_n=STAIRS,
-              position_m=np.roll(position, late) + noise, source='servo',
-              information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    return Run(0.005 * np.arange(STAIRS.size), reference_n=STAIRS,
+               position_m=np.roll(position, late) + noise, source='servo',
+               information={'signals': {'reference': 'rad', 'position': 'rad'}})
+
+
+@pytest.mark.parametrize(('rate', 'acceleration', 'late', 'verdict'), [
+    (1e9, 1e9, 0, 'no_gap'), (3.0, 60.0, 0, 'no_gap'), (1e9, 1e9, 8, 'transport_delay')])
+def test_a_servo_of_second_order_with_its_limits(rate, acceleration, late, verdict):
+    run = servo(late, rate, acceleration)
     with pytest.warns(InputWarning, match='second order') as remarks:
         answer = document(diagnose([run], {}, 'joint'))
     text = next(str(each.message) for each in remarks if 'second order' in str(each.message))
