@@ -2,10 +2,11 @@
 A rigid joint or drive as nominal model, in the block language of the actuator.
 
 Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
-friction, a constant offset and, where the recording needs them, a spring and, if it turns, gravity,
-identified from the recording where no values are given. Commanded by its position: an ideal servo, or one of second order (`servo.py`).
-Where command and force are both measured, the drive between them is an ideal servo too. A joint
-that turns has rad, N m, kg m2 in place of m, N, kg.
+friction and a constant offset and, where the recording needs them, a spring and, if it turns,
+gravity, identified from the recording where no values are given. Commanded by its position: an
+ideal servo, or one of second order (`servo.py`). Where command and force are both measured, the
+drive between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N,
+kg.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from asi_analysis.gap.model.group import Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.servo import servo_of, with_servo
 from asi_analysis.gap.prepare import Array, Recording, judged, prepare
+from asi_common.jit import jit
 from asi_common.parameter import Value
 
 OFF = {f'{block}.model': 'off' for block in (
@@ -42,11 +44,15 @@ BIASED = 0.5        # of the standard deviation of a force: a larger mean is rem
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
-# Gravity and spring: share of the power left without them, below which they are there; speed, in
-# standard deviations, from which friction is full; least singular value told from rounding.
+# Gravity and spring: share of the power left without them, below which they are there.
 LEFT_WITHOUT = 0.7
+INDEPENDENT = 0.1   # share of their force that nothing else can make
+# What friction may be made of beside them: full from this share of the usual speed on, larger
+# below it; elements that give way over these shares of the range of motion.
 CREEP = 0.05
-LIKE = 1e-6
+SLIPS = (0.002, 0.02, 0.1)
+GRAVITY_SHAPES, SPRING = ('sine', 'cosine'), ('spring',)
+SIGNED = ('rate', 'constant', *GRAVITY_SHAPES)   # the others push against the motion
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play in series.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
@@ -279,47 +285,57 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
 
     stiffness: of the spring, if that is given. Gravity is a sin q + b cos q, a spring c q; a, b
     and c are identified together with inertia, damping, friction and offset, by least squares on
-    the fitted parts. They are there if the held-out parts need them: without, these have a
-    residual power so large that it falls below LEFT_WITHOUT of it.
+    the fitted parts. They are there if the held-out parts need them: they then have less than
+    LEFT_WITHOUT of their residual power, which is more than that of RIGID_ERROR, by a force that
+    nothing else can make: in a single wave that of a spring is an inertia. Of several choices that
+    leave about as little, it is the simplest.
     """
-    turns = _turns(recordings, runs)
+    turns, unknown = _turns(recordings, runs), stiffness is None
     if any(run.position_m is None or r.force_judged is None or r.motion is None
            for run, r in zip(runs, recordings, strict=True)):
-        return ByPosition(stiffness=stiffness or 0.0, given=stiffness is not None)
-    shapes = [_shapes(r, float(np.nanmean(run.signal('position'))))
+        return ByPosition(stiffness=stiffness or 0.0, given=not unknown)
+    shapes = [_shapes(r, run, turns, stiffness or 0.0)
               for run, r in zip(runs, recordings, strict=True)]
 
-    def stacked(part: str, chosen: Sequence[int]) -> tuple[Array, Array]:
-        columns, forces = [], []
-        for s, r in zip(shapes, recordings, strict=True):
-            assert r.force_judged is not None
-            here, force = getattr(r, part), r.force_judged - (stiffness or 0.0) * s[:, -1]
-            # Each recording of a joint that does not turn may have a constant force of its own.
-            usual = s[r.fit].mean(axis=0) if not turns and r.fit.any() else 0.0 * s[0]
-            columns.append((s - usual)[np.ix_(here, chosen)])
-            forces.append(force[here] - (force[r.fit].mean() if usual.any() else 0.0))
-        return np.vstack(columns), np.concatenate(forces)
+    def stacked(part: str, names: Sequence[str]) -> Array:
+        return np.vstack([np.column_stack([each[name] for name in names])[getattr(r, part)]
+                          for each, r in zip(shapes, recordings, strict=True)])
+
+    # A stiffness that was given may be a little off.
+    always = [*shapes[0].keys() - {'force', *GRAVITY_SHAPES, *SPRING * (not stiffness)}]
+
+    def fitted(more: tuple[str, ...]) -> tuple[float, dict[str, float]] | None:
+        names = [*always, *more]
+        force, columns = np.split(stacked('fit', ['force', *names]), [1], axis=1)
+        size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
+        low = [-np.inf if name in SIGNED or (name in SPRING and stiffness) else 0.0
+               for name in names]
+        values = lsq_linear(columns / size, force[:, 0], (low, np.inf), method='bvls').x / size
+        for kind in (kind for kind in (GRAVITY_SHAPES, SPRING) if kind[0] in more):
+            own = np.isin(names, kind)
+            added, others = columns[:, own] @ values[own], columns[:, ~own] / size[~own]
+            alone = added - others @ np.linalg.lstsq(others, added)[0]
+            if alone.std() < INDEPENDENT * added.std():
+                return None
+        force, columns = np.split(stacked('held_out', ['force', *names]), [1], axis=1)
+        left = float(np.mean((force[:, 0] - columns @ values) ** 2)) if len(force) else np.nan
+        return left, dict(zip(names, map(float, values), strict=True))
 
     # The simplest first: nothing, gravity, a spring, both.
-    unknown = stiffness is None
-    choices = [((), True), ((5, 6), turns), ((7,), unknown), ((5, 6, 7), turns and unknown)]
-    always = [*range(5), *[7] * (not unknown)]   # a stiffness that was given may be a little off
-    found: dict[tuple[int, ...], tuple[float, Array]] = {}
-    for more in [more for more, possible in choices if possible]:
-        columns, force = stacked('fit', [*always, *more])
-        size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
-        values = np.linalg.lstsq(columns / size, force, rcond=LIKE)[0] / size
-        columns, force = stacked('held_out', [*always, *more])
-        left = float(np.mean((force - columns @ values) ** 2)) if len(force) else np.nan
-        if more == () or left == left and (7 not in more or values[-1] > 0.0):
-            found[more] = left, values
-    least = min(left for left, _ in found.values())
-    close = [more for more, (left, _) in found.items() if not least < LEFT_WITHOUT * left]
+    choices = ((), *[GRAVITY_SHAPES] * turns, *[SPRING] * unknown,
+               *[GRAVITY_SHAPES + SPRING] * (turns and unknown))
+    found = {more: each for more in choices if (each := fitted(more)) is not None}
+    without = found[()][0]
+    least = RIGID_ERROR ** 2 * float(np.var(stacked('held_out', ['force'])))
+    needed = {more: each for more, each in found.items()
+              if each[0] < LEFT_WITHOUT * without > LEFT_WITHOUT * least} or {(): found[()]}
+    least = min(left for left, _ in needed.values())
+    close = [more for more, (left, _) in needed.items() if not least < LEFT_WITHOUT * left]
     left, values = found[close[0]]
-    sine, cosine = values[-2 - (7 in close[0]):][:2] if 5 in close[0] else (0.0, 0.0)
-    spring = stiffness or (float(values[-1]) if 7 in close[0] else 0.0)
-    return ByPosition(float(sine), float(cosine), spring, not unknown,
-                      left / found[()][0] if close[0] else 1.0, len(close) > 1)
+    spring = stiffness or (values['spring'] if SPRING[0] in close[0] else 0.0)
+    sine, cosine = (values.get(name, 0.0) for name in GRAVITY_SHAPES)
+    return ByPosition(sine, cosine, spring, not unknown, left / without if close[0] else 1.0,
+                      len(close) > 1)
 
 
 def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByPosition
@@ -379,19 +395,38 @@ def _angle(recording: Recording, middle: float) -> Array:
     return recording.motion.position + middle
 
 
-def _shapes(recording: Recording, middle: float) -> Array:
+@jit
+def _slip(position: Array, reach: float) -> Array:
+    """Return the deflection (-1 to 1) of an element that gives way over a reach, then slides."""
+    out = np.zeros(position.size)
+    for k in range(1, position.size):
+        out[k] = min(max(out[k - 1] + (position[k] - position[k - 1]) / reach, -1.0), 1.0)
+    return out
+
+
+def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float) -> dict[str, Array]:
     """
-    Return rate of force, acceleration, velocity, its direction, 1, sine, cosine, position.
+    Return the force of a joint less that of its spring (N/m), and what it may be made of, by name.
 
     The rate of the force makes a short delay or lag of it, which would else bias the gravity.
     """
-    motion, inner = recording.motion, _inner(recording)
-    assert motion is not None and recording.force_judged is not None
-    angle, slow = _angle(recording, middle), CREEP * float(motion.velocity.std()) + 1e-30
-    columns = (motion.acceleration, motion.velocity, np.tanh(motion.velocity / slow),
-               np.ones_like(angle), np.sin(angle), np.cos(angle), angle)
-    rate = np.gradient(recording.force_judged, recording.period_s)
-    return np.column_stack([rate, *(judged(each[inner], motion) for each in columns)])
+    motion, inner, force = recording.motion, _inner(recording), recording.force_judged
+    assert motion is not None and force is not None
+    angle = _angle(recording, float(np.nanmean(run.signal('position'))))
+    speed, usual = motion.velocity, float(motion.velocity.std()) + 1e-30
+    slips = [_slip(angle, share * float(np.ptp(angle)) + 1e-30) for share in SLIPS]
+    shapes = {name: judged(each[inner], motion) for name, each in {
+        'inertia': motion.acceleration, 'damping': speed,
+        'friction': np.tanh(speed / (CREEP * usual)),
+        **{f'friction_{n}': each for n, each in enumerate(slips)},
+        'breakaway': slips[0] * np.exp(-np.abs(speed) / (CREEP * usual)),
+        'constant': np.ones_like(angle), 'sine': np.sin(angle), 'cosine': np.cos(angle),
+        'spring': angle}.items()}
+    shapes |= {'force': force - stiffness * shapes['spring'],
+               'rate': np.gradient(force, recording.period_s)}
+    if not turns and recording.fit.any():   # each recording may have a constant force of its own
+        shapes = {name: each - each[recording.fit].mean() for name, each in shapes.items()}
+    return shapes
 
 
 def _without_bias(recordings: list[Recording], of: Sequence[Recording]
@@ -433,10 +468,11 @@ def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
             raise InputError(f'{recording.source}: a joint that is driven by a force needs its '
                              'force (or command) and its position or velocity')
         count, inner = motion.velocity.size, _inner(recording)
-        columns = [np.fft.irfft(motion.velocity_spectrum * factor * motion.judge, count)[inner]
-                   for factor in (1j * motion.omega, 1.0)]
+        columns: list[Array] = [
+            np.fft.irfft(motion.velocity_spectrum * factor * motion.judge, count)[inner]
+            for factor in (1j * motion.omega, 1.0)]
         position = judged(motion.position[inner], motion)
-        columns += [position] * springs + [np.ones(recording.fit.size)]
+        columns += [*[position] * springs, np.ones(recording.fit.size)]
         rows.append(np.column_stack(columns)[recording.fit])
         right.append((force - stiffness * position)[recording.fit])
     matrix, force = np.concatenate(rows), np.concatenate(right)
