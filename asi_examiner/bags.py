@@ -4,9 +4,9 @@ Write blind cases as bags, and the answers to one sealed file.
 A directory of cases: `nominal_WORLD_LOAD.yaml` (the user's model file; `nominal_K.yaml` for each
 case of the foreign and own worlds), `case_K/` (bags whose names and metadata do not depend on the
 answer), `case_K_2/` and so on (more recordings of the same machine, to be diagnosed together),
-`fresh_K/` (another one, for validation), `cases.json` (the bags and model of each case),
-`examiner.json` (the arguments of the call) and `answers.sealed` (compressed, so that a text search
-does not find an answer).
+`fresh_K/` (another one, for validation; neither for a joint), `cases.json` (the bags and model of
+each case), `examiner.json` (the arguments of the call) and `answers.sealed` (compressed, so that a
+text search does not find an answer).
 """
 
 import base64
@@ -24,7 +24,8 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
 from asi_common.parameter_file import write_parameters
-from asi_examiner.cases import EFFECTS, ERROR, Case, draw, excite
+from asi_examiner.cases import EFFECTS, Case, draw, excite
+from asi_examiner.joint import draw_joint
 from asi_examiner.own import SMALLER, draw_own, truth
 from asi_examiner.plant import PERIOD_S, simulate
 
@@ -126,28 +127,40 @@ def write_own(seed: int, out: Path, number: int, recordings: int = 1) -> Answer:
                   'all', case.visibility, {}, case.rate_hz)
 
 
+def write_joint(seed: int, out: Path, number: int, recordings: int = 1) -> Answer:
+    """Write the bags of one joint, which has no model and no fresh bag; return the answer."""
+    case = draw_joint(seed, recordings)
+    for name, run in zip(_names(number, recordings), case.runs, strict=False):
+        _write_new(run, out / name)
+    return Answer(case.kind, list(case.effects), list(case.blocks), case.excitation, 'joint', '',
+                  'all', case.visibility, {}, case.rate_hz, case.also)
+
+
 def _write_new(run: Run, path: Path) -> None:
     """Write a bag in place of an incomplete one of a call that was stopped."""
     shutil.rmtree(path, ignore_errors=True)
-    write_bag(run, path, {})
+    write_bag(run, path, run.information)
 
 
 def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str,
-           recordings: int, error: float) -> Answer:
+           recordings: int, beyond: float | None) -> Answer:
     if world == 'own':
         return write_own(seed, out, number, recordings)
-    return write_case(draw(seed, world, load, error=error), out, number, signals, recordings)
+    if world == 'joint':
+        return write_joint(seed, out, number, recordings)
+    return write_case(draw(seed, world, load, beyond=beyond), out, number, signals, recordings)
 
 
 def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load: str = 'spring',
-                signals: str = 'all', recordings: int = 1, error: float = ERROR) -> Iterator[int]:
+                signals: str = 'all', recordings: int = 1, beyond: float | None = None
+                ) -> Iterator[int]:
     """
     Write `count` cases with seeds from `seed` on into a directory; yields the number written.
 
     An incomplete directory of the same call is completed; raises InputError for any other.
     """
     arguments = {'count': count, 'seed': seed, 'world': world, 'load': load,
-                 'signals': signals, 'recordings': recordings, 'error': error}
+                 'signals': signals, 'recordings': recordings, 'beyond': beyond}
     call, index, sealed = out / 'examiner.json', out / 'cases.json', out / 'answers.sealed'
     if not out.exists():
         out.mkdir(parents=True)
@@ -158,14 +171,16 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     answers = _unsealed(sealed) if sealed.exists() else {}
     first = len(answers)
     written = each(_write, ((out, number, seed + number, world, load, signals, recordings,
-                                     error)
+                                     beyond)
                             for number in range(first, count)))
     for number, answer in enumerate(written, first):
         answers[f'case_{number:04d}'] = answer._asdict()
         seal(answers, sealed)
         _replace(index, json.dumps(
-            [{'bag': names[0], 'more': names[1:-1], 'fresh': names[-1],
-              'model': model_name(world, load, done)} for done in range(number + 1)
+            [{'bag': names[0], 'more': names[1:-1], **(
+                {'plant': 'joint'} if world == 'joint' else
+                {'fresh': names[-1], 'model': model_name(world, load, done)})}
+             for done in range(number + 1)
              for names in [_names(done, recordings)]], indent=1).encode())
         yield number + 1
 

@@ -285,11 +285,12 @@ def scaled_down(effect: Values) -> Values:
 
 def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | None = None,
          effects: tuple[str, ...] | None = None, excitation: str | None = None,
-         error: float = ERROR) -> Case:
+         beyond: float | None = None) -> Case:
     """
     Return the case of a seed; arguments that are not given are drawn.
 
-    error: of the nominal parameters, at most; beyond ERROR it is part of the answer.
+    beyond: every fifth nominal parameter is off by more than ERROR, up to this factor, and is
+    part of the answer.
     """
     rng, world_rng = np.random.default_rng([seed, 7]), np.random.default_rng([seed, 13])
     excitation = excitation or EXCITATIONS[rng.choice(5, p=[0.3, 0.25, 0.2, 0.15, 0.1])]
@@ -307,7 +308,12 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
     nominal: dict[str, Any] = dict(names.values())
     nominal |= {'load.type': load} | (
         TEXTBOOK_MODEL if model == 'textbook' else FULL_MODEL)
-    true = {key: value * (1.0 + error * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
+    true = {key: value * (1.0 + ERROR * rng.uniform(-1, 1)) for key, (_, value) in names.items()}
+    if beyond:
+        far_rng = np.random.default_rng([seed, 17])
+        for key, (_, value) in names.items():
+            if far_rng.random() < 0.2:
+                true[key] = value * _log(far_rng, 1.0 + ERROR, beyond) ** _sign(far_rng)
     true['friction_inside'] = float(rng.random() < 0.5) if model == 'textbook' else 1.0
     true['saturates'] = true['family'] = float(model == 'full')
     believed = {key: value for key, (_, value) in names.items()}
@@ -324,7 +330,7 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
     for name in small:
         true |= scaled_down(draw_effect(name, world_rng, size, 'textbook'))
     small += tuple(cause for key, (name, value) in names.items()
-                   if abs(true[key] / value - 1.0) > ERROR
+                   if beyond and not 1.0 - ERROR <= true[key] / value <= 1.0 + ERROR
                    for cause in (f'parameter:{name}', *SAME.get(key, ())))
     without = plant(true)
 

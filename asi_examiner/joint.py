@@ -1,10 +1,10 @@
 """
-Joints of the examiner: an arm or an axis under a torque or a force, and servos.
+Joints of the examiner: arms that turn and axes under a torque or a force, and servos.
 
-Semi-implicit Euler at 50 us, other formulations than the diagnosis: LuGre friction or a smooth
+Semi-implicit Euler at 50 us; other formulations than the diagnosis: LuGre friction or a smooth
 Stribeck curve, two masses with a contact for backlash and compliance, a fractional delay, lags of
-second order, torque limits inside the loop, an encoder. Half of the arms have gravity, a quarter of
-all a spring. The user gives no model: the nominal joint is what the recording shows.
+one or two poles, an encoder. Half of the arms have gravity, a quarter of all a spring. The user
+gives no model: the nominal joint is what the recording shows.
 """
 
 import math
@@ -33,9 +33,9 @@ FIELDS: Final = (
     'coupling', 'load_share', 'push_sine', 'push_frequency', 'push_burst', 'burst_start',
     'burst_end', 'quantum', 'deadband',
     # outside the vocabulary
-    'ripple', 'teeth', 'cubic_spring', 'fading_gain', 'dropout', 'varying_inertia',
+    'ripple', 'teeth', 'cubic_spring', 'fading_gain', 'varying_inertia',
     # servo
-    'pulsation', 'ratio', 'rate_limit', 'acceleration_limit', 'one_sided')
+    'pulsation', 'ratio')
 
 FORCED = {'coulomb_friction': 'mechanics', 'stiction': 'mechanics',
           'friction_asymmetry': 'mechanics', 'backlash': 'mechanics',
@@ -44,7 +44,9 @@ FORCED = {'coulomb_friction': 'mechanics', 'stiction': 'mechanics',
 FOLLOWING = {'transport_delay': 'command_path', 'valve_lag': 'valve',
              'command_quantisation': 'command_path', 'backlash': 'mechanics'}
 OUTSIDE = {'forced': ('ripple', 'cubic_spring', 'fading_gain', 'varying_inertia'),
-           'servo': ('dropout', 'one_sided')}
+           'servo': ('ripple', 'fading_gain')}
+# A servo has a response of its own, which the user has not told: it is one of these.
+OF_A_SERVO = ('transport_delay', 'valve_lag')
 
 
 class JointCase(NamedTuple):
@@ -58,6 +60,7 @@ class JointCase(NamedTuple):
     rate_hz: float
     runs: tuple[Run, ...]
     plant: np.void
+    also: tuple[str, ...]   # what is there too
 
 
 def _record(values: Values) -> np.void:
@@ -93,7 +96,7 @@ def delayed(p, first, lag, wanted):
 
 
 @numba.njit(cache=True)
-def forced(p, course, stiffness, substeps, chances, out):
+def forced(p, course, stiffness, substeps, out):
     """
     Put command and position (of the motor) of a joint under a PD loop into out (2 x n).
 
@@ -154,17 +157,16 @@ def forced(p, course, stiffness, substeps, chances, out):
 
 
 @numba.njit(cache=True)
-def following(p, course, substeps, chances, out):
+def following(p, course, substeps, out):
     """Put the reference and the position of a servo into out (2 x n)."""
     ring, at = np.full(RING, course[0]), 0
     position, speed, play = course[0], 0.0, course[0]
-    first, lag, held = course[0], course[0], course[0]
+    first, lag = course[0], course[0]
     for k in range(course.size):
         out[0, k] = course[k]
-        out[1, k] = play
-        if chances[k] >= p.dropout:
-            held = course[k]
-        asked = held
+        out[1, k] = (1.0 - p.fading_gain * k / course.size) * play + p.ripple * math.sin(
+            p.teeth * play)
+        asked = course[k]
         if p.quantum > 0.0:
             asked = p.quantum * math.floor(asked / p.quantum + 0.5)
         for _ in range(substeps):
@@ -175,13 +177,7 @@ def following(p, course, substeps, chances, out):
                 first, lag = delayed(p, first, lag, wanted)
                 wanted = lag
             push = p.pulsation ** 2 * (wanted - position) - 2.0 * p.ratio * p.pulsation * speed
-            if push < 0.0:
-                push *= 1.0 - p.one_sided
-            if p.acceleration_limit > 0.0:
-                push = min(max(push, -p.acceleration_limit), p.acceleration_limit)
             speed += STEP_S * push
-            if p.rate_limit > 0.0:
-                speed = min(max(speed, -p.rate_limit), p.rate_limit)
             position += STEP_S * speed
             play = min(max(play, position - p.gap), position + p.gap)
 
@@ -218,10 +214,10 @@ def _unexplained(shapes: Array, signal: Array) -> float:
 
 def _visibility(servo: bool, without: Values, course: Array, stiffness: float, substeps: int,
                 recorded: Array) -> float:
-    """Return the share of a signal without noise that the joint without the effect does not have."""
+    """Return the share of a signal that the joint without its effect does not explain."""
     if servo:
         own = np.empty_like(recorded)
-        following(_record(without), course, substeps, np.ones(course.size), own)
+        following(_record(without), course, substeps, own)
         return float(np.std(recorded[1] - own[1]) / np.std(recorded[1]))
     x = recorded[1]
     speed = np.gradient(x, substeps * STEP_S)
@@ -233,8 +229,8 @@ def _visibility(servo: bool, without: Values, course: Array, stiffness: float, s
     return _unexplained(np.array(smooth[:-1]), smooth[-1])
 
 
-def _effect(name: str, rng: np.random.Generator, size: float, speed: float, torque: float,
-            inertia: float) -> Values:
+def _effect(name: str, rng: np.random.Generator, servo: bool, size: float, speed: float,
+            torque: float, inertia: float) -> Values:
     """Return the plant's parameters of an effect; size of motion, speed and torque as they are."""
     rub = {'friction': _log(rng, 0.1, 0.6) * torque, 'breakaway': 1.0, 'stribeck': 0.1 * speed,
            'bristle': _log(rng, 3e-4, 1e-2) * size, 'lugre': float(rng.random() < 0.7)}
@@ -255,12 +251,12 @@ def _effect(name: str, rng: np.random.Generator, size: float, speed: float, torq
         'transport_delay': {'delay': _log(rng, 0.006, 0.04)},
         'valve_lag': {'lag': _log(rng, 0.008, 0.06), 'split': rng.choice([0.0, 0.3, 0.5])},
         'command_quantisation': {'quantum': _log(rng, 0.05, 0.3) * size},
-        'ripple': {'ripple': _log(rng, 0.1, 0.5) * torque, 'teeth': rng.uniform(12.0, 40.0) / size},
+        'ripple': {'ripple': _log(rng, 0.1, 0.5) * (0.3 * size if servo else torque),
+                   'teeth': rng.uniform(12.0, 40.0) / size},
         'cubic_spring': {'cubic_spring': _log(rng, 0.5, 2.0) * torque / size ** 3},
         'fading_gain': {'fading_gain': rng.uniform(0.3, 0.6)},
         'varying_inertia': {'varying_inertia': sign * rng.uniform(0.4, 0.8)},
-        'dropout': {'dropout': rng.uniform(0.5, 0.9)},
-        'one_sided': {'one_sided': rng.uniform(0.3, 0.6)}}
+    }
     return choices[name]
 
 
@@ -275,27 +271,33 @@ def draw_joint(seed: int, recordings: int = 1) -> JointCase:
     kinds = ('waves', 'rests', 'levels')
     excitation = str(rng.choice(kinds))
     values: Values = {'inertia': inertia, 'stribeck': 1.0, 'bristle': 1.0}
-    speed = size * 6.0
+    course = _course(rng, substeps * STEP_S, size, excitation)
+    moved = np.gradient(course, substeps * STEP_S)
+    speed = 1.5 * float(moved.std())
     values['damping'] = inertia * _log(rng, 0.3, 3.0)
-    usual = inertia * size * 40.0   # torque (or force) that the motion takes
+    # Torque (or force) that the motion takes.
+    usual = float(np.std(inertia * np.gradient(moved, substeps * STEP_S)
+                         + values['damping'] * moved))
     if servo:
         values |= {'pulsation': _log(rng, 30.0, 150.0), 'ratio': rng.uniform(0.5, 1.0)}
     else:
         if turns and rng.random() < 0.5:
-            values |= {'gravity': _log(rng, 0.3, 3.0) * usual, 'gravity_zero': rng.uniform(-3.1, 3.1)}
+            values |= {'gravity': _log(rng, 0.3, 3.0) * usual,
+                       'gravity_zero': rng.uniform(-3.1, 3.1)}
         if rng.random() < 0.25:
             values['spring'] = _log(rng, 0.3, 2.0) * usual / size
         values['offset'] = rng.uniform(-0.2, 0.2) * usual
     stiffness = inertia * _log(rng, 40.0, 90.0) ** 2
     effects = FOLLOWING if servo else FORCED
     kind = str(rng.choice(['effect', 'none', 'outside'], p=[0.65, 0.18, 0.17]))
-    course = _course(rng, substeps * STEP_S, size, excitation)
+    if servo and kind == 'none':
+        kind = 'effect'
     for _ in range(40):
         name = str(rng.choice(OUTSIDE['servo' if servo else 'forced'] if kind == 'outside'
                               else list(effects)))
-        more = {} if kind == 'none' else _effect(name, rng, size, speed, usual, inertia)
+        more = {} if kind == 'none' else _effect(name, rng, servo, size, speed, usual, inertia)
         plant = _record(values | more)
-        recorded = _simulated(servo, plant, course, stiffness, substeps, rng)
+        recorded = _simulated(servo, plant, course, stiffness, substeps)
         if not np.abs(recorded[1]).max() < 5.0 * size:   # not a number, or unstable
             continue
         share = _visibility(servo, values, course, stiffness, substeps, recorded)
@@ -308,20 +310,20 @@ def draw_joint(seed: int, recordings: int = 1) -> JointCase:
     for _ in range(recordings - 1):
         course = _course(rng, substeps * STEP_S, size * rng.uniform(0.6, 1.0),
                          str(rng.choice(kinds)))
-        runs.append(_run(servo, turns, rate, _simulated(servo, plant, course, stiffness, substeps,
-                                                        rng), size, rng))
+        runs.append(_run(servo, turns, rate, _simulated(servo, plant, course, stiffness, substeps),
+                         size, rng))
     return JointCase(kind, chosen, tuple(effects[each] for each in chosen if each in effects),
-                     excitation, share, rate, tuple(runs), plant)
+                     excitation, share, rate, tuple(runs), plant, OF_A_SERVO * servo)
 
 
-def _simulated(servo: bool, plant: np.void, course: Array, stiffness: float, substeps: int,
-               rng: np.random.Generator) -> Array:
+def _simulated(servo: bool, plant: np.void, course: Array, stiffness: float, substeps: int
+               ) -> Array:
     """Return the recorded signals (2 x n) without noise: command or reference, position."""
-    out, chances = np.empty((2, course.size)), rng.random(course.size)
+    out = np.empty((2, course.size))
     if servo:
-        following(plant, course, substeps, chances, out)
+        following(plant, course, substeps, out)
     else:
-        forced(plant, course, stiffness, substeps, chances, out)
+        forced(plant, course, stiffness, substeps, out)
     return out
 
 

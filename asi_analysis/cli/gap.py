@@ -130,10 +130,11 @@ def gap_check(
     seed: Annotated[int, typer.Option(
         min=0, max=MOST_SEED,
         help='First seed of the new cases; below 10000: used in development')] = 20000,
-    world: Annotated[Literal['textbook', 'full', 'foreign', 'own'], typer.Option(
+    world: Annotated[Literal['textbook', 'full', 'foreign', 'own', 'joint'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
              'courses and noise, small effects everywhere; own: the simulator itself, one '
-             'parameter changed, any load, 1 to 5 kHz')] = 'textbook',
+             'parameter changed, any load, 1 to 5 kHz; joint: arms, axes and servos')
+    ] = 'textbook',
     load: Annotated[Literal['spring', 'locked'], typer.Option(
         help='Load of new cases')] = 'spring',
     signals: Annotated[
@@ -141,9 +142,9 @@ def gap_check(
             help='What new cases record')] = 'all',
     recordings: Annotated[int, typer.Option(
         min=1, max=20, help='Recordings of each machine, diagnosed together')] = 1,
-    error: Annotated[float, typer.Option(
-        min=0.0, max=0.9, help='Error of the nominal parameters of new cases, at most; the '
-        'diagnosis allows 0.2, and one beyond is an answer')] = 0.2,
+    beyond: Annotated[float | None, typer.Option(
+        min=1.2, max=5.0, help='Every fifth nominal parameter of new cases is off by more than '
+        'its tolerance, up to this factor; default: none is')] = None,
     jobs: Jobs = 2,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -160,7 +161,7 @@ def gap_check(
             from asi_examiner.bags import write_cases
             progress(f'0 of {cases} cases written', 0.0)
             for done in write_cases(out, cases, seed, world, load, signals, recordings,
-                                    error):
+                                    beyond):
                 progress(f'{done} of {cases} cases written', done / cases)
         result = check(directory or out, progress)
     show(result, as_json)

@@ -25,6 +25,7 @@ from asi_analysis.gap.words import DOTTED, UNITS, digits, percent, signal_of, un
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common import parameter_file
+from asi_common.jit import FULL
 from asi_common.parameter import ParameterError, Value, completed
 
 PLANTS = ('actuator', 'joint')
@@ -147,8 +148,12 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
                 ) + ', and a constant force')
         else:
+            p = diagnosis.best(weighed).fitted.record
+            how = 'at once' if p['valve_flexure_model'] != FULL else (
+                f'as a servo of second order: {digits(p["valve_flexure_natural_frequency"], "Hz")}'
+                f', damping ratio {digits(p["valve_flexure_damping_ratio"])}')
             notes.append(f'nominal drive: the {signal_of(channel, run, True)} follows the '
-                         + ('reference at once' if run.command_n is None else
+                         + (f'reference {how}' if run.command_n is None else
                             'command at once, in proportion'))
     return notes
 

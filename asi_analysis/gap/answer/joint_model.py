@@ -23,6 +23,7 @@ from asi_analysis.gap.words import (
     in_words,
     unit_of,
 )
+from asi_common.jit import FULL
 
 # Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
 HELD: Final = {
@@ -30,7 +31,8 @@ HELD: Final = {
                        'drive_delay', 'drive_lag', 'viscous', 'friction_level',
                        'friction_asymmetry')),
     'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
-                        'valve_limit'))}
+                        'valve_limit', 'valve_flexure_natural_frequency',
+                        'valve_flexure_damping_ratio'))}
 # The nearest to an effect that a simulator's joint has no field for.
 NEAREST: Final = {'stiction': 'coulomb_friction', 'friction_asymmetry': 'coulomb_friction'}
 # A servo that follows at once: time of its response, as a share of delay and lag, or in samples.
@@ -182,7 +184,11 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     most_push, rate = taken.get('acceleration', np.inf), taken.get('rate', np.inf)
     limited = bool(np.isfinite(rate))
     unsaid: tuple[str, ...] = ()
-    if taken:
+    notes: dict[str, str] = {}
+    if p['valve_flexure_model'] == FULL:
+        w = 2.0 * np.pi * float(p['valve_flexure_natural_frequency'])
+        damping = float(p['valve_flexure_damping_ratio'])
+    elif taken:
         w, damping = taken['pulsation'], taken['damping']
         notes = {'servo': f'natural frequency {digits(w, "rad/s")}, damping ratio '
                           f'{digits(damping)} (no interval)'}
@@ -282,5 +288,7 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
 
 NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
                 'load_stiffness': 'stiffness',
+                'valve_flexure_natural_frequency': 'natural frequency',
+                'valve_flexure_damping_ratio': 'damping ratio',
                 'load_offset': 'constant load',
                 'valve_characteristic_gain': 'gain'}

@@ -64,7 +64,8 @@ def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
     try:
         names = (entry['bag'], *entry.get('more', ()))
         diagnosis = diagnose([read_bag(folder / name) for name in names],
-                             nominal_model(folder / entry['model']))
+                             nominal_model(folder / entry['model']) if 'model' in entry else {},
+                             entry.get('plant', 'actuator'))
         answer = plain(document(diagnosis))
         row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
                                             'ambiguity_set', 'gap', 'channels')}

@@ -228,8 +228,9 @@ def valve(command, p, e, period, count, out):
                 mean = 0.5 * (lagged_before + lagged) if e.valve_lag > 0.0 else lagged
                 coil_before = coil
                 coil = mean + (coil - mean) * coil_decay
-                pipe, pipe_rate = second_order_step(
-                    pipe, pipe_rate, 0.5 * (coil_before + coil), flexure)
+                # A servo has no coil: its command is held over the sub-step.
+                drawn = 0.5 * (coil_before + coil) if coil_decay > 0.0 else coil
+                pipe, pipe_rate = second_order_step(pipe, pipe_rate, drawn, flexure)
             else:
                 pipe = lagged
                 if p.valve_flexure_model == LINEAR:

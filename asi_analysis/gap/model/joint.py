@@ -19,11 +19,11 @@ from scipy.optimize import lsq_linear
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
-from asi_analysis.gap.model.group import Group, make_group, scales
+from asi_analysis.gap.model.group import MODEL_ERROR, Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.servo import servo_of, with_servo
+from asi_analysis.gap.model.servo import Servo, servo_of, with_servo
 from asi_analysis.gap.prepare import Array, Recording, judged, prepare
-from asi_common.jit import jit
+from asi_common.jit import FULL, jit
 from asi_common.parameter import Value
 
 OFF = {f'{block}.model': 'off' for block in (
@@ -35,6 +35,9 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
                            'valve_characteristic.full_opening': 0.01}
 # Parameters with another range than the actuator's: the inertia of a joint may be very small.
 OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
+# A coil that does nothing; range of frequency and damping of a servo, from those identified first.
+AT_ONCE_HZ = 1e9
+OF_A_SERVO = (0.2, 5.0)
 SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
 # General model error, share of a signal: a rigid model of gears, belts and cables,
 RIGID_ERROR = 0.02
@@ -100,8 +103,9 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     recordings = prepare(runs, drive, held_out)
     of = prepare(healthy, drive) if healthy else recordings
     if drive == 'position':
-        followed, notes = with_servo(recordings, runs[0].unit('reference'), servo_of(of))
-        return [_servo(followed, tolerance, False)], notes
+        servo = servo_of(of)
+        followed, notes = with_servo(recordings, runs[0].unit('reference'), servo)
+        return [_servo(followed, tolerance, False, servo)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
     turns = _turns(recordings, runs)
@@ -142,13 +146,25 @@ def _without_hidden_compliance(group: Group) -> Group:
                                         if effect.name != 'load_compliance'))
 
 
-def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool) -> Group:
+def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
+           servo: Servo | None = None) -> Group:
     """
-    Return the group of a drive that should follow its command at once.
+    Return the group of a drive that should follow its command at once, or as a servo does.
 
-    proportional: by a gain that is identified, not by one.
+    proportional: by a gain that is identified, not by one. servo: without limits it is the block
+    that is a flexure in the actuator: its frequency and damping are free in every fit, since a lag
+    or a delay beside them looks much like another servo.
     """
     nominal = plant_record(IDEAL)
+    dynamics: tuple[Free, ...] = ()
+    if servo is not None and not servo.limited:
+        nominal['valve_flexure_model'] = FULL
+        nominal['valve_flexure_coil_frequency'] = AT_ONCE_HZ
+        nominal['valve_flexure_delay'] = 0.0
+        nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
+        nominal['valve_flexure_damping_ratio'] = servo.damping
+        dynamics = tuple(Free(f'valve_flexure_{name}', *OF_A_SERVO, (1.0,), 'nominal')
+                         for name in ('natural_frequency', 'damping_ratio'))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:
@@ -160,9 +176,11 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
                     if effect.name == 'backlash' and not proportional else
                     effect._replace(variants=tuple(
         variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free))
-        for variant in effect.variants)) for effect in EFFECTS)
-    return make_group(nominal, recordings, ('valve',), nuisance=(gain,), effects=effects,
-                      model_error=SERVO_ERROR)
+        for variant in effect.variants
+        if not any(free.field.startswith('valve_flexure') for free in variant.free)))
+        for effect in EFFECTS)
+    return make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics), effects=effects,
+                      model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
 
 
 def _gain(recordings: Sequence[Recording]) -> float:

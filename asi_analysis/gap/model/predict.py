@@ -12,6 +12,7 @@ from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import Complex
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
+from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
@@ -186,6 +187,8 @@ def _valve(recording: Recording, p: np.void) -> Array:
     if p['valve_flexure_model'] != FULL:
         # Without a lag only the mean over a sample depends smoothly on the delay.
         longest = recording.period_s
+    else:   # that of a slow servo
+        longest = max(longest, SUB_STEP / (2.0 * np.pi * p['valve_flexure_natural_frequency']))
     blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
                  recording.sub_steps(longest), out)
     return out

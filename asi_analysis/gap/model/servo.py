@@ -48,6 +48,11 @@ class Servo(NamedTuple):
     acceleration: float = math.inf
     delay: float = 0.0
 
+    @property
+    def limited(self) -> bool:
+        """Return whether rate or acceleration are limited."""
+        return math.isfinite(self.rate) or math.isfinite(self.acceleration)
+
 
 @jit
 def _follow(reference, start, period, steps, pulsation, damping, rate, acceleration, out):
@@ -166,9 +171,10 @@ def _response(servo: Servo, recording: Recording) -> Array:
 def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
                ) -> tuple[list[Recording], list[str]]:
     """
-    Return recordings whose command is what a servo of second order makes of it, and notes.
+    Return recordings whose command is what a servo with limits makes of it, and notes.
 
-    Its delay is left to the effects. servo: None, if a delay and a lag do.
+    Its delay is left to the effects. servo: None, if a delay and a lag do. One without limits is
+    left to the fit.
     """
     if servo is None:
         return recordings, []
@@ -178,7 +184,8 @@ def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
         if math.isfinite(value)]
     # A command acts from its sample on: at the next one the ideal servo has it.
     moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
-    return ([replace(r, command=each, taken=at_once._asdict())
-             for r, each in zip(recordings, moved, strict=True)],
-            [f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
-             f'ratio {servo.damping:.3g}' + ''.join(f', {each}' for each in limits)])
+    note = (f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
+            f'ratio {servo.damping:.3g}' + ''.join(f', {each}' for each in limits))
+    return [replace(r, command=each, taken=at_once._asdict())
+            for r, each in zip(recordings, moved, strict=True)] if servo.limited else (
+                recordings), [note]
