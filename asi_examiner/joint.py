@@ -147,8 +147,8 @@ def forced(p, course, stiffness, substeps, out):
                 push = 0.0
                 if over != 0.0 or p.gap == 0.0:
                     push = contact * over + contact_damping * (speed - load_speed)
-                speed += STEP_S / mass * (torque - rub - push - 0.5 * p.damping * speed)
-                load_speed += STEP_S / far * (push - pull - 0.5 * p.damping * load_speed)
+                speed += STEP_S / mass * (torque - rub - push)
+                load_speed += STEP_S / far * (push - pull - p.damping * load_speed)
                 load += STEP_S * load_speed
             else:
                 own = mass * (1.0 + p.varying_inertia * math.cos(2.0 * angle))
@@ -239,7 +239,8 @@ def _effect(name: str, rng: np.random.Generator, servo: bool, size: float, speed
         'coulomb_friction': rub,
         'stiction': rub | {'breakaway': rng.uniform(1.8, 3.5), 'lugre': 1.0,
                            'stribeck': _log(rng, 0.05, 0.3) * speed},
-        'friction_asymmetry': rub | {'asymmetry': sign * rng.uniform(0.3, 0.7)},
+        # An offset is the same as more friction one way.
+        'friction_asymmetry': rub | {'asymmetry': sign * rng.uniform(0.3, 0.7), 'offset': 0.0},
         'backlash': {'gap': _log(rng, 0.003, 0.05) * size, 'load_share': rng.uniform(0.4, 0.8)},
         'load_compliance': {'load_share': rng.uniform(0.4, 0.8),
                             'coupling': inertia * (2.0 * math.pi * _log(rng, 6.0, 20.0)) ** 2},

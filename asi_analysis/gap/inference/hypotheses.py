@@ -88,6 +88,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                          if channels_of(variant, group) and not variant.joined]
         for effect in group.effects}
     found |= _fit_best_screened(group, null, choices, SINGLES, tick)
+    found |= _refitted_kin(group, found)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: c.fitted.cost)
     null = refit(group, null, [single.fitted for single in singles[:RETRIED]])
@@ -107,6 +108,25 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
         better = [fitted for fitted in richer[:1] if fitted.cost < 0.98 * first.fitted.cost]
         found[first.names] = first._replace(fitted=refit(group, first.fitted, better))
     return found | _pruned(group, found)
+
+
+def _refitted_kin(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """
+    Return effects with a higher cost than one of their kin, fitted again from its parameters.
+
+    Kinds of friction share a level: what is not told from a screen, how far it gives way before it
+    slides, is the same for each.
+    """
+    better: dict[Names, Candidate] = {}
+    for names, candidate in found.items():
+        fields = {free.field for variant in candidate.variants for free in variant.free}
+        kin = min((each for each in found.values() if each.names != names and fields & {
+            free.field for variant in each.variants for free in variant.free}),
+            key=lambda each: each.fitted.cost, default=candidate)
+        if kin.fitted.cost < candidate.fitted.cost:
+            better[names] = candidate._replace(
+                fitted=refit(group, candidate.fitted, [kin.fitted]))
+    return better
 
 
 def _refitted_pairs(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:

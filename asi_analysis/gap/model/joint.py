@@ -175,12 +175,16 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     effects = tuple(effect._replace(variants=(LOST_MOTION,))
                     if effect.name == 'backlash' and not proportional else
                     effect._replace(variants=tuple(
-        variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free))
+        variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free),
+                         needs=() if dynamics else variant.needs)
         for variant in effect.variants
         if not any(free.field.startswith('valve_flexure') for free in variant.free)))
         for effect in EFFECTS)
-    return make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics), effects=effects,
-                      model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
+    group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
+                       effects=effects, model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
+    # No servo is exactly of second order: what is within the model error tells no effects apart.
+    return replace(group, formulation={channel: floor - group.noise[channel] ** 2 for channel, floor
+                                       in group.error_floor.items()}) if dynamics else group
 
 
 def _gain(recordings: Sequence[Recording]) -> float:
