@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags import cdr
 from asi_analysis.bags.bag_file import Topic, read_contents
 from asi_analysis.bags.bag_writer import BagWriter, typestore
@@ -21,7 +22,7 @@ from asi_analysis.bags.encoding import (
     topic_values,
 )
 from asi_analysis.bags.information import checked
-from asi_analysis.bags.run import SIGNALS, Array, Run, StateChange
+from asi_analysis.bags.run import SIGNALS, Run, StateChange
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.topics import JOINTS, TOPICS
 

@@ -5,16 +5,14 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Table, as_html, as_text, frame, shown
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
-
-Array = npt.NDArray[np.float64]
 
 
 class StateChange(NamedTuple):

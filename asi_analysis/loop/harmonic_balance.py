@@ -12,7 +12,6 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.model.actuator import rest
 from asi_actuator.model.friction import friction
@@ -24,13 +23,11 @@ from asi_actuator.model.valve_characteristic import (
     valve_position,
 )
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.errors import InputError
 from asi_analysis.loop import linear_model as linear
 from asi_common.jit import FULL, jit
 from asi_controller.compensator import frequency_response
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 HARMONICS: Final = 9
 GRID: Final = 512            # samples of a period in continuous time

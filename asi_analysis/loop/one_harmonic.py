@@ -16,13 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.harmonic_balance import Loop
 from asi_controller.compensator import frequency_response
 
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 # Gain for a cycle as a function of frequency (Hz); it exists where this is real and positive.
 NeededGain = Callable[[float], complex]
 

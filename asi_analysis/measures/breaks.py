@@ -3,11 +3,9 @@
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage, signal
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from asi_analysis.arrays import Array, Mask
 
 # Changes of a signal, and of its input, that predict the next one; samples that this is fitted to.
 LAGS: Final = 20

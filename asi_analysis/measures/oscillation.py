@@ -13,9 +13,9 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize, signal, special
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.bursts import FEWEST_DRIVEN, bursts
 from asi_analysis.measures.drives import drives
@@ -39,8 +39,6 @@ HARMONICS: Final = 9
 LOCKED: Final = 0.1
 # Periods from which a growth rate can be estimated.
 FEWEST_RATED: Final = 3
-
-Array = npt.NDArray[np.float64]
 
 
 class Oscillation(NamedTuple):

@@ -13,13 +13,11 @@ from typing import Any, Final, NamedTuple
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from asi_analysis.arrays import Array, Mask
 from asi_common.files import replacing
-
-Array = npt.NDArray[np.float64]
 
 WIDTH_IN: Final = 5.2
 # Okabe and Ito's colours, which people with colour blindness can distinguish.
@@ -137,7 +135,7 @@ def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: flo
         return figure
 
 
-def phase_plane(time: Array, force: Array, steady: npt.NDArray[np.bool_]) -> Figure:
+def phase_plane(time: Array, force: Array, steady: Mask) -> Figure:
     """Draw force rate (kN/s) against force (N): the transient and the last cycles."""
     with style():
         figure = _figure(3.9)

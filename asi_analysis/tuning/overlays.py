@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.step_response import step_response
-from asi_analysis.reporting.figures import Array, Panel, overlays
+from asi_analysis.reporting.figures import Panel, overlays
 from asi_analysis.reporting.result import Pictures
 from asi_analysis.tuning.figures import (
     BAND_HZ,

@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
@@ -16,7 +17,6 @@ from asi_analysis.bags.exchange.ros1_bag import opened
 from asi_analysis.bags.exchange.several_files import GAP
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.exchange.units import UNITS, conversion
-from asi_analysis.bags.run import Array
 from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Result, table_of
 from asi_analysis.reporting.result import Table as Printed

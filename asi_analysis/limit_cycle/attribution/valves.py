@@ -3,12 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.model.valve_hysteresis import play as play_step
+from asi_analysis.arrays import Array
 from asi_common.jit import jit
-
-Array = npt.NDArray[np.float64]
 
 
 class Stem(NamedTuple):

@@ -10,17 +10,16 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 from scipy.integrate import solve_ivp
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.measures.sinusoid import fit
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 # Least confidence of a verdict that must survive changes of the record, and for one of how many

@@ -5,9 +5,10 @@ from typing import Final
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.drives import drives
-from asi_analysis.measures.record import Array, reduce
+from asi_analysis.measures.record import reduce
 from asi_analysis.measures.sinusoid import (
     HarmonicFit,
     analytic_signal,

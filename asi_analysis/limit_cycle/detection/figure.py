@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.arrays import Array, Mask
+from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.verdict import response_of
 from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, WIDTH_IN, style
 
@@ -43,7 +43,7 @@ def draw(run: Run, document: dict[str, Any]) -> Figure:
         return figure
 
 
-def _part(run: Run, segment: dict[str, Any]) -> npt.NDArray[np.bool_]:
+def _part(run: Run, segment: dict[str, Any]) -> Mask:
     return (run.time_s >= segment['start_s']) & (run.time_s <= segment['end_s'])
 
 

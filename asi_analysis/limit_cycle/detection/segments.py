@@ -3,12 +3,10 @@
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.limit_cycle.detection.envelope import Envelope
 from asi_analysis.measures.quality import without_spikes
-
-Array = npt.NDArray[np.float64]
 
 # Least number of windows in a piece, and penalty of one more piece.
 SHORTEST_PIECE: Final = 3
