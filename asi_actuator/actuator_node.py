@@ -19,14 +19,7 @@ from asi_actuator.safety import Safety, State
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
 from asi_common.node.compilation import tell_of_compilation
-from asi_common.node.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    Diagnostics,
-    LoopStatistics,
-    StateChanges,
-)
+from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics, StateChanges
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters

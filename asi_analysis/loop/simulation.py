@@ -6,14 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.closed_loop import (
-    LoopRun,
-    Loops,
-    Values,
-    close_many,
-    loops_of,
-    records,
-)
+from asi_analysis.loop.closed_loop import LoopRun, Loops, Values, close_many, loops_of, records
 from asi_analysis.loop.harmonic_balance import HARMONICS, Balance, Loop, valve_forces
 from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 

@@ -34,13 +34,7 @@ from asi_analysis.gap.inference.probability import (
     marginals,
     probabilities,
 )
-from asi_analysis.gap.model.effects import (
-    PARAMETER,
-    UNKNOWN,
-    Effect,
-    Variant,
-    parameter_error,
-)
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Variant, parameter_error
 from asi_analysis.gap.model.group import Group, Values, acts_on, channels_of, with_lower_noise
 from asi_analysis.gap.model.predict import propagated_noise
 from asi_common.record import field_name

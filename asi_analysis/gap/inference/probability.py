@@ -11,13 +11,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from asi_analysis.gap.model.effects import (
-    BY_NAME,
-    NO_GAP,
-    PARAMETER,
-    UNKNOWN,
-    has_one_law,
-)
+from asi_analysis.gap.model.effects import BY_NAME, NO_GAP, PARAMETER, UNKNOWN, has_one_law
 from asi_analysis.gap.model.group import Values
 
 Names = tuple[str, ...]

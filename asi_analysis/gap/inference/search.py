@@ -29,14 +29,7 @@ from asi_analysis.gap.inference.posterior import (
 )
 from asi_analysis.gap.inference.probability import Names, with_unknown
 from asi_analysis.gap.inference.screen import Start, screen
-from asi_analysis.gap.model.effects import (
-    PARAMETER,
-    UNKNOWN,
-    Effect,
-    Free,
-    Variant,
-    block_of,
-)
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
     Group,
     acts_on,

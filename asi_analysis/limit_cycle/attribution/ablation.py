@@ -17,12 +17,7 @@ from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.loop import harmonic_balance as hb
 from asi_analysis.loop.onset import Onset, balanced_cycle, onset, with_gain
-from asi_analysis.loop.simulation import (
-    Values,
-    step_run,
-    step_runs,
-    sustained,
-)
+from asi_analysis.loop.simulation import Values, step_run, step_runs, sustained
 from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.terminal import Progress, silent
 
