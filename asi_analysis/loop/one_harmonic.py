@@ -213,7 +213,7 @@ def each_alone(of: OneHarmonic) -> dict[str, tuple[float, float] | None]:
     their phase shift is large enough at some amplitude.
     """
     p = of.loop.plant
-    slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p).real
+    slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p)
     openings = p['valve_characteristic_full_opening'] * np.geomspace(0.01, 4.0, 12)
     candidates = {
         'valve_characteristic': [in_series(

@@ -67,7 +67,7 @@ def _of_damping(axes: Axes, loop: Loop) -> None:
             OneHarmonic(loop, held=True), np.geomspace(30.0, 400.0, 4000), friction)
         axes.plot(response.real, response.imag, color=colour, label=name)
     velocities = np.geomspace(0.01, 2.0, 60)
-    inverse = -1e3 / np.array([describing.damping(v, 0.0, loop.plant).real for v in velocities])
+    inverse = -1e3 / np.array([describing.damping(v, 0.0, loop.plant) for v in velocities])
     axes.plot(inverse, np.zeros_like(velocities), color=ORANGE, linewidth=3,
               label='-1/D(A), damping, 0.01 to 2 m/s')
     axes.set(title='damping and friction: on the real axis', xlabel='real part ((m/s)/kN)',
