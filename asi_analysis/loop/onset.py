@@ -127,9 +127,8 @@ def branch(actuator: Values, controller: Values, rate_hz: float, first_gain: flo
         return []
     loop, start = first
     unit = user_gain(controller, loop)
-    found = hb.continue_in_gain(loop, start, 0.3 * start.gain, 1.35 * start.gain)
-    upward = [] if onset_only else hb.continue_in_gain(
-        loop, start, 0.3 * start.gain, 1.3 * start.gain, rising=True)
+    found = hb.continue_in_gain(loop, start, 1.35)
+    upward = [] if onset_only else hb.continue_in_gain(loop, start, 1.3, rising=True)
     return [point._replace(gain=point.gain / unit) for point in [*upward[:0:-1], *found]]
 
 

@@ -29,13 +29,12 @@ CHANGED: Final = 5
 
 
 def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: float,
-               noise: float, drift: int = 1) -> tuple[float, float]:
-    """Return the Cramér-Rao bounds of frequency (Hz) and amplitude in white noise."""
+               noise: float) -> tuple[float, float]:
+    """Return the Cramér-Rao bounds of frequency (Hz) and amplitude in white noise on a drift."""
     t = time_s - time_s.mean()
     angle = 2.0 * np.pi * frequency_hz * t + phase
     jacobian = np.column_stack([-amplitude * 2.0 * np.pi * t * np.sin(angle),
-                                -amplitude * np.sin(angle), np.cos(angle),
-                                *[t**k for k in range(drift + 1)]])
+                                -amplitude * np.sin(angle), np.cos(angle), np.ones(len(t)), t])
     bound = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * noise
     return float(bound[0]), float(bound[2])
 
