@@ -1,4 +1,4 @@
-"""Breaks of a signal: samples that those before them do not predict, spikes, frozen samples."""
+"""Breaks of a signal: unpredicted samples, spikes, jumps and frozen samples."""
 
 from typing import Final
 
@@ -7,22 +7,24 @@ from scipy import ndimage, signal
 
 from asi_analysis.arrays import Array, Mask
 
-# Changes of a signal, and of its input, that predict the next one; samples that this is fitted to.
+# Past changes of a signal, and of its input, in the linear prediction of its next change; least
+# and most samples to which that is fitted.
 LAGS: Final = 20
 FEWEST: Final = 200
 MOST: Final = 20_000
-# Smallest change of an input that is answered, as a share of its range; samples of the beginning
-# of an answer.
+# Smallest change of an input to which the signal may respond, as a share of its range; samples
+# that count as the beginning of the response.
 STEP: Final = 0.01
 ANSWER: Final = 4
-# Smallest deviation that is a break: of the range of the signal; of the 90 % quantile of all. A
-# signal that stands still moves by less than this share of its next change.
+# Smallest deviation that is a break: as a share of the range of the signal, and as a multiple of
+# the 90 % quantile of all deviations. A signal stands still if it moves by less than this share of
+# its next change.
 SHARE: Final = 0.2
 USUAL: Final = 10.0
-# Share of different values among the others from which on no sample repeats one by chance.
+# Least share of different values in a signal for which repeated values are no coincidence.
 CONTINUOUS: Final = 0.9
-# Equal samples that are frozen, if one of as many changes before them and one of those after them
-# are larger than this share of the median change.
+# Least number of equal samples that are frozen. The signal must be in motion: one of as many
+# changes before them, and one after them, is larger than this share of the median change.
 FROZEN: Final = 4
 STIRRED: Final = 0.1
 
@@ -45,7 +47,7 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     factors = np.linalg.lstsq(past, values[rows], rcond=1e-10)[0]
     alone = signal.lfilter([1.0, *-factors[:LAGS]], 1.0, values)
     answer = 2.0 * signal.lfilter(factors[LAGS:], 1.0, inputs)
-    # An answer to the input that does not come, or is twice as large, is no break.
+    # A response to the input that is missing, or twice as large as predicted, is no break.
     deviation = np.abs(alone - np.clip(alone, np.minimum(answer, 0.0), np.maximum(answer, 0.0)))
     deviation[:LAGS] = 0.0
     return _large(deviation, 1.0)
@@ -55,8 +57,9 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
     """
     Return which of n samples are spikes: one or two that differ from their neighbours.
 
-    What the input explains is none. One of the same unit explains what is within its own range,
-    where the signal begins to answer a change of it.
+    A deviation that the input explains is no spike. inputs: such as the reference. same_unit: the
+    input has the unit of the signal; it then explains only deviations within its own range, at the
+    beginning of the response to a change of it.
     """
     smooth = ndimage.median_filter(values, 5, mode='mirror')
     deviation = np.abs(values - smooth)
@@ -77,9 +80,10 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
     """
     Return the first and the last sample of each part that jumps lead to, out of n samples.
 
-    A jump is a change that neither the signal before it nor its reference explains, which explains
-    no more than twice its own range. Two enclose a part. Of an odd number it cannot be told which
-    side is right: then all samples are one part. What comes after a gap is no jump.
+    A jump is a change that is predicted neither from the past of the signal nor from its
+    reference; that explains a change of at most twice its own range. Two successive jumps enclose
+    a part. With an odd number of jumps it is unknown which side is right, and all samples are one
+    part. A change after a gap in time is no jump.
     """
     if len(values) < FEWEST:
         return []
@@ -100,7 +104,7 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     """
     Return the first and last sample of parts, out of n samples, that stand still in motion.
 
-    They are found in a signal whose values hardly ever come twice.
+    Only in a signal whose values are hardly ever repeated.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     if 2 * len(begins) < len(values) or not is_continuous(values[begins]):
@@ -125,7 +129,7 @@ def _begun(inputs: Array, values: Array) -> Mask:
 
 
 def is_continuous(values: Array) -> bool:
-    """Return whether n values are from so many that none comes twice by chance."""
+    """Return whether hardly any of n values is repeated, as in a signal that is not quantised."""
     return len(np.unique(values)) > CONTINUOUS * len(values)
 
 
