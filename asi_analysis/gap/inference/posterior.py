@@ -61,7 +61,7 @@ class Posterior(Problem):
         return 0.5 * float(residual @ residual) + self.given(theta)
 
     def given(self, theta: Array) -> float:
-        """Return the part of it that is the normal priors."""
+        """Return the part of the cost that comes from the normal priors."""
         mean, precision = self.prior
         return 0.5 * float(precision @ (theta - mean) ** 2)
 
@@ -136,8 +136,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     step all are updated by what it showed (Broyden's method); they are computed anew where that
     does not lead on, at most `rounds` times. Memories of the start are then sought in their whole
     range: what they change ends with a reversal of the motion, so that derivatives mislead.
-    goal: a cost; a fit that will not reach it, as its present rate or its derivatives tell, is
-    given up.
+    goal: a cost; a fit is given up if its rate or its derivatives show that it cannot reach this.
     """
     mean, precision = problem.prior
 
@@ -232,7 +231,7 @@ class Found(NamedTuple):
 
     @property
     def given(self) -> float:
-        """The log prior cost of what the nominal parameters had to give."""
+        """The cost, in log prior density, of the deviations of the nominal parameters."""
         return self.problem.given(self.best.theta)
 
     @property

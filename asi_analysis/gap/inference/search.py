@@ -178,7 +178,7 @@ def _null(group: Group) -> Found:
 def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model, single effects and pairs that were fitted."""
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
-    # Nominal parameters that had to give much may hide an effect: then it is sought without them.
+    # Large deviations of nominal parameters may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
     found = {(): _without_last(null, list(singles.values()))} | singles
@@ -189,15 +189,15 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
 
 
 def _wants_more(found: Found) -> bool:
-    """Return whether a fit leaves, or its nominal parameters gave, what an effect may explain."""
+    """Return whether a further effect may explain a residual, or deviations of the parameters."""
     return found.left or found.given > ODDS_AGAINST
 
 
 def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return an effect with one more each; and, if two explain all, the other of them with one.
+    Return the pairs with the best single effect; if one explains all, also those with its second.
 
-    The best single effect may be none of two, but one that does what both do.
+    The best single effect need not be one of the true two: it may imitate both.
     """
     pairs = _with_second(first, tick)
     best = min(pairs.values(), key=lambda each: each.best.cost)
