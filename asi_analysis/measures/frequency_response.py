@@ -34,7 +34,7 @@ MOST_LINES: Final = 2**22
 # A reference of at least this many steps (PRBS) has a broad spectrum.
 FEWEST_STEPS: Final = 4
 HALF_POWER: Final = np.sqrt(0.5)
-# A signal with this share of its power in so many lines on each side of the strongest is a sine.
+# A sine has at least this share of its power within so many lines of the strongest one.
 SINE: Final = 0.99
 SINE_LINES: Final = 3
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'

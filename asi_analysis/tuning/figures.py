@@ -18,7 +18,8 @@ IMPEDANCE_M_S: Final = (0.02, 0.1)
 # Duration of a step, and rest before it: a compensator starts in the steady state.
 STEP_S: Final = 0.4
 BEFORE_S: Final = 0.01
-# Real part of the impedance (N s/m) that counts as half of what is missing, and sensor noise (N).
+# Deficit of the real part of the impedance (N s/m) that counts as much as a factor e of another
+# figure; sensor noise (N).
 IMPEDANCE_SCALE: Final = 100.0
 NOISE_N: Final = 1.0
 DIVERGED: Final = 1e6

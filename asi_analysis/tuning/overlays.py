@@ -64,7 +64,7 @@ def _step(found: Mapping[str, Responses], number: int, size: float, rate_hz: flo
 
 
 def recorded(runs: Mapping[str, Run]) -> Pictures:
-    """Return what recordings control over each other, each from its largest step on."""
+    """Return overlays of the outputs of recordings, each from its largest step on."""
     lines: dict[str, Lines] = {}
     for name, run in runs.items():
         steps = step_response(run).steps

@@ -17,7 +17,7 @@ from asi_common.topics import TOPICS
 # joint_states holds all but the reference.
 HEARD: Final = ('joint_states', 'force_reference')
 KEEP_S: Final = 30.0
-# The true rate is that of the last so many states.
+# Number of the last states from which the true rate is computed.
 RATE_STATES: Final = 2000
 
 

@@ -15,7 +15,7 @@ RECORDER: Final = 'asi_recorder'
 
 
 class AwaitedRecorder:
-    """Holds a node back until a recorder hears its topics (parameter `await_recorder`)."""
+    """Delays a node until a recorder has its topics (parameter `await_recorder`)."""
 
     def __init__(self, node: Node, awaited: bool):
         self._node = node

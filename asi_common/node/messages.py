@@ -56,7 +56,7 @@ def clock(stamp_ns: int) -> bytes:
 def state(stamp_ns: int, position_m: float, valve_m: float, velocity: float,
           valve_velocity: float, force_n: float, command_n: float
           ) -> tuple[bytes, bytes, bytes, bytes, bytes]:
-    """Return what the actuator says: joint_states, /clock, force, valve_position, velocity."""
+    """Return the actuator's joint_states, /clock, force, valve_position and velocity."""
     stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
     return (_STATE.pack(stamp, _BEFORE_NUMBERS, position_m, valve_m,
                         _TWO, velocity, valve_velocity, _TWO, force_n, command_n),
@@ -65,7 +65,7 @@ def state(stamp_ns: int, position_m: float, valve_m: float, velocity: float,
 
 
 def answer(stamp_ns: int, command_n: float, reference_n: float) -> tuple[bytes, bytes]:
-    """Return what the controller says: valve_command and force_reference, forces along x."""
+    """Return the controller's valve_command and force_reference, forces along x."""
     stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
     return (_WRENCH.pack(stamp, _FRAME, command_n), _WRENCH.pack(stamp, _FRAME, reference_n))
 

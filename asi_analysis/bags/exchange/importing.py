@@ -131,7 +131,7 @@ def _joints_in(path: Path) -> dict[str, Run]:
 
 def _read(path: Path, texts: list[str], rate_hz: float | None, skip_lines: int,
           delimiter: str | None, columns: Sequence[str] | None) -> tuple[list[str], Table]:
-    """Return the mapping, completed with what a file or bag tells itself, and its columns."""
+    """Return the mapping, completed by the file or bag itself, and its columns."""
     if not is_bag(path):
         table = read_table(path, skip_lines, delimiter, columns)
         return texts or own_mapping(table), table

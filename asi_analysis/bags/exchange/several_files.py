@@ -19,7 +19,7 @@ from asi_analysis.errors import InputError, InputWarning
 
 # Times that differ by less than this share of a step are equal.
 CLOSE: Final = 1e-3
-# A step between samples so many times the usual one is a gap.
+# Least ratio of a step between samples to the usual one at which it is a gap.
 GAP: Final = 1.5
 Signals = dict[str, tuple[Array, str]]
 

@@ -242,7 +242,7 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
 
 
 def _far_off(candidate: Candidate, group: Group) -> float:
-    """Return the log prior odds against the parameters beyond their tolerance, so far beyond."""
+    """Return the log prior odds against the distance of parameters beyond their tolerance."""
     return sum(log_odds_against(candidate.fitted.values[free.field]
                                 / float(group.nominal[free.field]))
                for effect in group.effects if effect.name in candidate.names

@@ -33,8 +33,8 @@ BINS, NEAR_BEST = 1000, 0.99
 QUANTISERS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
               'residual_step_zero': (0.0, 1.0)}
 OFFSET_RANGE = 1e3  # times the residual: the range of a free offset
-# A line excitation: at most so many sines, each with at least this share of the power of force or
-# motion, together with at least that share.
+# A line excitation: the largest number of sines, and the least share of the power of force or
+# motion in each of them and in all together.
 MOST_LINES, LINE_POWER, LINES_POWER = 3, 0.1, 0.8
 ORDER = 3          # highest order of harmonics
 REGULAR = 1e-12    # of the energy of all parameters: less is rounding
@@ -104,7 +104,7 @@ def _output(recording: Recording, channel: str) -> Array:
 
 
 def _predicted(recording: Recording, channel: str, p: np.void) -> Array:
-    """Return the same, predicted; of a motion, the force that what it misses takes."""
+    """Return the predicted output; of a motion, the force that its error would take."""
     if channel not in MOTIONS:
         return predict(recording, channel, p)
     return simulator.missed_force(recording, p)

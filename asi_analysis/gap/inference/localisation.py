@@ -52,7 +52,7 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
     relative to the signal. It is shared by the blocks of the hypotheses in proportion to their
     probability, and within a hypothesis by what each effect explains.
     """
-    # What names nothing is no place for the gap, unless nothing is named at all.
+    # Hypotheses without an effect have no block, and do not count if any other has.
     share = _shares(groups, lambda names: bool(names))
     if sum(share.values()) == 0.0:   # refitted, nothing is above the error floor
         for weighed in groups:

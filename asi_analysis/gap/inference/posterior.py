@@ -33,7 +33,7 @@ DAMPING, TRIES = 1e-4, 5   # of a step: to begin with, and how often with more
 SLOW = 0.003      # of the cost: an updated derivative that gains less is computed anew
 HOPE = 2.0        # times what a linear problem would gain: a fit may gain no more
 LONGEST_STEP = 0.3
-SCANNED = 9       # values of what a derivative does not tell of
+SCANNED = 9       # values of a parameter for which derivatives mislead
 # Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
 # differences: three standard errors of its variance are about this over the root of the samples.
 MARGIN, NOISE_ERROR = 1.1, 10.0
@@ -100,7 +100,7 @@ class Posterior(Problem):
         return np.array(list(self.each(column, range(theta.size)))).T
 
     def each(self, function: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-        """Return what a function makes of each item, on all cores if there is a pool."""
+        """Yield the value of a function of each item, on all cores if there is a pool."""
         return map(function, items) if self.pool is None else self.pool.map(function, items)
 
     def curvature(self, theta: Array, base: Array, step: Array) -> Array:
@@ -181,7 +181,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
 
 
 def _elsewhere(problem: Posterior, theta: Array) -> Iterator[Array]:
-    """Yield the parameters with one that a derivative does not tell of anywhere in its range."""
+    """Yield the parameters with each memory of the start in turn at values in its whole range."""
     for number, free in enumerate(problem.free):
         if free.field.partition('@')[0] in MEMORIES:
             for share in np.linspace(0.0, 1.0, SCANNED):

@@ -60,7 +60,7 @@ USUAL_FACTOR = 2.0       # by which such a parameter differs: the spread of its 
 
 
 def log_odds_against(ratio: float) -> float:
-    """Return the log prior odds against a parameter so many times its nominal value."""
+    """Return the log prior odds against a parameter at a ratio to its nominal value."""
     return 0.5 * (math.log(ratio) / math.log(USUAL_FACTOR)) ** 2
 
 

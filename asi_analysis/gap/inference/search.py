@@ -79,9 +79,10 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
 
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
     """
-    Return the valve with what explains it equally well, but not what follows it.
+    Return the valve with `rivals`: candidates that explain its position equally well.
 
-    They share the probability by the cost (negative log posterior) of what follows it.
+    They share the probability of its best candidate. costs: of all that follows the valve in the
+    signal path, given each (negative log posterior).
     """
     candidates, chance = dict(valve.candidates), dict(valve.probability)
     effects = dict.fromkeys(valve.group.effects)
@@ -96,7 +97,7 @@ def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Wei
 
 
 def _explained(null: Found, tick: Callable[[], None], alone: bool) -> Weighed | None:
-    """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
+    """Return a group, weighed, if the residual of one of its hypotheses is only noise."""
     found, group = _hypotheses(null, tick), null.problem.group
     if not alone and all(f.left for f in found.values()):
         return None
@@ -115,7 +116,7 @@ def _explained(null: Found, tick: Callable[[], None], alone: bool) -> Weighed | 
 
 
 def _follows(null: Found) -> bool:
-    """Return whether the nominal model follows the signals at all: else it is another machine."""
+    """Return whether the nominal model follows the signals; if not, it is of another machine."""
     group = null.problem.group
     power = np.array([np.mean(np.concatenate(
         [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
@@ -127,7 +128,7 @@ def _rivals(valve: Weighed) -> Iterator[Weighed]:
     """
     Yield the same, with another parameter that changes the valve position as its gain does.
 
-    Thrust and full opening act on the force too, so what follows the valve tells them apart.
+    Thrust and full opening also act on the force, which distinguishes them.
     """
     best, gain = _most_probable(valve), 'valve_characteristic_gain'
     if (best.names != (PARAMETER + 'valve_characteristic.gain',)
@@ -324,7 +325,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(_with_shared(form, null, _free_fields(form)[0]))
         starts = [min(shared, key=form.problem.cost)]
-        # Far from the nominal model, what an effect is not may mislead.
+        # Far from the nominal model, the other parameters' values may mislead.
         if far and form.best is best_forms[form.names]:
             starts.append(form.best.theta)
         goal = leader.best.cost + REACH

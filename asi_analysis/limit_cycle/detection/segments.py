@@ -11,7 +11,7 @@ from asi_analysis.measures.quality import without_spikes
 # Least number of windows in a piece, and penalty of one more piece.
 SHORTEST_PIECE: Final = 3
 PENALTY: Final = 6.0
-# The first window is cut off if its residual is so many times the median: a transient.
+# The first window is cut off, as a transient, if its residual is this multiple of the median.
 TRANSIENT: Final = 5.0
 
 
