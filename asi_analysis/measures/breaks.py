@@ -27,6 +27,8 @@ CONTINUOUS: Final = 0.9
 # changes before them, and one after them, is larger than this share of the median change.
 FROZEN: Final = 4
 STIRRED: Final = 0.1
+# Share of a jump by which a mirrored signal may miss, and change before and after it.
+MIRRORED: Final = 0.4
 
 
 def unexplained(inputs: Array, values: Array) -> Mask:
@@ -39,6 +41,7 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     """
     if len(values) < FEWEST:
         return np.ones(len(values), bool)
+    mirrored = _mirrored(values)
     values, inputs = (np.diff(each, prepend=each[0]) / max(float(np.ptp(each)), 1e-300)
                       for each in (values, inputs))
     rows = np.arange(LAGS, len(values), 1 + len(values) // MOST)
@@ -49,8 +52,21 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     answer = 2.0 * signal.lfilter(factors[LAGS:], 1.0, inputs)
     # A response to the input that is missing, or twice as large as predicted, is no break.
     deviation = np.abs(alone - np.clip(alone, np.minimum(answer, 0.0), np.maximum(answer, 0.0)))
+    # Of one step alone, any answer is possible.
+    stepped = ndimage.maximum_filter1d(np.abs(inputs), LAGS + 1, origin=LAGS // 2) > SHARE
+    deviation[mirrored & stepped] = np.abs(values[mirrored & stepped])
     deviation[:LAGS] = 0.0
     return _large(deviation, 1.0)
+
+
+def _mirrored(values: Array) -> Mask:
+    """Return where a signal jumps to about its value before with the other sign, and goes on."""
+    found = np.zeros(len(values), bool)
+    before, change, after = np.diff(values)[:-2], np.diff(values)[1:-1], np.diff(values)[2:]
+    other = -values[1:-2] - before      # the sample, had the sign been wrong up to it
+    found[2:-1] = (np.abs(values[2:-1] - other) < MIRRORED * np.abs(change)) & (
+        np.maximum(np.abs(before), np.abs(after)) < MIRRORED * np.abs(change))
+    return found
 
 
 def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) -> Mask:
