@@ -80,6 +80,7 @@ class Run:
     information: dict[str, Any] = field(default_factory=dict)
     states: tuple[StateChange, ...] = ()
     pressure_pa: Array | None = None
+    problems: tuple[str, ...] = ()      # sentences on what could not be read, or was lost
 
     def __post_init__(self) -> None:
         for name, values in self.signals().items():

@@ -202,7 +202,7 @@ def _obeying(rows: _Rows, span: float) -> Mask | None:
 
 
 def _with_steps(rows: _Rows, obeys: Mask, span: float) -> Mask:
-    """Return the rows with those that obey too if the fit knows them, as those of the only step."""
+    """Return the rows with those that obey once the fit knows them, as those of the only step."""
     others = np.flatnonzero(~obeys)
     groups = np.split(others, np.flatnonzero(np.diff(others) > 1) + 1)
     for group in groups if len(groups) <= MOST_BREAKS else ():

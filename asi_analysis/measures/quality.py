@@ -42,7 +42,9 @@ LOSSES: Final = frozenset(('gap', 'missing'))
 
 def findings(run: Run) -> list[Finding]:
     """Return the defects of the samples of a run (at least 2), doubtful ones first."""
+    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
     found = [*_of_time(run.time_s)]
+    found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
     found += of_reference(run)
