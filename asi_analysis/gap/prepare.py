@@ -160,7 +160,7 @@ def _bridged(name: str, values: Array, source: str) -> Array:
     return np.interp(index, index[~missing], values[~missing])
 
 
-def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
+def uniform(run: Run) -> tuple[float, dict[str, Array]]:
     """Return the period (s) and the signals at equal distances in time."""
     time = run.time_s
     if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
@@ -188,7 +188,7 @@ def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
     return period, signals
 
 
-def _recorded(run: Run, drive: str, period: float, count: int) -> Mask:
+def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
     """
     Return at which of `count` samples, `period` s apart, no signal has a long gap.
 
@@ -389,7 +389,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
 
     And the position (m) at which a piston starts at rest, from which its position then counts.
     """
-    period, signals = _uniform(run)
+    period, signals = uniform(run)
     thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
     if drive == 'force' and thinned > 1:
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
@@ -448,7 +448,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
                      balanced_split(driving, period))
-        valid = _recorded(run, drive, period, fit.size)
+        valid = recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
             valid = valid & ~_ends(fit.size, period)
         # What is cut off was not measured; but a valve may rest against a stop.
