@@ -14,10 +14,10 @@ from asi_common.node.topics import SteadyClock, create_publisher
 if TYPE_CHECKING:
     from asi_actuator.actuator_node import ActuatorNode
 
-# How often the lock-step looks whether it must send again, s.
+# Period of the checks of lock-step for a missing answer, s.
 WATCH_PERIOD_S: Final = 0.005
-# Real time: at most so many periods are caught up at once; the rest is lost time. So it is in
-# lock-step at a given real_time_factor.
+# Most periods that are caught up at once, in real time and in lock-step with a real_time_factor;
+# the others are lost.
 MOST_CATCH_UP: Final = 10
 
 
@@ -33,7 +33,7 @@ class Loop(Protocol):
         """Follow node.paused, which has changed."""
 
     def on_reset(self) -> None:
-        """Forget what was asked for before the reset."""
+        """Discard commands from before the reset."""
 
     def on_parameters(self) -> None:
         """Follow the node's parameters, which have changed."""
@@ -59,8 +59,8 @@ class LockStep:
         self.state = self.clock = b''
         # The command that answers the newest state, while the node is paused or ahead of time.
         self.command_n: float | None = None
-        # With a real_time_factor: when the newest state was due, how long after it the next one
-        # is, and the timer that waits for that.
+        # With a real_time_factor: the time at which the newest state was due, the period of the
+        # states, and the timer for the next one.
         self.due_ns = 0
         self.step_ns = 0.0
         self.pace: Timer | None = None
@@ -78,7 +78,7 @@ class LockStep:
         node = self.node
         if stamp_ns != self.stamp_ns or self.command_n is not None:
             node.ignored += 1
-            # A lost answer is asked for again, and is the same.
+            # The answer to a state that was sent again is repeated unchanged.
             if (stamp_ns, command_n) != self.answered and stamp_ns == self.answered[0]:
                 node.safety.trip(
                     f'valve_command = {self.answered[1]:g} N and {command_n:g} N answer the same '
@@ -102,7 +102,7 @@ class LockStep:
         factor = float(self.node.parameters.values['real_time_factor'])
         self.step_ns = 1e9 * self.node.period_s / factor if factor else 0.0
         self.due_ns = time.monotonic_ns()
-        # Only where there is a pace: each timer takes its time in each tick.
+        # Only with a pace: each timer costs time in each tick.
         if factor and self.pace is None:
             self.pace = self.node.create_timer(self.node.period_s, self._go_on, clock=self.steady)
         elif not factor and self.pace is not None:
@@ -147,7 +147,7 @@ class LockStep:
         return {'resent': self.resent}
 
     def _silence(self, now_ns: int) -> float:
-        """Return for how long (s) no answer has come."""
+        """Return the time (s) since the last answer."""
         return (now_ns - self.silent_since_ns) * 1e-9
 
     def _advance(self, command_n: float, periods: int) -> None:
@@ -165,7 +165,7 @@ class LockStep:
         self.silent_since_ns = self.sent_ns = now_ns = time.monotonic_ns()
         self.state, self.clock, force, valve, velocity = node.sense(stamp_ns, now_ns)
         self._publish()
-        # After what the controller waits for: it computes meanwhile.
+        # Last, as the controller does not need these: it computes meanwhile.
         node.publish_rest(force, valve, velocity)
 
     def _missing(self) -> list[str]:
@@ -179,7 +179,7 @@ class LockStep:
         self.clocks.publish(self.clock)
 
     def _watch(self) -> None:
-        """Publish the first state when all are there; later, see to it that it is answered."""
+        """Publish the first state once no node is missing; later, repeat an unanswered one."""
         if self.node.paused or self.command_n is not None:
             return
         if self.tick == 0:
@@ -211,7 +211,7 @@ class RealTime:
         self.command_n = 0.0
         self.commanded_at: float | None = None
         self.clock = SteadyClock()
-        # In the second that goes on.
+        # In the current second.
         self.commands = self.periods = 0
         self.start: float | None = None
         self.done = 0

@@ -19,14 +19,7 @@ from asi_actuator.safety import Safety, State
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
 from asi_common.node.compilation import tell_of_compilation
-from asi_common.node.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    Diagnostics,
-    LoopStatistics,
-    StateChanges,
-)
+from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics, StateChanges
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
@@ -63,7 +56,7 @@ class ActuatorNode(Node):
         # The newest state, the link it came by, and the periods since then.
         self.measured: Measurement | None = None
         self.health = Health()
-        self.lost_states = 0  # of the link, that statistics knows
+        self.lost_states = 0  # of the link, counted in the statistics
         self.unseen = 0
 
         self._valve_m = 0.0
@@ -92,7 +85,7 @@ class ActuatorNode(Node):
         """
         Give a command (N) to the actuator and take its state `periods` control periods later.
 
-        Return whether there is a new state. What is not safe shuts the valve with the next call.
+        Return whether there is a new state. An unsafe one shuts the valve with the next call.
         """
         safety, driver = self.safety, self.driver
         self.applied_n = applied_n = safety.command(command_n)
@@ -119,8 +112,8 @@ class ActuatorNode(Node):
                           force, self.applied_n)
 
     def tell_state(self, stamp_ns: int) -> None:
-        """Publish the state that the safety logic is in from the control period of a stamp on."""
-        # In lock-step, before the state of that stamp: so a recorder knows where it belongs.
+        """Publish the state of the safety logic from the control period of a stamp on."""
+        # In lock-step before the state of that stamp, so that a bag has both in order.
         self.state_changes.publish(stamp_ns, self._state(),
                                    wait=self.parameters.values['mode'] == 'lockstep')
 
@@ -129,7 +122,7 @@ class ActuatorNode(Node):
         return self.state_changes.status(level, self.safety.state, self.safety.reason)
 
     def publish_rest(self, force: bytes, valve: bytes, velocity: bytes) -> None:
-        """Publish what no controller waits for."""
+        """Publish the topics that no controller waits for."""
         self.forces.publish(force)
         self.valve_positions.publish(valve)
         self.velocities.publish(velocity)
@@ -140,7 +133,7 @@ class ActuatorNode(Node):
         super().destroy_node()
 
     def finish(self) -> NoReturn:
-        """End the run that `duration` bounds: one that ended in a fault has failed."""
+        """End the run after `duration`; if it ended in a fault, it has failed."""
         if self.safety.state is State.FAULT:
             raise RunError(f'the run ended in a fault: {self.safety.reason}')
         raise RunFinished
@@ -158,7 +151,7 @@ class ActuatorNode(Node):
         self.loop.on_parameters()
 
     def _safety_changed(self) -> None:
-        """Tell a change of state at once, in the log and on /diagnostics, so in the bag."""
+        """Report a change of state at once, in the log and on /diagnostics, so in the bag."""
         if self.safety.state is State.FAULT:
             self.get_logger().error(f'fault, the valve command is 0: {self.safety.reason}; '
                                     '~/reset when the cause is gone')

@@ -13,8 +13,8 @@ from asi_actuator.model.actuator import Measurement
 from asi_common.files import write_text
 from asi_common.parameter import ParameterError
 
-# How long the actuator must have been at rest, s, and what is still rest: changes of the valve
-# command and of the mean force, N, and of the mean valve position, m (1 % of the full opening).
+# Time for which the actuator must have been at rest, s, and the largest changes at rest: of the
+# valve command and of the mean force, N; of the mean valve position, m (1 % of the full opening).
 WINDOW_S: Final = 0.2
 CHANGE_N: Final = 1.0
 CHANGE_M: Final = 2e-7
@@ -34,7 +34,7 @@ class Calibration(NamedTuple):
 
 def load(path: str) -> Calibration:
     """
-    Return what a file says; no offset and scale 1 if the path is empty or there is no file yet.
+    Return the calibration in a file; none (scale 1) if the path is empty or there is no file yet.
 
     Raises ParameterError if the file is not a calibration.
     """
@@ -57,7 +57,7 @@ def load(path: str) -> Calibration:
 
 
 def save(path: str, calibration: Calibration) -> None:
-    """Write a file that `load` reads; a file that is there is replaced at once or not at all."""
+    """Write a file that `load` reads, atomically."""
     place = Path(path).expanduser()
     place.parent.mkdir(parents=True, exist_ok=True)
     write_text(place, yaml.safe_dump(
@@ -105,7 +105,7 @@ class Rest:
 
 
 def _change(values: npt.NDArray[np.float64]) -> tuple[float, float]:
-    """Return how the mean changed between the halves, and how much of it may be noise."""
+    """Return the change of the mean between the halves, and its bound for noise alone."""
     middle = values.size // 2
     change = abs(float(values[middle:].mean() - values[:middle].mean()))
     # The difference of two means of n/2 samples spreads by 2 std / sqrt(n); four times that.

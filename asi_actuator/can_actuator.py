@@ -23,11 +23,11 @@ from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_common.parameter import ParameterError, Value, completed
 from asi_common.parameter_file import read_scalar
 
-# The physics is advanced by this much at a time, s, and over at most so much at once.
+# Step of the simulation, s, and the most that it catches up at once.
 PERIOD_S: Final = 0.2e-3
 MOST_CATCH_UP_S: Final = 0.1
-# A command is taken if its counter is this far ahead of the last: a few may be lost, none may
-# come twice or from the past.
+# Largest step of the counter from one command to the next: a few may be lost; a repeated or an
+# old one is ignored.
 MOST_AHEAD: Final = 16
 
 Frame = tuple[int, bytes]
@@ -35,10 +35,10 @@ Frame = tuple[int, bytes]
 
 class Firmware:
     """
-    What an actuator does with the frames; time (s) is given from outside.
+    The actuator's side of the protocol; time (s) is an argument.
 
-    The valve is driven while commands come in time, and only after one with `enable` 0: whoever
-    lost the actuator must take it up again knowingly.
+    The valve is driven while commands arrive in time, and only after one with `enable` 0: after a
+    loss of the link the valve must be enabled anew.
     """
 
     def __init__(self, frames: Frames, values: dict[str, Value], command_timeout_s: float,
@@ -55,7 +55,7 @@ class Firmware:
         self._ready = self.driving = False
 
     def receive(self, now_s: float, identifier: int, data: bytes) -> bool:
-        """Take a frame; return whether it was a good command, to be answered by state()."""
+        """Process a frame; return whether it was a valid command, to be answered by state()."""
         try:
             decoded = self._frames.decode(identifier, data)
         except ValueError:
@@ -76,12 +76,12 @@ class Firmware:
         return True
 
     def watch(self, now_s: float) -> bool:
-        """Close the valve if no command comes; return whether state() should say so."""
+        """Close the valve if no command arrives; return whether state() should be sent."""
         if now_s - self._commanded_at > self._timeout_s:
             self._advance(now_s)
             self._ready = self.driving = False
             self._command_n = 0.0
-            # The next command may begin anywhere: its sender may have started again.
+            # The counter may begin anywhere: the sender may have been restarted.
             self._counter = None
             return now_s - self._spoken_at > self._timeout_s
         return False
@@ -93,7 +93,7 @@ class Firmware:
         self._advanced_to_s += periods * PERIOD_S
 
     def state(self, now_s: float) -> list[Frame]:
-        """Return the frames that tell the state."""
+        """Return the frames of the state."""
         self._spoken_at = now_s
         force, valve, position, velocity = self._measurement
         return [(self._frames.identifiers[name], self._frames.encode(name, values))

@@ -15,12 +15,12 @@ from asi_actuator.driver import Health
 from asi_actuator.model.actuator import Measurement
 from asi_common.parameter import Value
 
-# Commands a control period: one, and a few more where the machine is busy.
+# Most commands per control period: one, with a margin for a busy machine.
 MOST_COMMANDS: Final = 1.5
 
 
 class State(StrEnum):
-    """Of the actuator's node; FAULT stays until it is reset."""
+    """State of the actuator's node; FAULT lasts until it is reset."""
 
     DISABLED = 'disabled'
     ENABLED = 'enabled'
@@ -72,7 +72,7 @@ class Safety:
                             / number('valve_characteristic.maximum_force'))
 
     def enable(self) -> str:
-        """Let commands through; return why not, or ''."""
+        """Enable commands; return the reason of a refusal, or ''."""
         if self.state is State.FAULT:
             return f'in fault, reset first: {self.reason}'
         self._go(State.ENABLED)
@@ -84,17 +84,17 @@ class Safety:
             self._go(State.DISABLED)
 
     def reset(self) -> None:
-        """Forget a fault; the state is that after power-up."""
+        """Clear a fault; the state is that after power-up."""
         self._forget()
         self._go(self._power_up)
 
     def trip(self, reason: str) -> None:
-        """Close the valve until the reset. The first reason stays: what follows is its effect."""
+        """Close the valve until the reset. The first reason is kept: others are its effects."""
         if self.state is not State.FAULT:
             self._go(State.FAULT, reason)
 
     def command(self, wanted_n: float) -> float:
-        """Return the valve command (N) that the actuator may have of the one that is wanted."""
+        """Return the valve command (N) that is nearest to the wanted one and allowed."""
         last_n, step_n, limit_n = self._command_n, self._command_step_n, self._command_limit_n
         if not self.enabled:
             wanted_n = 0.0
@@ -110,20 +110,20 @@ class Safety:
         return wanted_n
 
     def watch_command(self, age_s: float) -> None:
-        """Look at the age (s) of the newest command."""
+        """Check the age (s) of the newest command."""
         if self.enabled and age_s > self._command_age_s:
             self._exceeded('age of valve_command', age_s, 's', 'command_timeout',
                            self._command_age_s,
                            ': the controller is silent, or the machine too busy for this limit')
 
     def watch_number_of_commands(self, commands: int, periods: int) -> None:
-        """Look at how many commands have come in so many control periods, about a second."""
+        """Check the number of commands in a number of control periods, about a second."""
         if self.enabled and commands > MOST_COMMANDS * periods:
             self.trip(f'{commands} valve_commands in {periods} control periods: do two '
                       'controllers run, or one with another rate_hz?')
 
     def watch_link(self, health: Health) -> None:
-        """Look at the link to the actuator; once a period."""
+        """Check the link to the actuator; once a period."""
         if health.problem:
             self.trip(health.problem)
         if health.state_age_s > self._state_age_s:
@@ -139,21 +139,21 @@ class Safety:
             self._exceeded('bad frames within 1 s', bad, '', 'limit.bad_frames', self._bad_frames)
 
     def watch_state(self, measured: Measurement, periods: int) -> None:
-        """Look at a state that came `periods` control periods after the one before."""
+        """Check a state that came `periods` control periods after the one before."""
         force, valve, position, velocity = measured
         rate = 0.0
         if self._last_force_n is not None and periods > 0:
             rate = (force - self._last_force_n) / (periods * self._period_s)
         self._last_force_n = force
         apart = self._apart(valve)
-        # Written so that nan is no way out.
+        # Formulated so that nan trips too.
         if not (abs(force) <= self._force_n and abs(valve) <= self._valve_m
                 and abs(velocity) <= self._velocity and abs(rate) <= self._force_rate
                 and abs(apart) <= self._disagreement_m and math.isfinite(position)):
             self._not_safe(measured, rate, apart)
 
     def _not_safe(self, measured: Measurement, rate: float, apart: float) -> None:
-        """Say of a state which limit it exceeds first."""
+        """Trip with the first limit that a state exceeds."""
         force, valve, position, velocity = measured
         if not math.isfinite(position):
             self.trip(f'position = {position} m is not a finite number')
@@ -169,10 +169,10 @@ class Safety:
 
     def _apart(self, valve_m: float) -> float:
         """
-        Return how far the valve is from where the command should have brought it, in the mean.
+        Return the mean distance (m) of the valve from the position that the command asks for.
 
-        At rest the model says where (valve_characteristic.*); its dynamics and hysteresis, which
-        differ from one valve to the next, fall out of the mean over time.
+        That is given by the static model (valve_characteristic.*); dynamics and hysteresis, which
+        differ from one valve to the next, average out over time.
         """
         full, expected = self._full_opening_m, self._valve_gain * self._command_n
         if not -full <= expected <= full:
@@ -202,5 +202,5 @@ class Safety:
 
 
 def _within(value: float, low: float, high: float) -> float:
-    """Return what is nearest to a value in a range; faster than min and max, and nan stays nan."""
+    """Return a value limited to a range; faster than min and max, and nan stays nan."""
     return low if value < low else high if value > high else value

@@ -6,9 +6,8 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from asi_analysis.arrays import Array
 
 
 class Scale(Enum):

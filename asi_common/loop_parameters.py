@@ -16,7 +16,7 @@ LOOP_PARAMETERS: tuple[Parameter, ...] = (
               'Control rate, the same for both nodes; 0: 5000 in lock-step, 1000 in real time',
               0.0, 2e4, read_only=True),
     Parameter('await_recorder', False, '',
-              'Hold the first message back until a recorder hears every topic of this node',
+              'Delay the first message until a recorder has every topic of this node',
               read_only=True),
 )
 

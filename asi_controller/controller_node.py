@@ -29,17 +29,18 @@ from asi_controller.parameters import (
     REFERENCE_PARAMETERS,
 )
 
-# An old state is a straggler, unless the same one comes so often in a row: then the actuator,
-# which asks again and again, has begun a new run.
+# An old state is ignored, unless it is repeated so often in a row: then the actuator has begun a
+# new run, and repeats its state until that is answered.
 BEGIN_ANEW_AFTER: Final = 3
-# A state that is not a period after the last is a stray, unless for so long (s) no other comes.
+# A state that is not one period after the last is ignored; if for so long (s) no other comes, it
+# is an error.
 WRONG_FOR_S: Final = 1.0
-# A stamp this far from the wall clock is of another clock.
+# A stamp that differs so much from the wall clock is of another clock.
 OTHER_CLOCK_NS: Final = 3600 * 10**9
-# No simulation lasts longer, and no wall clock that was ever set shows less (2001).
+# Stamps below this are simulated time; a wall clock passed it in 2001.
 SIMULATED_NS: Final = 10**18
-# Real time: how long after a state it is answered, s (at most a quarter of a period), and the
-# share of what is missing or too much that a tick takes off the next period.
+# Real time: delay from a state to its answer, s (at most a quarter of a period), and the share of
+# the deviation from it by which a tick corrects the next period.
 AFTER_STATE_S: Final = 0.0002
 IN_STEP: Final = 0.05
 # Parameters that, unless 0, need the velocity of the piston.
@@ -47,7 +48,7 @@ VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.le
                           'gain_schedule.velocity')
 # Looked up once.
 ROS_TIME, TimePoint = ClockType.ROS_TIME, rclpy_implementation.rcl_time_point_t
-# How often it is looked for a recorder that is awaited, and at the age of the reference, s.
+# Period of the checks for an awaited recorder and of the age of the reference, s.
 WATCH_PERIOD_S: Final = 0.02
 
 
@@ -99,7 +100,7 @@ class ControllerNode(Node):
             self.references.publish(reference)
 
     def ready(self) -> bool:
-        """Return whether nothing is to be waited for any more."""
+        """Return whether a recorder is there, or none is awaited."""
         if not self.recorded:
             self.recorded = not self.recorder.missing([self.commands, self.references])
         return self.recorded
@@ -127,11 +128,11 @@ class ControllerNode(Node):
                                     throttle_duration_sec=1.0)
 
     def _watch_reference(self) -> None:
-        """Let go of a reference whose publisher is silent."""
+        """Set the desired force to 0 if its publisher is silent."""
         timeout_s = float(self.parameters.values['reference_timeout'])
         if self.referenced_ns is None or not self.answered_ns or not timeout_s:
             return
-        # One that came before the first state counts from there; so does one of an earlier run.
+        # One from before the first state, or from an earlier run, ages from the first state on.
         self.referenced_ns = min(self.referenced_ns or self.answered_ns, self.answered_ns)
         if (self.answered_ns - self.referenced_ns) * 1e-9 > timeout_s:
             self.get_logger().warning(
@@ -145,7 +146,7 @@ class ControllerNode(Node):
         self._listen()
 
     def _listen(self) -> None:
-        """Hear force_reference only while the controller does not publish it itself."""
+        """Subscribe to force_reference unless the controller publishes it itself."""
         if self.controller.generates and self.wanted is not None:
             self.destroy_subscription(self.wanted)
             self.wanted = None
@@ -177,7 +178,7 @@ class ControllerNode(Node):
 
 
 class Loop(Protocol):
-    """What decides when the controller answers: lock-step or real time."""
+    """Time base of the controller: lock-step or real time."""
 
     def __init__(self, node: ControllerNode): ...
 
@@ -195,8 +196,8 @@ class LockStep:
     """
     Answers each state once the clock has reached it (doc/explanation/lock_step.md).
 
-    State and clock may come in either order, so both look whether an answer is due: the state
-    when it comes, the clock by the timer.
+    State and clock may arrive in either order, so both check whether an answer is due: the state
+    when it arrives, the clock by the timer.
     """
 
     def __init__(self, node: ControllerNode):
@@ -209,7 +210,7 @@ class LockStep:
         self.wrong_since: float | None = None
         self.resent = 0
         self.period_ns = 1e9 / node.rate_hz
-        # ROS time as with use_sim_time, but /clock is heard raw, and given to rcl as a number:
+        # ROS time as with use_sim_time, but /clock is received raw, and given to rcl as a number:
         # rclpy's own subscription takes ten times as long (bench/loop_rate.py).
         clock, self.clock_ns = ROSClock(), 0
         source = TimeSource()
@@ -224,7 +225,7 @@ class LockStep:
 
     def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
         if stamp_ns == self.answered_ns:
-            # Asked again: the answer was lost. Nothing is computed twice.
+            # A repeated state: the answer was lost. It is sent again, not computed again.
             self.resent += 1
             self.node.commands.publish(self.node.command)
             return
@@ -249,7 +250,7 @@ class LockStep:
 
     def health(self) -> tuple[bytes, str]:
         silence_s = self.node.statistics.silence_s()
-        # Also if the last state came without its clock: the actuator ended in between.
+        # Also if the last state came without its clock: the actuator has ended in between.
         if self.answered_ns is not None and silence_s > SILENT_S:
             return WARN, f'no new state for {silence_s:.1f} s: the actuator is paused or has ended'
         if self.pending is not None:
@@ -263,7 +264,7 @@ class LockStep:
         return {'resent': self.resent}
 
     def _begins_anew(self, stamp_ns: int) -> bool:
-        """Return whether a state from the past is the first of a new run, and forget the old."""
+        """Return whether an old state is the first of a new run; if so, discard the last run."""
         self.repeats = self.repeats + 1 if stamp_ns == self.straggler_ns else 1
         self.straggler_ns = stamp_ns
         self.node.ignored += 1
@@ -275,7 +276,7 @@ class LockStep:
         return True
 
     def _ignore(self, apart_ns: int) -> None:
-        """Count a state that is not a period after the last. Raises RunError if none is so."""
+        """Count a state not a period after the last. Raises RunError if these go on."""
         now = time.monotonic()
         self.wrong_since = self.wrong_since or now
         self.node.ignored += 1
@@ -300,8 +301,8 @@ class RealTime:
     """
     Answers the latest state at each tick of a wall timer.
 
-    The timer is kept in step with the states, so that none waits a random part of a period: a
-    tick comes AFTER_STATE_S after a state, late enough that neither jitters past the other.
+    The timer is synchronised with the states, so that the latency is constant: a tick comes
+    AFTER_STATE_S after a state, so late that jitter does not exchange them.
     """
 
     def __init__(self, node: ControllerNode):
@@ -327,7 +328,7 @@ class RealTime:
 
     def _goes_on(self, stamp_ns: int) -> bool:
         """
-        Tell whether a state that is far from the clock of this node is of its loop.
+        Return whether a state whose stamp is far from this node's clock belongs to its loop.
 
         It is if the system clock was set since this node was started, and the actuator then, or
         since the actuator was started, and this node then. Raises RunError if the loop has not
@@ -363,7 +364,7 @@ class RealTime:
         self.timer.timer_period_ns = round(1e9 * (self.period_s - IN_STEP * self._late_s()))
 
     def _late_s(self) -> float:
-        """Return how much too late after the states the ticks come, at most half a period."""
+        """Return the delay (s) of the ticks beyond the nominal one, at most half a period."""
         half_s = 0.5 * self.period_s
         late_s = time.monotonic() - self.received_at - min(AFTER_STATE_S, 0.5 * half_s)
         return (late_s + half_s) % self.period_s - half_s

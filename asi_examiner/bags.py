@@ -15,6 +15,7 @@ import shutil
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from asi_examiner.cases import EFFECTS, Case, draw, excite
 from asi_examiner.joint import draw_joint
 from asi_examiner.own import SMALLER, draw_own, truth
 from asi_examiner.plant import PERIOD_S, simulate
+from asi_examiner.static import answer_of, draw_static
 
 # The signals that a bag omits, by the value of --signals.
 OMITTED = {'all': (), 'no_valve': ('valve_position_m',), 'no_velocity': ('velocity_m_s',),
@@ -131,15 +133,28 @@ def write_joint(seed: int, out: Path, number: int, recordings: int = 1) -> Answe
     """Write the bags of one joint, which has no model and no fresh bag; return the answer."""
     case = draw_joint(seed, recordings)
     for name, run in zip(_names(number, recordings), case.runs, strict=False):
-        _write_new(run, out / name)
+        _write_new(run, out / name, run.information)
     return Answer(case.kind, list(case.effects), list(case.blocks), case.excitation, 'joint', '',
                   'all', case.visibility, {}, case.rate_hz, case.also)
 
 
-def _write_new(run: Run, path: Path) -> None:
+def write_static(seed: int, out: Path, number: int) -> Answer:
+    """Write one case of a static characteristic, its fresh bag; return the answer."""
+    case = draw_static(seed)
+    names = _names(number, len(case.recordings))
+    units = {'signals': {'command': 'A', 'pressure': 'Pa'}}
+    for name, made in zip(names, (*case.recordings, case.fresh), strict=True):
+        _write_new(Run(made.time_s, command_n=made.given, pressure_pa=made.got,
+                       information=units), out / name, units)
+    return Answer(**answer_of(case), world='static', load='', signals='all',
+                  visibility=case.visibility, sizes={})
+
+
+def _write_new(run: Run, path: Path, information: Mapping[str, Any] = MappingProxyType({})
+               ) -> None:
     """Write a bag in place of an incomplete one of a call that was stopped."""
     shutil.rmtree(path, ignore_errors=True)
-    write_bag(run, path, run.information)
+    write_bag(run, path, dict(information))
 
 
 def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str,
@@ -148,6 +163,8 @@ def _write(out: Path, number: int, seed: int, world: str, load: str, signals: st
         return write_own(seed, out, number, recordings)
     if world == 'joint':
         return write_joint(seed, out, number, recordings)
+    if world == 'static':
+        return write_static(seed, out, number)
     return write_case(draw(seed, world, load, beyond=beyond), out, number, signals, recordings)
 
 
@@ -176,13 +193,22 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     for number, answer in enumerate(written, first):
         answers[f'case_{number:04d}'] = answer._asdict()
         seal(answers, sealed)
-        _replace(index, json.dumps(
-            [{'bag': names[0], 'more': names[1:-1], **(
-                {'plant': 'joint'} if world == 'joint' else
-                {'fresh': names[-1], 'model': model_name(world, load, done)})}
-             for done in range(number + 1)
-             for names in [_names(done, recordings)]], indent=1).encode())
+        _replace(index, json.dumps([_entry(out, done, world, load, recordings)
+                                    for done in range(number + 1)], indent=1).encode())
         yield number + 1
+
+
+def _entry(out: Path, number: int, world: str, load: str, recordings: int) -> dict[str, Any]:
+    """Return the bags and the model of a case, as cases.json lists them."""
+    if world == 'joint':   # neither a model nor a fresh bag
+        first, *more, _ = _names(number, recordings)
+        return {'bag': first, 'more': more, 'plant': 'joint'}
+    if world == 'static':   # one or two recordings, and no model
+        names = [name for name in _names(number, 2) if (out / name).exists()]
+        rest: dict[str, Any] = {'model': None, 'plant': 'static'}
+    else:
+        names, rest = _names(number, recordings), {'model': model_name(world, load, number)}
+    return {'bag': names[0], 'more': names[1:-1], 'fresh': names[-1], **rest}
 
 
 def seal(answers: Mapping[str, Any], path: Path) -> None:

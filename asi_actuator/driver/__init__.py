@@ -19,12 +19,12 @@ from asi_common.parameter import ParameterError, Value
 
 
 class Health(NamedTuple):
-    """How the link to the actuator is; counts are those since it was opened."""
+    """State of the link to the actuator; counts are since it was opened."""
 
     state_age_s: float = 0.0  # since the newest state came
     lost_states: int = 0      # gaps in the counter of the states
     bad_frames: int = 0       # wrong checksum or length, or not readable
-    problem: str = ''         # what the link or the hardware itself complains of
+    problem: str = ''         # an error of the link or of the hardware itself
     saturated: bool = False   # the valve is fully open, or the drive at its limit
 
 
@@ -37,20 +37,20 @@ class Driver(Protocol):
     """
 
     hardware: bool
-    """Whether something moves: then the node powers up disabled."""
+    """Whether a real actuator moves: then the node powers up disabled."""
     last_tick: int | None
-    """After so many periods there is nothing more to come; None: no end."""
+    """Number of periods after which there are no more states; None: no end."""
 
     @property
     def health(self) -> Health:
-        """How the link is now."""
+        """The present state of the link."""
 
     def open(self) -> None:
-        """Connect. A link that is not there yet is no error: health() tells, and it is retried."""
+        """Connect. A link that is not there yet is reported by health(), and retried."""
 
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement | None:
         """
-        Give a valve command (N) and return the newest state; None if none came since the last.
+        Give a valve command (N) and return the newest state; None if there is no new one.
 
         enabled: whether the valve may be driven; periods: control periods since the last call.
         """
@@ -59,7 +59,7 @@ class Driver(Protocol):
         """Take new parameters; what is read-only has not changed."""
 
     def reset(self) -> None:
-        """Begin anew: the model at rest, a recording from its start, an error forgotten."""
+        """Begin anew: the model at rest, a recording from its start; errors are cleared."""
 
     def close(self) -> None:
         """Leave the valve closed and the link free."""

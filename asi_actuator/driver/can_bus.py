@@ -16,21 +16,21 @@ from asi_common.parameter import ParameterError, Value
 
 # How long an slcan adapter takes to start, s.
 ADAPTER_START_S: Final = 2.0
-# What a line of slcan begins with if it is a frame.
+# First letters of the lines of slcan that are frames.
 FRAME_LETTERS: Final = b'tTrRdDbB'
-# How often a bus that is gone is looked for, s.
+# Period of the attempts to connect to a bus, s.
 RETRY_S: Final = 0.5
-# A bus that brings more than this many frames in a period must not hold up the loop for ever.
+# Most frames that are read in a period, so that a flooded bus cannot block the loop.
 MOST_FRAMES: Final = 64
-# States in a row that may say "not enabled" after the valve was enabled: the way there and back.
+# Successive states that may report "not enabled" after the valve was enabled: a round trip.
 ENABLE_STATES: Final = 20
-# Without a state for so many commands the counter says nothing any more: it has gone round.
+# After so many commands without a state the counter is ambiguous: it may have wrapped.
 FORGET_AFTER: Final = COUNTER // 4
 
 
 class SlcanBus(slcanBus):
     """
-    python-can's slcan, which reads a byte at a time, reading all that is there instead.
+    python-can's slcan, but reading all available bytes at once instead of one at a time.
 
     A state frame takes 7 us of computing time instead of 90 (bench/can_cost.py); a period of
     1000 us has two.
@@ -46,8 +46,8 @@ class SlcanBus(slcanBus):
             del self._buffer[:end + 1]
             if line[:1] in FRAME_LETTERS:
                 return line.decode()
-            # Else an adapter's "done" (or, before it, "not done"): it answers every command. To
-            # return it would look as if there were nothing more to read.
+            # Else the adapter's acknowledgement of a command (an error, if one precedes it). If
+            # it were returned, the caller would stop reading.
         return None
 
     def _write(self, string: str) -> None:
@@ -81,28 +81,28 @@ def close_bus(bus: can.BusABC) -> None:
 
 def received(bus: can.BusABC) -> Iterator[can.Message]:
     """
-    Yield what a bus has brought, at most MOST_FRAMES frames, without waiting.
+    Yield the received frames of a bus, at most MOST_FRAMES, without waiting.
 
-    What cannot be read at all comes as an error frame.
+    A line that cannot be parsed becomes an error frame.
     """
     for _ in range(MOST_FRAMES):
         try:
             message = bus.recv(0.0)
         except (ValueError, IndexError):
-            message = can.Message(is_error_frame=True)  # a line that slcan cannot read
+            message = can.Message(is_error_frame=True)
         if message is None:
             return
         yield message
 
 
 class CanActuator:
-    """Sends a command a period and collects the states that answer; never waits for anything."""
+    """Sends a command each period and collects the states that answer it, without waiting."""
 
     hardware = True
     last_tick = None
 
     def __init__(self, values: Mapping[str, Value], period_s: float):
-        """Read the layout of the frames. Raises ParameterError for what cannot work."""
+        """Read the layout of the frames. Raises ParameterError for values that are not allowed."""
         if values['mode'] != 'realtime':
             raise ParameterError("mode = 'lockstep' is not allowed with driver = 'can': hardware "
                                  'does not wait; it takes realtime')
@@ -129,10 +129,10 @@ class CanActuator:
             # Without python-can's filters: recv(0.0) takes a frame that they drop for the last.
             self._bus = open_bus(self._interface, self._channel, self._bitrate)
             for _ in range(MOST_FRAMES):
-                if not any(received(self._bus)):  # from before anybody listened
+                if not any(received(self._bus)):  # sent before the bus was opened
                     break
         except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
-            # The last two: an option that is missing, a library that is not installed.
+            # The last two: a missing option, a library that is not installed.
             self._problem = self._words(error)
         else:
             self._problem = ''
@@ -197,16 +197,16 @@ class CanActuator:
         self._enabled = enabled
 
     def _receive(self, bus: can.BusABC) -> Measurement | None:
-        """Take all that has come; return the newest state."""
+        """Process the received frames; return the newest state."""
         newest = None
         for message in received(bus):
             newest = self._take(message) or newest
         return newest
 
     def _take(self, message: can.Message) -> Measurement | None:
-        """Take a frame; return the state if this completes one that is new."""
+        """Process a frame; return the state if it completes a new one."""
         if message.is_remote_frame or message.is_extended_id:
-            return None  # somebody else's
+            return None  # of another device
         try:
             if message.is_error_frame:
                 raise ValueError('an error frame')
@@ -232,16 +232,16 @@ class CanActuator:
                 values['position'], values['velocity'])
 
     def _is_new(self, counter: int) -> bool:
-        """Return whether a state is newer than the last; count what is missing in between."""
+        """Return whether a state is newer than the last; count those lost in between."""
         if self._unanswered > FORGET_AFTER:
             self._received = None
         if (self._sent - counter) % COUNTER > FORGET_AFTER:
-            self._bad_frames += 1  # answers no command of late: a frame from the past
+            self._bad_frames += 1  # answers no recent command: an old frame
             return False
         if self._received is not None:
             ahead = (counter - self._received) % COUNTER
             if ahead == 0:
-                return False  # the actuator speaks by itself, as no command has come
+                return False  # sent without a command, as none has arrived
             if ahead > COUNTER // 2:
                 self._bad_frames += 1
                 return False

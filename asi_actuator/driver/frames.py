@@ -1,8 +1,8 @@
 """
 The CAN frames of config/asi_actuator.dbc, packed and unpacked (doc/how_to/bridge.md).
 
-Layout, scaling, limits and units are in that file alone; here are only the checksum, which the
-format cannot express, and the way from numbers to bytes and back.
+Layout, scaling, limits and units are defined in that file; here are only the checksum, which the
+format cannot express, and the conversion of numbers to bytes and back.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ SIGNALS: Final = {
                     'checksum'},
     'STATE_MOTION': {'position', 'velocity', 'counter', 'checksum'},
 }
-# A number in another unit would be taken for one in this.
+# A file with another unit is refused.
 UNITS: Final = {'valve_command': 'N', 'force': 'N', 'valve_position': 'm', 'position': 'm',
                 'velocity': 'm/s'}
 # The counter counts modulo this; it and the checksum take a byte each.
@@ -76,7 +76,7 @@ class Frames:
                                      + ', '.join(sorted(missing)))
             if problem := _problem(self.messages[name]):
                 raise ParameterError(f'can.dbc = {str(place)!r}: frame {name}: {problem}')
-        # By frame and signal, where it ends: its range, and what its bits can tell.
+        # By frame and signal, its bounds: its range, within what its bits can represent.
         self._ends = {name: {s.name: _ends(s) for s in self.messages[name].signals}
                       for name in SIGNALS}
         self.identifiers = {name: self.messages[name].frame_id for name in SIGNALS}

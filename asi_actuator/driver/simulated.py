@@ -53,7 +53,7 @@ class SimulatedActuator:
         pass
 
     def exchange(self, command_n: float, enabled: bool, periods: int) -> Measurement:
-        """Advance by control periods at a valve command (N); return what the sensors tell then."""
+        """Advance by control periods at a valve command (N); return the sensor readings then."""
         measured: Measurement = self._exchange(
             self._states, self._parameters, command_n, self.period_s, periods)
         saturated = (abs(measured[1]) >= self._full_opening_m

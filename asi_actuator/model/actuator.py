@@ -83,7 +83,7 @@ STATE_DTYPE = np.dtype([
 ])
 
 
-# What the sensors tell: force N, valve position m, piston position m and velocity m/s.
+# Sensor readings: force N, valve position m, piston position m and velocity m/s.
 Measurement = tuple[float, float, float, float]
 
 

@@ -8,11 +8,7 @@ prescribed from outside, so that the actuator can be driven back (Fig. 3).
 import math
 from typing import Final
 
-from asi_actuator.model.backlash import (
-    contact,
-    contact_force,
-    spring_and_damper,
-)
+from asi_actuator.model.backlash import contact, contact_force, spring_and_damper
 from asi_actuator.model.fluid_dynamics import leaking
 from asi_actuator.model.friction import BEHIND_SENSOR, friction
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force

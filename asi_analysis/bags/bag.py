@@ -2,7 +2,8 @@
 
 import shutil
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -10,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags import cdr
 from asi_analysis.bags.bag_file import Topic, read_contents
 from asi_analysis.bags.bag_writer import BagWriter, typestore
@@ -21,7 +23,7 @@ from asi_analysis.bags.encoding import (
     topic_values,
 )
 from asi_analysis.bags.information import checked
-from asi_analysis.bags.run import SIGNALS, Array, Run, StateChange
+from asi_analysis.bags.run import SIGNALS, Run, StateChange
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.topics import JOINTS, TOPICS
 
@@ -31,6 +33,7 @@ DIAGNOSTICS: Final = 'diagnostics'
 DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 # End of the name of the status of a state (asi_common/node/diagnostics.py, which imports rclpy).
 STATE: Final = ': state'
+LOST: Final = 'lost samples'     # key of the status of a loop, in that module too
 # A message may come so many messages late, and so many stamps may be wrong.
 MOST_LATE: Final = 10
 MOST_WRONG: Final = 2
@@ -68,6 +71,8 @@ def read_bag(path: str | Path) -> Run:
         name = _base_name(topic.name)
         if name == DIAGNOSTICS:
             changes = _state_changes(topic)
+            problems += [f'{path}: {node} lost {count} samples' for node, count in
+                         _lost_by_nodes(topic).items()]
         elif topic.type != SIGNAL_TOPICS[name].type:
             problems.append(f'{path}: {topic.name} is left out: it is of type {topic.type}, '
                             f'expected {SIGNAL_TOPICS[name].type}')
@@ -87,6 +92,8 @@ def read_bag(path: str | Path) -> Run:
                                 '(asi import takes others)')
             else:
                 series[name] = decoded
+    problems += [f'{path}: {count} messages of {name} were lost on their way to the recorder'
+                 for name, count in _lost_on_the_way(contents.topics).items()]
     if not series:
         why = f' ({problems[0]})' if problems else ''
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
@@ -94,7 +101,8 @@ def read_bag(path: str | Path) -> Run:
     problems += _wrong_stamps(series, str(path))
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
-    return assemble(series, changes, str(path), information)
+    run = assemble(series, changes, str(path), information)
+    return replace(run, problems=tuple(problems))
 
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:
@@ -187,16 +195,27 @@ def _layout_key(layouts: dict[bytes, cdr.Layout], type_: str,
     return template
 
 
+def _lost_on_the_way(topics: Mapping[str, Topic]) -> dict[str, int]:
+    """Return the number of lost messages by topic, if each topic has numbers of its own."""
+    counts = {topic.name: topic.lost for topic in topics.values()
+              if _base_name(topic.name) != DIAGNOSTICS}
+    lost = {name: count for name, count in counts.items() if count}
+    return lost if len(lost) < max(len(counts), 2) else {}
+
+
+def _statuses(topic: Topic, mark: str) -> Iterator[Any]:
+    """Yield the readable messages of /diagnostics in which a text occurs."""
+    if topic.type != DIAGNOSTIC_ARRAY:
+        return
+    for data in (data for data in topic.data if mark.encode() in data):
+        with suppress(Exception):   # noqa: B902 - rosbags raises anything for damaged bytes
+            yield typestore().deserialize_cdr(data, DIAGNOSTIC_ARRAY)
+
+
 def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
     """Return the state changes of the actuator in /diagnostics, with their stamps (ns)."""
-    if topic.type != DIAGNOSTIC_ARRAY:
-        return []
     changes = []
-    for data in (data for data in topic.data if f'{STATE}\0'.encode() in data):
-        try:
-            message: Any = typestore().deserialize_cdr(data, DIAGNOSTIC_ARRAY)
-        except Exception:  # noqa: B902 - rosbags raises anything for damaged bytes
-            continue
+    for message in _statuses(topic, f'{STATE}\0'):
         stamp = message.header.stamp
         # A periodic message has the status of the loop too; a change of state comes alone.
         for status in message.status if len(message.status) == 1 else ():
@@ -205,6 +224,17 @@ def _state_changes(topic: Topic) -> list[tuple[int, StateChange]]:
                 changes.append((stamp.sec * 10**9 + stamp.nanosec, StateChange(
                     0.0, values['state'], values.get('reason', ''))))
     return changes
+
+
+def _lost_by_nodes(topic: Topic) -> dict[str, int]:
+    """Return how many samples each node says in /diagnostics that it has lost, if any."""
+    lost: dict[str, int] = {}
+    for message in _statuses(topic, LOST):
+        for status in message.status:
+            count = next((pair.value for pair in status.values if pair.key == LOST), '')
+            if count.isdecimal() and int(count):
+                lost[status.name.partition(':')[0]] = int(count)
+    return lost
 
 
 def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]], source: str,

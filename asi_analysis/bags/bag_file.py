@@ -79,6 +79,26 @@ class Topic:
         self.offered: list[dict[str, Any]] = []
         self._parts: list[Messages] = []
         self._single: list[tuple[int, int, bytes]] = []
+        self._number = self._gaps = 0       # of the last message; messages between two others
+        self._one_publisher = True
+
+    @property
+    def lost(self) -> int:
+        """
+        Messages that were published but are not there, by the numbers of the others.
+
+        Without numbers, or with those of several publishers, none is known.
+        """
+        return self._gaps if self._one_publisher else 0
+
+    def count(self, numbers: npt.ArrayLike) -> None:
+        """Note the numbers that a publisher gave the next messages; 0: none."""
+        steps = np.diff(np.asarray(numbers, np.int64), prepend=self._number)
+        if self._number == 0:       # what was published before the first is no loss
+            steps = steps[1:]
+        self._one_publisher &= bool((steps > 0).all())
+        self._gaps += int(np.sum(steps - 1))
+        self._number = int(np.asarray(numbers)[-1])
 
     def __len__(self) -> int:
         return sum(len(part.data) for part in self.parts())
@@ -223,8 +243,8 @@ def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) ->
                 if isinstance(record, Chunk):
                     decoder.begin_chunk(record)
                 elif isinstance(record, Message):
-                    decoder.add(record.channel_id, record.log_time, record.publish_time,
-                              record.data)
+                    decoder.add(record.channel_id, record.sequence, record.log_time,
+                                record.publish_time, record.data)
                 elif isinstance(record, Schema):
                     decoder.schemas[record.id] = record.name
                 elif isinstance(record, Channel):
@@ -265,11 +285,12 @@ class _McapDecoder:
         self._size = 0
         self._offsets: dict[int, list[npt.NDArray[np.int64]]] = {}
 
-    def add(self, channel: int, log_ns: int, publish_ns: int, data: bytes) -> None:
+    def add(self, channel: int, number: int, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message."""
         self.count += 1
         topic = self.channels.get(channel)
         if topic is not None:
+            topic.count([number])
             topic.add(log_ns, publish_ns, data)
 
     def add_channel(self, channel: Channel) -> None:
@@ -318,6 +339,7 @@ class _McapDecoder:
                 self.count += len(starts)
                 topic = self.channels[channel]
                 if topic is not None:
+                    topic.count(_headers(data, starts)['sequence'])
                     topic.add_many(_extract(data, starts))
         else:
             for chunk in chunks:
@@ -333,8 +355,8 @@ class _McapDecoder:
             if end > size:
                 raise EndOfFile
             if opcode == Opcode.MESSAGE:
-                channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, start)
-                self.add(channel, log_ns, publish_ns, data[start + _MESSAGE.size:end])
+                channel, number, log_ns, publish_ns = _MESSAGE.unpack_from(data, start)
+                self.add(channel, number, log_ns, publish_ns, data[start + _MESSAGE.size:end])
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(BytesIO(data[start:end])))
                 self.schemas[schema.id] = schema.name

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.bag_writer import typestore
 
 _HEADER: Final = 4      # bytes before the data; alignment counts from their end
@@ -47,7 +48,7 @@ def layout_of(type_: str, data: bytes) -> Layout:
 
 
 def columns(type_: str, table: npt.NDArray[np.uint8], paths: Sequence[Path],
-            layout: Layout) -> list[npt.NDArray[np.float64]]:
+            layout: Layout) -> list[Array]:
     """
     Return the numbers at some paths of n messages of one layout: arrays n.
 
@@ -71,7 +72,7 @@ def columns(type_: str, table: npt.NDArray[np.uint8], paths: Sequence[Path],
 
 
 def same_layout(table: npt.NDArray[np.uint8], template: bytes, layout: Layout
-                ) -> npt.NDArray[np.bool_]:
+                ) -> Mask:
     """Tell which messages (n x length) have the layout of the template, which is as long."""
     same = np.ones(len(table), bool)
     for start, end in layout.structure:

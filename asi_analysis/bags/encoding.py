@@ -6,9 +6,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags import cdr
 from asi_analysis.bags.bag_writer import typestore
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.bags.run import Run
 from asi_common.topics import FRAME, JOINTS, TOPICS
 
 SIGNAL_TOPICS: Final = {topic.name: topic for topic in TOPICS.values() if topic.signals}

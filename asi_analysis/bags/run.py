@@ -5,16 +5,14 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Table, as_html, as_text, frame, shown
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
-
-Array = npt.NDArray[np.float64]
 
 
 class StateChange(NamedTuple):
@@ -82,6 +80,7 @@ class Run:
     information: dict[str, Any] = field(default_factory=dict)
     states: tuple[StateChange, ...] = ()
     pressure_pa: Array | None = None
+    problems: tuple[str, ...] = ()      # sentences on what could not be read, or was lost
 
     def __post_init__(self) -> None:
         for name, values in self.signals().items():

@@ -46,8 +46,15 @@ def gap(
         help='Nominal parameters: a ROS parameter file; default: those in the bag')] = None,
     set_: Annotated[list[str] | None, typer.Option(
         '--set', metavar='NAME=VALUE', help='One nominal parameter; may be repeated')] = None,
-    plant: Annotated[Literal['actuator', 'joint'], typer.Option(
-        help='actuator: the hydraulic one; joint: any rigid joint or drive')] = 'actuator',
+    plant: Annotated[Literal['actuator', 'joint', 'static'], typer.Option(
+        help='actuator: the hydraulic one; joint: any rigid joint or drive; static: a measured '
+        'characteristic, any input to any output')] = 'actuator',
+    input_: Annotated[str | None, typer.Option(
+        '--input', metavar='SIGNAL', help='Of a static characteristic; default: the command')
+    ] = None,
+    output: Annotated[str | None, typer.Option(
+        metavar='SIGNAL', help='Of a static characteristic; default: pressure, force, ...')
+    ] = None,
     held_out: Annotated[list[Path] | None, typer.Option(
         help='A recording of the validation set, not fitted; may be repeated')] = None,
     baseline: Annotated[list[Path] | None, typer.Option(
@@ -105,7 +112,7 @@ def gap(
                               [read_bag(bag) for bag in each or []]
                               for each in (bags, held_out, baseline))
         result = diagnose(runs, model, plant, out, usual, drive, progress, set_ or [], own,
-                          healthy)
+                          healthy, (input_, output))
         if report:
             progress('report', None)
             result.write_report(report)
@@ -130,11 +137,12 @@ def gap_check(
     seed: Annotated[int, typer.Option(
         min=0, max=MOST_SEED,
         help='First seed of the new cases; below 10000: used in development')] = 20000,
-    world: Annotated[Literal['textbook', 'full', 'foreign', 'own', 'joint'], typer.Option(
+    world: Annotated[Literal[
+        'textbook', 'full', 'foreign', 'own', 'joint', 'static'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
              'courses and noise, small effects everywhere; own: the simulator itself, one '
-             'parameter changed, any load, 1 to 5 kHz; joint: arms, axes and servos')
-    ] = 'textbook',
+             'parameter changed, any load, 1 to 5 kHz; joint: arms, axes and servos; static: '
+             'characteristics')] = 'textbook',
     load: Annotated[Literal['spring', 'locked'], typer.Option(
         help='Load of new cases')] = 'spring',
     signals: Annotated[

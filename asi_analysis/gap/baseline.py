@@ -21,7 +21,7 @@ from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Array, Recording
 
-LEAST_SPREAD: Final = 1e-3    # of a parameter: less is not told apart
+LEAST_SPREAD: Final = 1e-3    # of a parameter: the resolution
 # Times the range, in which 95 % lie: of some twenty parameters all do.
 OF_MANY: Final = 1.5
 NEARER: Final = (1.2, 0.85)   # of the healthy value: starts of a fit
@@ -70,7 +70,7 @@ def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> He
 
 
 def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
-    """Return the ends of the intervals of what is the machine's, and its values in each run."""
+    """Return, by parameter of the machine, the ends of its interval and its value in each run."""
     group = fitted.problem.group
     measured_floor = replace(group, error_floor={
         channel: _measured_floor(level, group.noise[channel], over_floor[channel])

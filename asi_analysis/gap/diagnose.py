@@ -14,10 +14,12 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.baseline import Healthy, against, changed_only, healthy_of, shares
 from asi_analysis.gap.experiment import next_experiment
+from asi_analysis.gap.experiment.next_course import choose_course
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import localisation, plausibility
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
+from asi_analysis.gap.inference.one_rate import at_one_rate
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
 from asi_analysis.gap.inference.search import explained_by_simulator
 from asi_analysis.gap.inference.shrink import Shrink, shrink_of
@@ -40,6 +42,7 @@ from asi_analysis.gap.model.joint import OF_ANY_SIZE, drive_of, joint_groups
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import by_simulator, of_simulator, simulator_record
+from asi_analysis.gap.model.static import static_group, zero_of
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_of, unit_of
 from asi_analysis.terminal import Progress, silent
@@ -166,6 +169,9 @@ def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, toleran
             known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
         groups, notes = joint_groups(runs, known, tolerance, held_out,
                                      drive or drive_of(before or runs), before)
+    elif plant == 'static':
+        group, notes = static_group(runs, model, tolerance, held_out, before)
+        groups = [group]
     else:
         groups, notes = actuator_groups(runs, model, tolerance, held_out)
         simulated = simulated_groups(groups, improved_of(healthy, model) if healthy else model,
@@ -192,17 +198,17 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     """
     Return where recordings differ from their nominal model, why, and by how much a fit helps.
 
-    runs: one or more; model: the nominal parameters; plant: 'actuator' or 'joint'; tolerance of
-    the nominal parameters, as a share; held_out: which runs are used for validation only;
-    drive: of a joint, 'force' or 'position'; None: found from the signals; tolerances: of single
-    parameters, by dotted name. healthy: the diagnosis of other recordings: what has changed since
-    them is found. simulate: the simulator itself is tried first as the predictor.
+    runs: one or more; model: the nominal parameters; plant: 'actuator', 'joint' or 'static';
+    tolerance of the nominal parameters, as a share; held_out: which runs are used for validation
+    only; drive: of a joint, 'force' or 'position'; None: found from the signals; tolerances: of
+    single parameters, by dotted name. healthy: the diagnosis of other recordings: what has changed
+    since them is found. simulate: the simulator itself is tried first as the predictor.
     Raises InputError for recordings that cannot be diagnosed; `notes` holds the warnings.
     """
     out = list(held_out) if held_out is not None else [False] * len(runs)
     groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy)
     own = {field_name(name): share for name, share in tolerances.items()}
-    uncertain = sorted({DOTTED[free.field] for group in (*groups, *simulated)
+    uncertain = sorted({DOTTED.get(free.field, free.field) for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'})
     for name in tolerances.keys() - set(uncertain):
         raise InputError(f'tolerance {name}: no uncertain parameter of the nominal model; '
@@ -243,9 +249,11 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
                 for note in plausibility.check_against_model(group):
                     warnings.warn(note, InputWarning, stacklevel=2)
                     notes.append(note)
-            else:
+            elif plant == 'joint':
                 plausibility.check_joint(group)
         weighed = weigh_groups(groups, tick)
+        if plant == 'static':
+            weighed = [at_one_rate(each) for each in weighed]
     if machine:
         weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
     joined = join(weighed)
@@ -263,6 +271,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         force = groups[-1].scale['force'] if groups[-1].scale['force'] != 1.0 else 300.0
         experiment = next_experiment.choose(weighed, ambiguous, model, max(round(force, -1), 10.0),
                                             _missing(runs, ('position', 'valve_position')))
+    elif plant == 'static':
+        experiment = choose_course(weighed, ambiguous)
     elif len(ambiguous) > 1:
         experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')))
     if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')]:
@@ -335,13 +345,14 @@ def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, An
         for free, share in zip(fitted.free, fitted.theta, strict=True):
             if (field := free.field) not in of_the_effect:
                 continue
-            row['parameters'][field] = fitted.values[field]
-            row['parameters_low'][field], row['parameters_high'][field] = interval(
-                fitted, known[id(fitted)], field)
+            zero = zero_of(group, field)
+            row['parameters'][field] = fitted.values[field] + zero
+            row['parameters_low'][field], row['parameters_high'][field] = (
+                each + zero for each in interval(fitted, known[id(fitted)], field))
             own = of_the_effect[field]
             row['units'][field] = unit_of(
                 own.unit or UNITS.get(field, UNIT_OF_SCALE.get(own.scale, '')), group.channels[0],
-                diagnosis.runs[0], diagnosis.plant == 'joint')
+                diagnosis.runs[0], diagnosis.plant)
             if own.scale == 'nominal':
                 row['nominal'][field] = float(group.as_given[field])
                 row['tolerance'][field] = diagnosis.tolerances.get(field, diagnosis.tolerance)
@@ -356,7 +367,7 @@ def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
              'value': float(best.fitted.record[field]),
              'nominal': float(weighed.group.nominal[field]),
              'unit': unit_of(UNITS[field], weighed.group.channels[-1], diagnosis.runs[0],
-                             diagnosis.plant == 'joint'),
+                             diagnosis.plant),
              'limit': limit}
             for weighed in diagnosis.groups for best in [diagnosis.best(weighed)]
             for field, limit in at_limit(best.fitted).items()
@@ -379,7 +390,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     main = main_shrink(diagnosis)
     errors = {shrink.channel: {
         'channel': shrink.channel, 'signal': signal_of(shrink.channel, diagnosis.runs[0],
-                                                       diagnosis.plant == 'joint'),
+                                                       diagnosis.plant),
         'before_nrmse': shrink.nominal, 'refitted_nrmse': shrink.refitted,
         'after_nrmse': shrink.after, 'noise_floor_nrmse': shrink.noise_floor,
         'shrink': shrink.shrink, 'shrink_low': shrink.low, 'shrink_high': shrink.high}
@@ -404,7 +415,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'chain': diagnosis.chain,
         'regimes': [regime._asdict() for regime in regimes],
         'unexplained': unexplained,
-        'consequences': [], 'baseline': None,
+        'consequences': [], 'baseline': None, 'characteristic': None,
         'next_experiment': diagnosis.next_experiment, 'at_limit': _at_limit(diagnosis),
         'notes': diagnosis.notes, 'sources': [run.source for run in diagnosis.runs],
         'nuisance': {weighed.group.channels[-1]: {

@@ -39,7 +39,7 @@ CLIPPED = 0.005         # share of samples at an extreme, above which a signal i
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
-START_S = 0.02          # of a recording, that tell how it begins
+START_S = 0.02          # of a recording: its beginning
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
@@ -69,7 +69,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Recording:
-    """One bag, ready: arrays of n samples, `period_s` apart; what was not recorded is None."""
+    """One bag, ready: arrays of n samples, `period_s` apart; None for signals not recorded."""
 
     source: str
     period_s: float
@@ -160,7 +160,7 @@ def _bridged(name: str, values: Array, source: str) -> Array:
     return np.interp(index, index[~missing], values[~missing])
 
 
-def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
+def uniform(run: Run) -> tuple[float, dict[str, Array]]:
     """Return the period (s) and the signals at equal distances in time."""
     time = run.time_s
     if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
@@ -188,7 +188,7 @@ def _uniform(run: Run) -> tuple[float, dict[str, Array]]:
     return period, signals
 
 
-def _recorded(run: Run, drive: str, period: float, count: int) -> Mask:
+def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
     """
     Return at which of `count` samples, `period` s apart, no signal has a long gap.
 
@@ -273,9 +273,11 @@ def velocity_over_derivative(position: Array, velocity: Array, period: float) ->
 def _motion(position: Array | None, velocity: Array | None, band: float,
             period: float) -> tuple[Motion | None, Array | None]:
     """
-    Return the motion that the load has, from what was measured of it; judged up to `band`.
+    Return the motion of the load from its measured position, velocity or both.
 
-    And the velocity (m/s) whose integral is the measured position; None if it was not measured.
+    band: frequency (Hz) up to which it is judged.
+
+    Also the velocity (m/s) whose integral is the measured position; None if not measured.
     """
     source = velocity if velocity is not None else position
     if source is None:
@@ -286,7 +288,7 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
     omega = 2.0 * np.pi * frequency
     if velocity is None:
         assert position is not None
-        # What is extended jumps where it wraps round, if the ends differ: that rings.
+        # If the ends differ, the extended signal jumps where it wraps round, which rings.
         line = np.linspace(position[0], position[-1], position.size)
         v = 1j * omega * np.fft.rfft(_extended(position - line, pad))
         v[0] = count * (line[1] - line[0]) / period
@@ -300,7 +302,7 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
             v += slow * np.fft.rfft(np.pad(np.gradient(position, period) - velocity, pad,
                                            'reflect'))
             noise = (1.0 - slow) * noise
-    # The mean velocity is a line, which goes on at the ends as the force of a spring does.
+    # The mean velocity is a line, extended at both ends as the force of a spring is.
     x = np.fft.rfft(_extended(v[0].real / count * period * np.arange(source.size), pad))
     x[1:] += v[1:] / (1j * omega[1:])
     found = np.fft.irfft(v, count)[pad:-pad]
@@ -387,7 +389,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
 
     And the position (m) at which a piston starts at rest, from which its position then counts.
     """
-    period, signals = _uniform(run)
+    period, signals = uniform(run)
     thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
     if drive == 'force' and thinned > 1:
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
@@ -423,7 +425,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
 def prepare(runs: Sequence[Run], drive: str = 'valve',
             held_out: Sequence[bool] | None = None) -> list[Recording]:
     """
-    Return runs ready for the diagnosis; of those with `held_out` nothing is fitted on.
+    Return runs ready for the diagnosis; those with `held_out` are not used in fits.
 
     drive: what the command is: 'valve' (the hydraulic actuator), 'force' (a joint whose force or
     torque is commanded or measured), 'position' (a joint that follows a position, velocity or
@@ -446,7 +448,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
                      balanced_split(driving, period))
-        valid = _recorded(run, drive, period, fit.size)
+        valid = recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
             valid = valid & ~_ends(fit.size, period)
         # What is cut off was not measured; but a valve may rest against a stop.

@@ -7,6 +7,7 @@ from typing import Any, Final
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, PARAMETER, UNKNOWN, block_of
+from asi_analysis.gap.model.static import static_signals
 from asi_common.record import field_name
 
 NAMES: Final = {
@@ -21,6 +22,15 @@ NAMES: Final = {
 # Of a joint, whose drive may be electric and whose force may be a torque.
 OF_A_JOINT: Final = (('valve', 'drive'), ('disturbance force', 'disturbance'),
                      ('force sensor', 'sensor'))
+# Of a static characteristic, from any input to any output.
+OF_STATIC: Final = {
+    'transport_delay': 'delay', 'command_quantisation': 'steps of the input',
+    'valve_hysteresis': 'hysteresis', 'valve_deadband': 'dead band',
+    'valve_saturation': 'saturation', 'valve_lag': 'lag',
+    'gain_asymmetry': 'different gains to both sides', 'curvature': 'curvature',
+    'disturbance_force': 'disturbance', 'sensor_drift': 'drift', 'sensor_gain': 'another gain',
+    'sensor_offset': 'offset', 'command_path': 'path of the input', 'valve': 'characteristic',
+    'mechanics': 'surroundings', 'sensor': 'zero and gain'}
 # Sizes of effects that are no parameter of the simulator; what is not here only shapes the effect.
 SIZES: Final = {
     'command_delay': 'delay', 'command_quantum': 'step', 'command_bias': 'bias',
@@ -38,7 +48,12 @@ SIZES: Final = {
     'disturbance_start': 'from', 'disturbance_end': 'to', 'sensor_offset': 'offset',
     'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
     'drive_delay': 'delay', 'drive_lag': 'time', 'gravity_sine': 'more of sin q',
-    'gravity_cosine': 'more of cos q'}
+    'gravity_cosine': 'more of cos q', 'deadband_centre': 'centre',
+    'deadband_slope': 'share of the gain within',
+    'gain_asymmetry': 'half of the difference over the mean gain',
+    'asymmetry_centre': 'from', 'limit_above': 'upper limit', 'limit_below': 'lower limit',
+    'curve_square': 'of second order', 'curve_cube': 'of third order', 'gain': 'gain',
+    'offset': 'shifted by'}
 UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
 DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
@@ -47,39 +62,46 @@ LISTED: Final = 6   # unchanged parameters that are named
 NARROW: Final = 0.02   # share of a value: a smaller interval is shown as ±
 
 
-def in_words(name: str, joint: bool) -> str:
+def in_words(name: str, plant: str) -> str:
     """Return an effect, a block, `no_gap` or `unknown` in words of the plant."""
     words = NAMES.get(name, name.replace('_', ' '))
+    if plant == 'static':
+        return OF_STATIC.get(name, words)
     if name.startswith(PARAMETER):
         return f'{name.removeprefix(PARAMETER)} beyond its tolerance'
-    for ours, theirs in OF_A_JOINT if joint else ():
+    for ours, theirs in OF_A_JOINT if plant == 'joint' else ():
         words = words.replace(ours, theirs)
     return words
 
 
-def with_id(name: str, joint: bool) -> str:
+def with_id(name: str, plant: str) -> str:
     """Return an effect in words, with its name in brackets where they differ."""
-    words = in_words(name, joint)
+    words = in_words(name, plant)
     same = name.startswith(PARAMETER) or words == name.replace('_', ' ')
     return words if same else f'{words} ({name})'
 
 
-def signal_of(channel: str, run: Run, joint: bool) -> str:
+def signal_of(channel: str, run: Run, plant: str) -> str:
     """Return the recorded signal that a channel predicts; `valve` is the drive of a joint."""
     if channel in MOTIONS:
         return channel
+    if channel == 'static':
+        return static_signals(run)[1]
     if channel != 'valve':
         return 'force' if run.force_n is not None else 'command'
-    if not joint:
+    if plant != 'joint':
         return 'valve_position'
     return 'force' if run.command_n is not None else run.controlled()
 
 
-def unit_of(unit: str, channel: str, run: Run, joint: bool) -> str:
+def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
     """Return the unit of a parameter, given that of the actuator, in those of the recording."""
-    if not joint:
+    if plant == 'static':
+        given, got = (run.unit(name) for name in static_signals(run))
+        return unit.replace('input', given).replace('output', got)
+    if plant != 'joint':
         return unit
-    force = run.unit(signal_of(channel, run, joint))
+    force = run.unit(signal_of(channel, run, plant))
     length = (run.unit('position') if run.position_m is not None else
               run.unit('velocity').removesuffix('/s'))
     if channel == 'valve':   # in the unit of what it follows
@@ -139,10 +161,10 @@ def sizes_in_words(row: Mapping[str, Any], known: Sequence[str] = ()) -> str:
                      if field not in known and field.partition('@')[0] in SIZES | DOTTED)
 
 
-def _named(name: str, answer: Mapping[str, Any], joint: bool) -> str:
+def _named(name: str, answer: Mapping[str, Any], plant: str) -> str:
     """Return an effect in words; of a nominal parameter by how much it is off."""
     if not name.startswith(PARAMETER):
-        return in_words(name, joint)
+        return in_words(name, plant)
     row = next(row for row in answer['which'] if row['effect'] == name)
     (field, nominal), = row['nominal'].items()
     value, low, high = (row[key][field] / nominal
@@ -156,17 +178,17 @@ def _named(name: str, answer: Mapping[str, Any], joint: bool) -> str:
 
 def sentences(answer: Mapping[str, Any]) -> list[str]:
     """Return what was found, how far the gap shrinks, and what is doubtful or next."""
-    joint = answer['plant'] == 'joint'
+    plant = answer['plant']
     limits = ', '.join(f'{row["parameter"]} ({digits(row["value"], row["unit"])}, '
                        f'{digits(row["value"] / row["nominal"])} times nominal)'
                        for row in answer['at_limit'])
-    rest = [_together(verdict, joint) for verdict in answer['ambiguity_set']
+    rest = [_together(verdict, plant) for verdict in answer['ambiguity_set']
             if verdict != answer['verdict']]
     following = answer['next_experiment']
     return [each for each in (
         answer['baseline'] and answer['baseline']['change'] == 'cannot_tell'
         and 'It is uncertain whether anything has changed.',
-        _found(answer, joint), *_changes(answer, joint), _error(answer), answer['unexplained'],
+        _found(answer, plant), *_changes(answer, plant), _error(answer), answer['unexplained'],
         limits and f'At the limit of the {"spread" if answer["baseline"] else "tolerance"}: '
                    f'{limits}. If the real value lies beyond it, '
                    'the answer may be wrong.',
@@ -175,13 +197,13 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
         following and f'What next: {following["advice"]}.') if each]
 
 
-def _together(verdict: str, joint: bool) -> str:
+def _together(verdict: str, plant: str) -> str:
     """Return the effects of a verdict in words, the unknown one last."""
     names = sorted(verdict.split('+'), key=lambda name: name == UNKNOWN)
-    return ' and '.join(in_words(name, joint) for name in names)
+    return ' and '.join(in_words(name, plant) for name in names)
 
 
-def _found(answer: Mapping[str, Any], joint: bool) -> str:
+def _found(answer: Mapping[str, Any], plant: str) -> str:
     names = sorted(answer['verdict'].split('+'), key=lambda name: name == UNKNOWN)
     sure = f'(probability {chance(answer["probability"])})'
     changed = answer['baseline']
@@ -194,16 +216,16 @@ def _found(answer: Mapping[str, Any], joint: bool) -> str:
     blocks = [block for block in where if block in named] or list(where)[:1]
     what = ('The gap' if not changed else 'The change' if changed['change'] == 'changed' else
             'A change, if there is one,')
-    found = (f'{what} lies in the {" and the ".join(in_words(each, joint) for each in blocks)}: '
-             f'{" and ".join(_named(name, answer, joint) for name in names)} {sure}.')
+    found = (f'{what} lies in the {" and the ".join(in_words(each, plant) for each in blocks)}: '
+             f'{" and ".join(_named(name, answer, plant) for name in names)} {sure}.')
     if len(where) < 2:
         return found
     return found + ' Shares of the gap: ' + ', '.join(
-        f'{in_words(block, joint)} {share:.0%}'.replace('%', ' %')
+        f'{in_words(block, plant)} {share:.0%}'.replace('%', ' %')
         for block, share in where.items()) + '.'
 
 
-def _changes(answer: Mapping[str, Any], joint: bool) -> list[str]:
+def _changes(answer: Mapping[str, Any], plant: str) -> list[str]:
     """Return what has changed from the healthy recordings to what, and what has not."""
     if not (found := answer['baseline']):
         return []
@@ -214,20 +236,20 @@ def _changes(answer: Mapping[str, Any], joint: bool) -> list[str]:
     lines = [f'The model of {of} leaves at most {percent(gap["healthy_nrmse"])} of {whose} '
              f'{gap["signal"].replace("_", " ")} (rms), and now {percent(gap["now_nrmse"])}.']
     rows = found['parameters']
-    changed = [f'{_called(row, joint)} {_healthy(row)} to '
+    changed = [f'{_called(row, plant)} {_healthy(row)} to '
                f'{between(row["now"], row["now_low"], row["now_high"], row["unit"])}'
                for row in rows if row['changed']]
-    within = list(dict.fromkeys(_called(row, joint) for row in rows if not row['changed']))
+    within = list(dict.fromkeys(_called(row, plant) for row in rows if not row['changed']))
     if len(within) > LISTED:
         within = [f'{len(within)} parameters (--json lists them)']
     return [*lines, *([f'Changed: {"; ".join(changed)}.'] if changed else []),
             *([f'Within the spread of {of}: {", ".join(within)}.'] if within else [])]
 
 
-def _called(row: Mapping[str, Any], joint: bool) -> str:
+def _called(row: Mapping[str, Any], plant: str) -> str:
     """Return the name of a parameter of the baseline; the size of an effect with the effect."""
     name = row['parameter']
-    size = name if row['effect'] is None else f'{in_words(row["effect"], joint)}: {SIZES[name]}'
+    size = name if row['effect'] is None else f'{in_words(row["effect"], plant)}: {SIZES[name]}'
     return size + (f' in recording {row["recording"]}' if row['recording'] else '')
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.model.actuator import Trajectory, rest, simulate
+from asi_analysis.arrays import Array
 from asi_analysis.experiments.experiment import Experiment
 from asi_analysis.loop.closed_loop import LoopRun, Values, close_loop, simulate_loop
 from asi_common.record import record_of
@@ -19,7 +19,6 @@ RATE_HZ: Final = 5000.0
 # Time at rest before a step.
 BEFORE_S: Final = 0.1
 
-Array = npt.NDArray[np.float64]
 Runner = Callable[[Experiment], LoopRun]
 
 

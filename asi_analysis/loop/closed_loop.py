@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from asi_actuator.model.actuator import STATE_DTYPE, advance, check_period, measure, prepare, rest
 from asi_actuator.parameters import as_record
+from asi_analysis.arrays import Array
 from asi_common.jit import jit
 from asi_common.parameter import Value
 from asi_common.record import record_of
@@ -30,13 +31,13 @@ Values = Mapping[str, Value]
 class LoopRun(NamedTuple):
     """A closed-loop run: arrays of n samples, one a control period."""
 
-    time_s: npt.NDArray[np.float64]
-    reference_n: npt.NDArray[np.float64]
-    command_n: npt.NDArray[np.float64]
-    force_n: npt.NDArray[np.float64]
-    valve_position_m: npt.NDArray[np.float64]
-    position_m: npt.NDArray[np.float64]
-    velocity_m_s: npt.NDArray[np.float64]
+    time_s: Array
+    reference_n: Array
+    command_n: Array
+    force_n: Array
+    valve_position_m: Array
+    position_m: Array
+    velocity_m_s: Array
 
 
 class Loops(NamedTuple):
@@ -97,7 +98,7 @@ def _close_block(states, plants, compensators, references, period, first, end, s
 
 
 def close_many(loops: Loops, duration_s: float, last_s: float | None = None
-               ) -> npt.NDArray[np.float64]:
+               ) -> Array:
     """
     Run many loops on all cores; return m x 6 signals of LoopRun x control periods.
 

@@ -67,7 +67,8 @@ def hysteresis(amplitude_n: float, frequency_hz: float, p: np.void, limit_n: flo
 
 
 @jit
-def _characteristic(amplitude, bias, p):
+def characteristic(amplitude, bias, p):
+    """Return N of the valve characteristic (N/m), real, for a valve position bias + A sin (m)."""
     total = 0.0
     for k in range(SAMPLES):
         wave = math.sin(2.0 * math.pi * (k + 0.5) / SAMPLES)
@@ -75,13 +76,9 @@ def _characteristic(amplitude, bias, p):
     return total * 2.0 / (SAMPLES * amplitude)
 
 
-def characteristic(amplitude_m: float, bias_m: float, p: np.void) -> complex:
-    """Return N of the valve characteristic (N/m) for a valve position bias + A sin; no phase."""
-    return complex(_characteristic(amplitude_m, bias_m, p))
-
-
 @jit
-def _damping(amplitude, opening, p):
+def damping(amplitude, opening, p):
+    """Return N of the hydraulic damping (N s/m), real, for a velocity A sin at a valve opening."""
     total = 0.0
     for k in range(SAMPLES):
         wave = math.sin(2.0 * math.pi * (k + 0.5) / SAMPLES)
@@ -89,13 +86,9 @@ def _damping(amplitude, opening, p):
     return total * 2.0 / (SAMPLES * amplitude)
 
 
-def damping(amplitude_m_s: float, opening: float, p: np.void) -> complex:
-    """Return N of the hydraulic damping (N s/m) for a velocity A sin at a valve opening."""
-    return complex(_damping(amplitude_m_s, opening, p))
-
-
 @jit
-def _friction(amplitude, frequency, p):
+def seal_friction(amplitude, frequency, p):
+    """Return N of the friction (N s/m) for a velocity A sin (m/s) of a frequency (Hz)."""
     step = 1.0 / (frequency * SAMPLES)
     seal, before, total = 0.0, 0.0, 0.0 + 0.0j
     for k in range((SETTLING + 1) * SAMPLES):
@@ -106,11 +99,6 @@ def _friction(amplitude, frequency, p):
         if k >= SETTLING * SAMPLES:
             total += force_and_seal.force * complex(math.sin(angle), math.cos(angle))
     return total * 2.0 / (SAMPLES * amplitude)
-
-
-def seal_friction(amplitude_m_s: float, frequency_hz: float, p: np.void) -> complex:
-    """Return N of the friction (N s/m) for a velocity A sin."""
-    return complex(_friction(amplitude_m_s, frequency_hz, p))
 
 
 def saturation_closed_form(amplitude: float, limit: float, bias: float = 0.0) -> float:

@@ -10,10 +10,10 @@ Meccanica 15, 1980). The one along the orbit is 1, because the phase is free.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.model.actuator import STATE_DTYPE, rest
 from asi_actuator.parameters import RING
+from asi_analysis.arrays import Array
 from asi_analysis.loop.closed_loop import close_loop, records
 from asi_analysis.loop.simulation import Values
 
@@ -38,13 +38,13 @@ class _SampledLoop:
         self.depth = min(int(longest / (period_s / substeps)) + 3, RING)
         self.fields: list[str] = []
 
-    def run(self, ticks: int) -> npt.NDArray[np.float64]:
+    def run(self, ticks: int) -> Array:
         """Advance by control periods; return the measured force."""
         out = np.empty((6, ticks))
         close_loop(self.state, self.plant, self.compensator, self.reference, self.period_s, 0, out)
         return out[2]
 
-    def vector(self) -> npt.NDArray[np.float64]:
+    def vector(self) -> Array:
         """Return the state of the blocks, the delays (by age) and the compensator."""
         ages = (int(self.state['ring_index']) - np.arange(self.depth)) % RING
         # Unused states stay at zero; perturbations of them would never decay.
@@ -56,7 +56,7 @@ class _SampledLoop:
                  *[np.ravel(self.compensator[name]) for name in MEMORIES]]
         return np.concatenate([np.asarray(part, float) for part in parts])
 
-    def put(self, vector: npt.NDArray[np.float64]) -> None:
+    def put(self, vector: Array) -> None:
         """Set the state."""
         ages = (int(self.state['ring_index']) - np.arange(self.depth)) % RING
         for name, value in zip(self.fields, vector, strict=False):
@@ -73,7 +73,7 @@ class _SampledLoop:
 
 
 def multipliers(actuator: Values, controller: Values, rate_hz: float, frequency_hz: float
-                ) -> npt.NDArray[np.float64]:
+                ) -> Array:
     """
     Return the largest Floquet multipliers (absolute values) of the cycle after a step.
 

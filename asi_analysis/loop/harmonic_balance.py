@@ -24,13 +24,11 @@ from asi_actuator.model.valve_characteristic import (
     valve_position,
 )
 from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.errors import InputError
 from asi_analysis.loop import linear_model as linear
 from asi_common.jit import FULL, jit
 from asi_controller.compensator import frequency_response
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 HARMONICS: Final = 9
 GRID: Final = 512            # samples of a period in continuous time
@@ -41,6 +39,11 @@ SETTLED_N: Final = 1e-7      # tolerance of that, as a force
 SUBSTEPS: Final = 8          # of a control period, for the hysteresis
 TOLERANCE: Final = 1e-7      # of the residual, over the size of the command
 MOST_STEPS: Final = 30
+# Of a branch: its first step of arc length, in the scale of the unknowns, most points, and lowest
+# gain over that of its start.
+FIRST_ARC: Final = 0.04
+MOST_POINTS: Final = 60
+LOWEST: Final = 0.3
 
 
 class Loop(NamedTuple):
@@ -56,6 +59,15 @@ class Loop(NamedTuple):
     period_s: float
     reference_n: float
     friction_n: float | None = None
+
+    @property
+    def limit_n(self) -> float:
+        """Limit of the command (N), infinite without one."""
+        return min(float(self.plant['command_limit']), float(self.compensator['saturation']))
+
+    def compensated(self, frequency_hz: npt.ArrayLike) -> Complex:
+        """Return the response of the compensator at frequencies (Hz)."""
+        return frequency_response(self.compensator, frequency_hz, 1.0 / self.period_s)
 
 
 class Balance(NamedTuple):
@@ -176,8 +188,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     p, count = loop.plant, len(command) - 1
     f = frequency_hz * np.arange(count + 1)
     drive = np.empty(count + 1, complex)
-    limit = min(float(p['command_limit']), float(loop.compensator['saturation']))
-    _drive(rest(), command, frequency_hz, limit, p, loop.period_s, drive)
+    _drive(rest(), command, frequency_hz, loop.limit_n, p, loop.period_s, drive)
     position = valve_position(_wave(drive * linear.flexure(p)(f)), p)
     speed = _wave(velocity)
     static, damping = valve_forces(position, speed, p)
@@ -210,10 +221,8 @@ def residual(loop: Loop, command: Complex, velocity: Complex, frequency_hz: floa
     """Return the residual of the balance (N), as real numbers, and the measured force."""
     force, excess = plant_response(loop, command, velocity, frequency_hz)
     f = frequency_hz * np.arange(len(command))
-    answer = -frequency_response(loop.compensator, f, 1.0 / loop.period_s) * force
-    answer[0] += (loop.reference_n
-                  * (frequency_response(loop.compensator, [0.0], 1.0 / loop.period_s)[0]
-                     + loop.compensator['feedforward']))
+    answer = -loop.compensated(f) * force
+    answer[0] += loop.reference_n * (loop.compensated([0.0])[0] + loop.compensator['feedforward'])
     missing = command - answer
     # The residual force on the load, scaled to a command.
     weight = abs(loop.compensator['gain'])
@@ -318,23 +327,22 @@ def balance(loop: Loop, guess: Balance) -> Balance | None:
     return None if found is None else _balance(loop, found)
 
 
-def continue_in_gain(loop: Loop, start: Balance, least: float, most: float,
-                     step: float = 0.04, rising: bool = False, points: int = 60
+def continue_in_gain(loop: Loop, start: Balance, most: float, rising: bool = False
                      ) -> list[Balance]:
     """
     Return the branch of cycles from `start`: decreasing gain to the fold and beyond; or `rising`.
 
     Pseudo-arclength continuation (Keller 1977) along the tangent passes the fold, where the cycle
-    appears. step: of arc length, in the scale of the unknowns. Ends outside the gains from `least`
-    to `most`, and beyond the fold when the gain has increased by 10 %.
+    appears. Ends outside the gains from LOWEST to `most` times that of the start, and beyond the
+    fold when the gain has increased by 10 %.
     """
     x = _pack(start)
     sizes = _sizes(x)
     branch = [start]
     direction = np.zeros(len(x))
     direction[-1] = 1.0 if rising else -1.0
-    smallest = step / 64.0
-    while len(branch) < points and smallest <= step:
+    step = FIRST_ARC
+    while len(branch) < MOST_POINTS and step >= FIRST_ARC / 64.0:
         at = _evaluate(loop, x)[0]
         slopes = _jacobian(loop, x, at, sizes) / sizes[0]
         tangent = np.linalg.svd(slopes)[2][-1]
@@ -349,7 +357,7 @@ def continue_in_gain(loop: Loop, start: Balance, least: float, most: float,
         branch.append(_balance(loop, x))
         lowest = min(point.gain for point in branch)
         risen = not rising and lowest < start.gain and branch[-1].gain > 1.1 * lowest
-        if not least <= branch[-1].gain <= most or (
+        if not LOWEST * start.gain <= branch[-1].gain <= most * start.gain or (
                 risen and direction[-1] > 0.0):
             break
     return branch

@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.safety import Safety, State
+from asi_analysis.arrays import Array
 from asi_analysis.bags.bag import STATE, read_bag
 from asi_analysis.bags.bag_writer import BagWriter, typestore
 from asi_analysis.bags.encoding import Nanoseconds, encode, topic_values
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked, information, planned
 from asi_analysis.experiments.running import RunFailedError, directory_of, prepare

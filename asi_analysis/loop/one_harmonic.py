@@ -16,13 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.harmonic_balance import Loop
-from asi_controller.compensator import frequency_response
 
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 # Gain for a cycle as a function of frequency (Hz); it exists where this is real and positive.
 NeededGain = Callable[[float], complex]
 
@@ -57,16 +55,13 @@ class OneHarmonic:
 
     def per_gain(self, frequency_hz: npt.ArrayLike) -> Complex:
         """Return L: the loop without gain, sign and hysteresis."""
-        loop = self.loop
-        return (self.plant(frequency_hz)
-                * frequency_response(loop.compensator, frequency_hz, 1.0 / loop.period_s)
-                / loop.compensator['gain'])
+        return (self.plant(frequency_hz) * self.loop.compensated(frequency_hz)
+                / self.loop.compensator['gain'])
 
     @property
     def limit_n(self) -> float:
         """Limit of the command (N), infinite without one."""
-        return min(float(self.loop.plant['command_limit']),
-                   float(self.loop.compensator['saturation'])) if self.limited else math.inf
+        return self.loop.limit_n if self.limited else math.inf
 
     def hysteresis(self, amplitude_n: float, frequency_hz: float) -> complex:
         """Return N of the hysteresis for a command of an amplitude."""
@@ -138,11 +133,10 @@ def intersection(of: OneHarmonic, amplitude_n: float, near_hz: float | None = No
     if found is None:
         return None
     gain, f = found
-    loop = of.loop
-    compensated = abs(frequency_response(loop.compensator, [f], 1.0 / loop.period_s)[0])
     # The command is the compensated force.
+    compensated = abs(of.loop.compensated([f])[0])
     return Intersection(float(amplitude_n), gain, f,
-                        float(amplitude_n / compensated * loop.compensator['gain'] / gain))
+                        float(amplitude_n / compensated * of.loop.compensator['gain'] / gain))
 
 
 def locus(of: OneHarmonic, amplitudes_n: Array = COMMANDS_N) -> list[Intersection]:
@@ -214,7 +208,7 @@ def each_alone(of: OneHarmonic) -> dict[str, tuple[float, float] | None]:
     their phase shift is large enough at some amplitude.
     """
     p = of.loop.plant
-    slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p).real
+    slope = describing.characteristic(1e-3 * p['valve_characteristic_full_opening'], 0.0, p)
     openings = p['valve_characteristic_full_opening'] * np.geomspace(0.01, 4.0, 12)
     candidates = {
         'valve_characteristic': [in_series(

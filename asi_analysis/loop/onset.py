@@ -35,16 +35,8 @@ START_ABOVE: Final = (1.02, 1.03, 1.045, 1.07)
 AGREED: Final = 0.005
 
 
-class Onset(NamedTuple):
-    """The least gain at which a step leads to a cycle: gain, frequency (Hz), amplitude (N)."""
-
-    gain: float
-    frequency_hz: float
-    amplitude_n: float
-
-
-class Fold(NamedTuple):
-    """The least gain of the branch of cycles: gain, frequency (Hz), amplitude of the force (N)."""
+class LeastGain(NamedTuple):
+    """The least gain with a cycle, its frequency (Hz), and the amplitude of its force (N)."""
 
     gain: float
     frequency_hz: float
@@ -58,7 +50,7 @@ def with_gain(controller: Values, gain: float) -> dict[str, Any]:
 
 def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: float,
           accuracy: float = ACCURACY, watched_s: float = WATCHED_S, most: float = MOST,
-          first_s: float = FIRST_WATCHED_S) -> Onset | None:
+          first_s: float = FIRST_WATCHED_S) -> LeastGain | None:
     """
     Return the least gain at which the step of the controller's reference leads to a cycle.
 
@@ -96,7 +88,7 @@ def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: floa
             below = middle
         else:
             high, found = middle, trial
-    return Onset(high, found.frequency_hz, found.amplitude_n)
+    return LeastGain(high, found.frequency_hz, found.amplitude_n)
 
 
 def user_gain(controller: Values, loop: hb.Loop) -> float:
@@ -135,14 +127,13 @@ def branch(actuator: Values, controller: Values, rate_hz: float, first_gain: flo
         return []
     loop, start = first
     unit = user_gain(controller, loop)
-    found = hb.continue_in_gain(loop, start, 0.3 * start.gain, 1.35 * start.gain)
-    upward = [] if onset_only else hb.continue_in_gain(
-        loop, start, 0.3 * start.gain, 1.3 * start.gain, rising=True)
+    found = hb.continue_in_gain(loop, start, 1.35)
+    upward = [] if onset_only else hb.continue_in_gain(loop, start, 1.3, rising=True)
     return [point._replace(gain=point.gain / unit) for point in [*upward[:0:-1], *found]]
 
 
 def fold(actuator: Values, controller: Values, rate_hz: float, onset_gain: float,
-         harmonics: int = hb.HARMONICS) -> Fold | None:
+         harmonics: int = hb.HARMONICS) -> LeastGain | None:
     """
     Return the fold of the branch of cycles above the onset; None if none is found.
 
@@ -151,11 +142,11 @@ def fold(actuator: Values, controller: Values, rate_hz: float, onset_gain: float
     for above in START_ABOVE:
         points = branch(actuator, controller, rate_hz, above * onset_gain, True, harmonics)
         if points and 0 < min(range(len(points)), key=lambda k: points[k].gain) < len(points) - 1:
-            return Fold(*hb.fold(points))
+            return LeastGain(*hb.fold(points))
     return None
 
 
-def disagreement(onset_gain: float, at: Fold | None) -> str:
+def disagreement(onset_gain: float, at: LeastGain | None) -> str:
     """Return a note if the gains of onset and fold differ by more than AGREED; else empty."""
     if at is None:
         return 'harmonic balance finds no fold'

@@ -6,14 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.closed_loop import (
-    LoopRun,
-    Loops,
-    Values,
-    close_many,
-    loops_of,
-    records,
-)
+from asi_analysis.loop.closed_loop import LoopRun, Loops, Values, close_many, loops_of, records
 from asi_analysis.loop.harmonic_balance import HARMONICS, Balance, Loop, valve_forces
 from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 
@@ -27,7 +20,7 @@ SETTLED: Final = 1e-4
 
 
 def loop_of(actuator: Values, controller: Values, rate_hz: float) -> Loop:
-    """Return what harmonic balance needs, from parameters by name."""
+    """Return the loop for harmonic balance, from parameters by name."""
     plant, compensator, reference = records(actuator, controller, rate_hz)
     held_n = float(reference['reference_amplitude'] + reference['reference_offset'])
     return Loop(plant, compensator, 1.0 / rate_hz, held_n)

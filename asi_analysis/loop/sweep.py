@@ -60,7 +60,7 @@ class Sweep(Result):
                 for run in self['runs']]
 
     def write_csv(self, path: Path) -> None:
-        """Write the table as CSV; an empty cell is a figure that cannot be told."""
+        """Write the table as CSV; the cell of an unknown figure is empty."""
         rows = self.table()
         with replacing(path) as temporary, temporary.open('w', newline='') as file:
             writer = csv.DictWriter(file, list(rows[0]))

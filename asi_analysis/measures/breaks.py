@@ -1,32 +1,34 @@
-"""Breaks of a signal: samples that those before them do not predict, spikes, frozen samples."""
+"""Breaks of a signal: unpredicted samples, spikes, jumps and frozen samples."""
 
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage, signal
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from asi_analysis.arrays import Array, Mask
 
-# Changes of a signal, and of its input, that predict the next one; samples that this is fitted to.
+# Past changes of a signal, and of its input, in the linear prediction of its next change; least
+# and most samples to which that is fitted.
 LAGS: Final = 20
 FEWEST: Final = 200
 MOST: Final = 20_000
-# Smallest change of an input that is answered, as a share of its range; samples of the beginning
-# of an answer.
+# Smallest change of an input to which the signal may respond, as a share of its range; samples
+# that count as the beginning of the response.
 STEP: Final = 0.01
 ANSWER: Final = 4
-# Smallest deviation that is a break: of the range of the signal; of the 90 % quantile of all. A
-# signal that stands still moves by less than this share of its next change.
+# Smallest deviation that is a break: as a share of the range of the signal, and as a multiple of
+# the 90 % quantile of all deviations. A signal stands still if it moves by less than this share of
+# its next change.
 SHARE: Final = 0.2
 USUAL: Final = 10.0
-# Share of different values among the others from which on no sample repeats one by chance.
+# Least share of different values in a signal for which repeated values are no coincidence.
 CONTINUOUS: Final = 0.9
-# Equal samples that are frozen, if one of as many changes before them and one of those after them
-# are larger than this share of the median change.
+# Least number of equal samples that are frozen. The signal must be in motion: one of as many
+# changes before them, and one after them, is larger than this share of the median change.
 FROZEN: Final = 4
 STIRRED: Final = 0.1
+# Share of a jump by which a mirrored signal may miss, and change before and after it.
+MIRRORED: Final = 0.4
 
 
 def unexplained(inputs: Array, values: Array) -> Mask:
@@ -39,6 +41,7 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     """
     if len(values) < FEWEST:
         return np.ones(len(values), bool)
+    mirrored = _mirrored(values)
     values, inputs = (np.diff(each, prepend=each[0]) / max(float(np.ptp(each)), 1e-300)
                       for each in (values, inputs))
     rows = np.arange(LAGS, len(values), 1 + len(values) // MOST)
@@ -47,18 +50,32 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     factors = np.linalg.lstsq(past, values[rows], rcond=1e-10)[0]
     alone = signal.lfilter([1.0, *-factors[:LAGS]], 1.0, values)
     answer = 2.0 * signal.lfilter(factors[LAGS:], 1.0, inputs)
-    # An answer to the input that does not come, or is twice as large, is no break.
+    # A response to the input that is missing, or twice as large as predicted, is no break.
     deviation = np.abs(alone - np.clip(alone, np.minimum(answer, 0.0), np.maximum(answer, 0.0)))
+    # Of one step alone, any answer is possible.
+    stepped = ndimage.maximum_filter1d(np.abs(inputs), LAGS + 1, origin=LAGS // 2) > SHARE
+    deviation[mirrored & stepped] = np.abs(values[mirrored & stepped])
     deviation[:LAGS] = 0.0
     return _large(deviation, 1.0)
+
+
+def _mirrored(values: Array) -> Mask:
+    """Return where a signal jumps to about its value before with the other sign, and goes on."""
+    found = np.zeros(len(values), bool)
+    before, change, after = np.diff(values)[:-2], np.diff(values)[1:-1], np.diff(values)[2:]
+    other = -values[1:-2] - before      # the sample, had the sign been wrong up to it
+    found[2:-1] = (np.abs(values[2:-1] - other) < MIRRORED * np.abs(change)) & (
+        np.maximum(np.abs(before), np.abs(after)) < MIRRORED * np.abs(change))
+    return found
 
 
 def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) -> Mask:
     """
     Return which of n samples are spikes: one or two that differ from their neighbours.
 
-    What the input explains is none. One of the same unit explains what is within its own range,
-    where the signal begins to answer a change of it.
+    A deviation that the input explains is no spike. inputs: such as the reference. same_unit: the
+    input has the unit of the signal; it then explains only deviations within its own range, at the
+    beginning of the response to a change of it.
     """
     smooth = ndimage.median_filter(values, 5, mode='mirror')
     deviation = np.abs(values - smooth)
@@ -79,9 +96,10 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
     """
     Return the first and the last sample of each part that jumps lead to, out of n samples.
 
-    A jump is a change that neither the signal before it nor its reference explains, which explains
-    no more than twice its own range. Two enclose a part. Of an odd number it cannot be told which
-    side is right: then all samples are one part. What comes after a gap is no jump.
+    A jump is a change that is predicted neither from the past of the signal nor from its
+    reference; that explains a change of at most twice its own range. Two successive jumps enclose
+    a part. With an odd number of jumps it is unknown which side is right, and all samples are one
+    part. A change after a gap in time is no jump.
     """
     if len(values) < FEWEST:
         return []
@@ -102,7 +120,7 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     """
     Return the first and last sample of parts, out of n samples, that stand still in motion.
 
-    They are found in a signal whose values hardly ever come twice.
+    Only in a signal whose values are hardly ever repeated.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     if 2 * len(begins) < len(values) or not is_continuous(values[begins]):
@@ -127,7 +145,7 @@ def _begun(inputs: Array, values: Array) -> Mask:
 
 
 def is_continuous(values: Array) -> bool:
-    """Return whether n values are from so many that none comes twice by chance."""
+    """Return whether hardly any of n values is repeated, as in a signal that is not quantised."""
     return len(np.unique(values)) > CONTINUOUS * len(values)
 
 

@@ -3,8 +3,8 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.measures.sinusoid import analytic_signal, dominant_frequency, on_grid
 
 # Phases of the drive at which the envelope is averaged.
@@ -15,8 +15,6 @@ FOLLOWS: Final = 0.5
 FEWEST_CYCLES: Final = 3.0
 # Least periods of the drive that show it.
 FEWEST_DRIVEN: Final = 2.0
-
-Array = npt.NDArray[np.float64]
 
 
 class Bursts(NamedTuple):

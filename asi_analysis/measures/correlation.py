@@ -3,10 +3,9 @@
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 
-Array = npt.NDArray[np.float64]
+from asi_analysis.arrays import Array
 
 # Correlation below which there is no delay; coefficients that are equal.
 LEAST_CORRELATION: Final = 0.3

@@ -3,13 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_common.parameter import defaults
-
-Array = npt.NDArray[np.float64]
 
 
 class Drive(NamedTuple):

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage, signal
 
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.correlation import correlation_delay
@@ -34,12 +34,10 @@ MOST_LINES: Final = 2**22
 # A reference of at least this many steps (PRBS) has a broad spectrum.
 FEWEST_STEPS: Final = 4
 HALF_POWER: Final = np.sqrt(0.5)
-# A signal with this share of its power in so many lines on each side of the strongest is a sine.
+# A sine has at least this share of its power within so many lines of the strongest one.
 SINE: Final = 0.99
 SINE_LINES: Final = 3
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
-
-Array = npt.NDArray[np.float64]
 
 
 class Estimate(NamedTuple):
@@ -52,7 +50,7 @@ class Estimate(NamedTuple):
     """
 
     frequency_hz: Array
-    response: npt.NDArray[np.complex128]
+    response: Complex
     coherence: Array
     bandwidth_hz: float | None
     delay_s: float | None
@@ -76,7 +74,7 @@ def bandwidth(frequency_hz: Array, gain: Array) -> float | None:
     return float(np.exp(x[0] + (np.log(level) - y[0]) / (y[1] - y[0]) * (x[1] - x[0])))
 
 
-def phase_delay(frequency_hz: Array, response: npt.NDArray[np.complex128],
+def phase_delay(frequency_hz: Array, response: Complex,
                 weights: Array) -> float:
     """Return the delay (s) whose phase, zero at 0 Hz, fits the response best (least squares)."""
     phase = np.unwrap(np.angle(response))

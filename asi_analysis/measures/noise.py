@@ -9,10 +9,9 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 
-Array = npt.NDArray[np.float64]
+from asi_analysis.arrays import Array
 
 # Rows that are factored at a time.
 BLOCK: Final = 8192

@@ -13,14 +13,15 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize, signal, special
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.bursts import FEWEST_DRIVEN, bursts
 from asi_analysis.measures.drives import drives
 from asi_analysis.measures.sinusoid import dominant_frequency, fits, least_squares
 from asi_analysis.measures.step_response import hold_last
+from asi_analysis.reporting.result import finite
 from asi_common.jit import jit
 
 # Relative decrease of the amplitude in a period, above which it decays (damping ratio 3e-4).
@@ -39,8 +40,6 @@ HARMONICS: Final = 9
 LOCKED: Final = 0.1
 # Periods from which a growth rate can be estimated.
 FEWEST_RATED: Final = 3
-
-Array = npt.NDArray[np.float64]
 
 
 class Oscillation(NamedTuple):
@@ -64,10 +63,8 @@ class Oscillation(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys of `asi analyze --json`, None for missing values."""
-        return {'sustained': self.sustained,
-                **{name: value if math.isfinite(value) else None
-                   for name, value in (('frequency_hz', self.frequency_hz),
-                                       ('amplitude_n', self.amplitude_n))}}
+        return {'sustained': self.sustained, 'frequency_hz': finite(self.frequency_hz),
+                'amplitude_n': finite(self.amplitude_n)}
 
 
 def is_sustained(growth_1_s: float, growth_sd_1_s: float, freedom: float, frequency_hz: float,

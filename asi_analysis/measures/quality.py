@@ -13,14 +13,12 @@ import numpy.typing as npt
 
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.breaks import frozen, is_continuous, jumps, spikes
-from asi_analysis.measures.correlation import correlation_delay, largest_correlation
+from asi_analysis.measures.breaks import is_continuous, spikes
+from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, Interval, name_of, place_of
+from asi_analysis.measures.relations import of_motion, of_reference
 
 Array = npt.NDArray[np.float64]
-Interval = tuple[float, float]
 
-DOUBTFUL: Final = 'doubtful'
-NOTE: Final = 'note'
 # Samples further apart than this many periods have at least one missing between them.
 GAP_PERIODS: Final = 1.5
 # Largest jitter (90 % quantile) as a share of the period.
@@ -34,51 +32,23 @@ CLIPPED_SAMPLES: Final = 4
 # be resolved, and figures are doubtful.
 NOTED_LEVELS: Final = 100
 FEWEST_LEVELS: Final = 25
-# Ratio of the standard deviations of a controlled signal and its reference from which on (or below
-# the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
-# in any case. Below SAME_SIZE the signal does not follow, and is not compared further.
-UNIT_FACTOR: Final = 100.0
-SAME_SIZE: Final = 0.3
-CORRELATED: Final = 0.7
-# Samples by which an output that comes before its reference does so clearly, if without the shift
-# their correlation is below this share of that with it.
-EARLY_SAMPLES: Final = 3
-CLEARLY: Final = 0.8
-# Share of a run by which an output may be early, or within which one of the wrong sign answers.
-SOON: Final = 0.1
-# Largest share of its change that an output may make before the reference changes.
-BEFORE: Final = 0.3
+# A signal that changes no more often is constant in parts, as a velocity that is prescribed.
+FEWEST_CHANGES: Final = 4
 # Samples of an even grid for each recorded one, beyond which a run comes in bursts.
 MOST_FILLED: Final = 10.0
 LARGEST: Final = 1e100   # number in a signal: squares and sums of more overflow
 LOSSES: Final = frozenset(('gap', 'missing'))
-# Intervals listed in JSON for one finding.
-LISTED: Final = 20
-
-
-class Finding(NamedTuple):
-    """A defect of the samples of a signal."""
-
-    kind: str       # gap, clock_step, time_order, jitter, missing, clipping, spike, jump, ...
-    signal: str     # of the run, or 'time'
-    severity: str   # doubtful: figures from these samples are; note: no figure is affected
-    intervals_s: tuple[Interval, ...]
-    text: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the finding for JSON: the first LISTED intervals, and their number."""
-        return {'kind': self.kind, 'signal': self.signal, 'severity': self.severity,
-                'text': self.text, 'count': len(self.intervals_s),
-                'intervals': [{'start_s': start, 'end_s': end}
-                              for start, end in self.intervals_s[:LISTED]]}
 
 
 def findings(run: Run) -> list[Finding]:
     """Return the defects of the samples of a run (at least 2), doubtful ones first."""
+    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
     found = [*_of_time(run.time_s)]
+    found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
-    found += _of_reference(run)
+    found += of_reference(run)
+    found += of_motion(run)
     return sorted(found, key=lambda each: each.severity != DOUBTFUL)
 
 
@@ -138,7 +108,7 @@ def check_size(run: Run) -> None:
     for name, values in run.signals().items():
         largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
         if largest > LARGEST:
-            raise InputError(f'{run.source or "the run"}: the {_words(name)} reaches '
+            raise InputError(f'{run.source or "the run"}: the {name_of(name)} reaches '
                              f'{largest:.3g} {run.unit(name)}, above {LARGEST:g}: is it damaged?')
 
 
@@ -176,7 +146,7 @@ def _of_time(time: Array) -> Iterator[Finding]:
         lost = int(np.sum(np.round(steps[gaps & ~clock] / period) - 1.0))
         yield Finding('gap', 'time', DOUBTFUL, missing,
                       f'about {lost} samples are missing in {len(missing)} gaps, '
-                      f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {_where(missing)}')
+                      f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {place_of(missing)}')
     if jitter > JITTER * period:
         yield Finding('jitter', 'time', NOTE, ((float(time[0]), float(time[-1])),),
                       f'the samples are unevenly spaced: a tenth of them more than '
@@ -195,8 +165,8 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
     if inside.any():
         missing = _sample_intervals(run.time_s, inside)
         yield Finding('missing', name, DOUBTFUL, missing,
-                      f'{int(inside.sum())} of {len(values)} samples of the {_words(name)} are '
-                      f'missing {_where(missing)}')
+                      f'{int(inside.sum())} of {len(values)} samples of the {name_of(name)} are '
+                      f'missing {place_of(missing)}')
     if name == 'command' or len(present) < 10:
         return
     time, values = run.time_s[present], values[present]
@@ -205,8 +175,8 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
     if wrong.any():
         where = _sample_intervals(time, wrong)
         yield Finding('spike', name, DOUBTFUL, where,
-                      f'the {_words(name)} has {len(where)} spikes of one or two samples, up to '
-                      f'{np.abs(values[wrong]).max():.4g} {unit} {_where(where)}')
+                      f'the {name_of(name)} has {len(where)} spikes of one or two samples, up to '
+                      f'{np.abs(values[wrong]).max():.4g} {unit} {place_of(where)}')
     if name == 'reference':
         return
     for part, limit, word in zip(_clipped(values[~wrong]), _ends(values[~wrong]),
@@ -214,109 +184,18 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         if part.any():
             where = _sample_intervals(time[~wrong], part)
             yield Finding('clipping', name, DOUBTFUL, where,
-                          f'the {_words(name)} stays at its {word} value {limit:.4g} {unit} '
-                          f'{_where(where)}: it is clipped, or against a stop')
+                          f'the {name_of(name)} stays at its {word} value {limit:.4g} {unit} '
+                          f'{place_of(where)}: it is clipped, or against a stop')
     level = np.unique(values)
-    levels = len(level)
+    levels, changes = len(level), np.count_nonzero(np.diff(values))
     step = float(np.diff(level).min(initial=np.inf))
     # A signal at rest also repeats values, but these are not on an even grid.
-    if 1 < levels < NOTED_LEVELS and len(values) > 10 * levels and (
+    if 1 < levels < NOTED_LEVELS and len(values) > 10 * levels and changes > FEWEST_CHANGES and (
             step > 1e-3 * (level[-1] - level[0])):
         yield Finding('quantisation', name, DOUBTFUL if levels < FEWEST_LEVELS else NOTE,
                       ((float(time[0]), float(time[-1])),),
-                      f'the {_words(name)} has only {levels} different values, {step:.4g} {unit} '
+                      f'the {name_of(name)} has only {levels} different values, {step:.4g} {unit} '
                       'apart')
-
-
-def _of_reference(run: Run) -> Iterator[Finding]:
-    """Compare the controlled signal with its reference: unit, and order in time."""
-    if run.reference_n is None or run.unit('reference') not in CONTROLLED:
-        return
-    name = run.controlled()
-    output = run.signals().get(name)
-    if output is None:
-        return
-    both = np.isfinite(run.reference_n) & np.isfinite(output)
-    if not both.any():
-        return
-    time, reference, values = run.time_s[both], run.reference_n[both], output[both]
-    whole = ((float(time[0]), float(time[-1])),)
-    reference_sd, output_sd = float(np.std(reference)), float(np.std(values))
-    ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
-    if not 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
-        if ratio > UNIT_FACTOR ** 2 or abs(np.corrcoef(reference, values)[0, 1]) > CORRELATED:
-            yield Finding('unit', name, DOUBTFUL, whole,
-                          f'the {_words(name)} moves {ratio:.3g} times as far as its '
-                          'reference: is its unit right?')
-            return
-    if ratio < SAME_SIZE:
-        return
-    against, lag = largest_correlation(reference, -values)
-    if against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
-            largest_correlation(reference, values)[0] < CLEARLY * against):
-        yield Finding('sign', name, DOUBTFUL, whole,
-                      f'the {_words(name)} moves against its reference: is its sign right?')
-        return
-    yield from _of_continuity(run, name, time, reference, values)
-    early = _answered_before(time, reference, values)
-    if early:
-        yield Finding('order', name, DOUBTFUL, early,
-                      f'the {_words(name)} changes before its reference does {_where(early)}: '
-                      'their times do not belong together')
-        return
-    lead = _lead(reference, values)
-    if lead:
-        yield Finding('order', name, DOUBTFUL, whole,
-                      f'the {_words(name)} fits its reference best if it is '
-                      f'{1e3 * lead * run.period_s:.4g} ms later: their times do not belong '
-                      'together')
-
-
-def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: Array
-                   ) -> Iterator[Finding]:
-    kept = ~spikes(values, reference, same_unit=True)
-    time, reference, values = time[kept], reference[kept], values[kept]
-    for kind, parts, word in (
-            ('jump', jumps(time, reference, values), 'jumps from one sample to the next'),
-            ('frozen', frozen(values), 'stands still while it should move')):
-        if parts:
-            where = tuple((float(time[first]), float(time[last])) for first, last in parts)
-            yield Finding(kind, name, DOUBTFUL, where,
-                          f'the {_words(name)} {word} {_where(where)}')
-
-
-def _lead(reference: Array, values: Array) -> int:
-    """Return by how many samples a signal clearly comes before its reference, 0 if it does not."""
-    lag = correlation_delay(reference, values, 1.0)
-    lead = 0 if lag is None else round(-lag)
-    if not EARLY_SAMPLES <= lead < SOON * len(values):
-        return 0
-    now = np.corrcoef(reference, values)[0, 1]
-    shifted = np.corrcoef(reference[lead:], values[:-lead])[0, 1]
-    return lead if now < CLEARLY * shifted else 0
-
-
-def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
-    """Return intervals from the response to a jump of the reference to that jump, if later."""
-    changes = np.abs(np.diff(reference))
-    jumps = np.flatnonzero(changes > 0.2 * max(float(np.ptp(reference)), 1e-300))
-    if not 0 < len(jumps) <= 20:
-        return ()
-    edges = [0, *(int(jump) + 1 for jump in jumps), len(time)]
-    found = []
-    for begin, jump, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
-        if min(jump - begin, end - jump) < 20:
-            continue
-        before = values[begin:begin + max(1, (jump - begin) // 2)]
-        after = values[jump + (end - jump) // 2:end]
-        low, high = float(np.median(before)), float(np.median(after))
-        change = high - low
-        spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
-        share = (values[jump - 1] - low) / change if change else 0.0
-        if abs(change) > 3.0 * spread and share > BEFORE:
-            first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
-            found.append((float(time[first]), float(time[jump])))
-    return tuple(found)
 
 
 def without_spikes(reference: Array) -> Array:
@@ -383,15 +262,6 @@ def _sample_intervals(time: Array, samples: npt.NDArray[np.bool_]) -> tuple[Inte
                  for a, b in zip(edges[::2], edges[1::2], strict=True))
 
 
-def _words(name: str) -> str:
-    return name.replace('_', ' ')
-
-
 def _times(intervals: Sequence[Interval]) -> str:
-    return f'{len(intervals)} times, ' + _where(intervals) if len(intervals) > 1 else _where(
+    return f'{len(intervals)} times, ' + place_of(intervals) if len(intervals) > 1 else place_of(
         intervals)
-
-
-def _where(intervals: Sequence[Interval]) -> str:
-    start, end = intervals[0][0], intervals[-1][1]
-    return f'at {start:.6g} s' if end - start < 1e-9 else f'between {start:.6g} and {end:.6g} s'

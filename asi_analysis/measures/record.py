@@ -11,10 +11,8 @@ need one pass over the record.
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from asi_analysis.arrays import Array, Complex
 
 # The cubic is accurate to 1e-3 while harmonics are within 13 / duration of the carrier's.
 BLOCKS: Final = 64
@@ -36,10 +34,10 @@ class Record(NamedTuple):
     samples: int
     span_s: float
     period_s: float
-    back: ComplexArray         # at each node: phase of the carrier back to the middle of its block
-    bases: tuple[ComplexArray, ...] = ()
+    back: Complex         # at each node: phase of the carrier back to the middle of its block
+    bases: tuple[Complex, ...] = ()
 
-    def rows(self, harmonic: int, given: ComplexArray) -> ComplexArray:
+    def rows(self, harmonic: int, given: Complex) -> Complex:
         """Return the rows of complex columns, given at `t`, near a harmonic of the carrier."""
         if not self.bases:
             return given
@@ -123,7 +121,7 @@ def _columns(times: Array, nodes: Array, frequency_hz: float, harmonics: int) ->
     return np.hstack(columns)
 
 
-def _by_harmonic(factors: Array) -> tuple[ComplexArray, ...]:
+def _by_harmonic(factors: Array) -> tuple[Complex, ...]:
     """Return the factors of the blocks by harmonic, as cosine + i sine."""
     each = factors.reshape(*factors.shape[:2], -1, NODES)
     return (each[:, :, 0].astype(complex),

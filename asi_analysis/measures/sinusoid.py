@@ -14,8 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy import fft, signal, stats
 
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.measures.noise import triangle
-from asi_analysis.measures.record import Array, ComplexArray, Record, compressed, legendre
+from asi_analysis.measures.record import Record, compressed, legendre
 
 MOST_HARMONICS: Final = 15
 # Highest harmonic that may be above half the sampling rate (aliased).
@@ -51,7 +52,7 @@ class HarmonicFit(NamedTuple):
     rate: float
     rate_sd: float
     sweep: float
-    harmonics: ComplexArray
+    harmonics: Complex
     thd: float
     drift: Array
     noise: float
@@ -98,7 +99,7 @@ def on_grid(time_s: Array, values: Array) -> tuple[Array, float]:
     return np.interp(grid, time_s, values), period
 
 
-def analytic_signal(values: Array, period: float, frequency: float) -> ComplexArray:
+def analytic_signal(values: Array, period: float, frequency: float) -> Complex:
     """Return the analytic signal of values (along the last axis), band-passed at a frequency."""
     band = np.clip(2.0 * period * frequency * np.array([0.6, 1.6]), (1e-3, 2e-3), (0.9, 0.98))
     filtered = signal.sosfiltfilt(signal.butter(2, band, 'bandpass', output='sos'),
@@ -149,7 +150,7 @@ def least_squares(columns: Array, values: Array) -> Array:
 
 class _Solution(NamedTuple):
     nonlinear: Array   # frequency Hz, rate 1/s, sweep Hz/s
-    waves: list[ComplexArray]
+    waves: list[Complex]
     coefficients: Array
     columns: Array
     gram: Array        # products of the columns
@@ -157,7 +158,7 @@ class _Solution(NamedTuple):
     squares: float     # sum of squares of the residuals of the samples
 
 
-def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[ComplexArray]:
+def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[Complex]:
     """Return the harmonics of unit amplitude at times about the middle."""
     frequency, rate, sweep = nonlinear
     angle = 2.0 * np.pi * (frequency * t + 0.5 * sweep * t * t)
@@ -170,7 +171,7 @@ def _waves(t: Array, nonlinear: Array, harmonics: int) -> list[ComplexArray]:
     return waves
 
 
-def _columns(record: Record, drift: Array, waves: list[ComplexArray]) -> Array:
+def _columns(record: Record, drift: Array, waves: list[Complex]) -> Array:
     """Return the columns of the linear part: drift, cosines, sines."""
     harmonics = len(waves)
     columns = np.empty((len(record.values), drift.shape[1] + 2 * harmonics), order='F')
@@ -210,7 +211,7 @@ def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows
     return best
 
 
-def _amplitudes(solution: _Solution, drift: int) -> ComplexArray:
+def _amplitudes(solution: _Solution, drift: int) -> Complex:
     """Return the complex amplitudes of the harmonics."""
     cosines, sines = np.split(solution.coefficients[drift:], 2)
     return cosines - 1j * sines

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.quality import LOSSES, Finding, Trust, findings, trust, without_spikes
@@ -32,8 +32,6 @@ DIP: Final = 0.05
 CREEP: Final = 5.0
 # A settling band below this many standard deviations of the noise is missed because of noise.
 NOISE_MARGIN: Final = 4.0
-
-Array = npt.NDArray[np.float64]
 
 
 class Step(NamedTuple):

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.frequency_response import is_sine
 
@@ -62,7 +62,7 @@ def _impedance(run: Run) -> dict[str, float]:
     count = round(periods / (frequency * run.period_s))
     line = np.exp(-2j * np.pi * frequency * run.period_s * np.arange(count))
 
-    def amplitude(values: npt.NDArray[np.float64]) -> complex:
+    def amplitude(values: Array) -> complex:
         last = values[-count:]
         return complex(np.sum((last - last.mean()) * line))
 

@@ -6,20 +6,18 @@ Figures of reports in one style: each function draws arrays in one matplotlib fi
 
 import html
 import io
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from asi_analysis.arrays import Array, Mask
 from asi_common.files import replacing
-
-Array = npt.NDArray[np.float64]
 
 WIDTH_IN: Final = 5.2
 # Okabe and Ito's colours, which people with colour blindness can distinguish.
@@ -41,8 +39,11 @@ def style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(STYLE)
 
 
-def _figure(height_in: float) -> Figure:
-    return Figure(figsize=(WIDTH_IN, height_in), layout='constrained')
+@contextmanager
+def drawing(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
+    """Yield a new figure to draw in."""
+    with style():
+        yield Figure(figsize=(width_in, height_in), layout='constrained')
 
 
 def save(figure: Figure, path: Path, dpi: float = STYLE['savefig.dpi']) -> None:
@@ -68,8 +69,7 @@ def step_responses(runs: Mapping[str, tuple[Array, Array, Array | None]], end_s:
     runs: label -> time since the step (s), signal and command (% of the step; None: not drawn), to
     end_s; name: of the signal.
     """
-    with style():
-        figure = _figure(4.6)
+    with drawing(4.6) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         above.step([-0.01e3, 0.0, 1e3 * end_s], [0.0, 0.0, 100.0], color='black',
                    linewidth=0.9, linestyle='--', where='pre', label='reference')
@@ -89,8 +89,7 @@ def step_responses(runs: Mapping[str, tuple[Array, Array, Array | None]], end_s:
 def recording(time: Array, signals: Mapping[str, tuple[Array, str]]) -> Figure:
     """Draw signals (name -> values and unit) over time (s), those of one unit in one panel."""
     units = list(dict.fromkeys(unit for _, unit in signals.values()))
-    with style():
-        figure = _figure(1.0 + 1.6 * max(len(units), 1))
+    with drawing(1.0 + 1.6 * max(len(units), 1)) as figure:
         axes = figure.subplots(max(len(units), 1), 1, sharex=True, squeeze=False)[:, 0]
         for name, (values, unit) in signals.items():
             axes[units.index(unit)].plot(time, values, linewidth=0.9,
@@ -104,8 +103,7 @@ def recording(time: Array, signals: Mapping[str, tuple[Array, str]]) -> Figure:
 
 def bode(frequency: Array, gain: Array, phase: Array, coherence: Array) -> Figure:
     """Draw gain (dB), phase (degrees) and coherence over frequency (Hz)."""
-    with style():
-        figure = _figure(5.2)
+    with drawing(5.2) as figure:
         axes = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 2))
         for panel, values, label in zip(axes, (20.0 * np.log10(gain), phase, coherence),
                                         ('gain (dB)', 'phase (°)', 'coherence'), strict=True):
@@ -118,8 +116,7 @@ def bode(frequency: Array, gain: Array, phase: Array, coherence: Array) -> Figur
 def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: float,
                         label: str = 'force (N)') -> Figure:
     """Draw a signal over time (s), with the label of its axis: all of it, and the last zoom_s."""
-    with style():
-        figure = _figure(4.2)
+    with drawing(4.2) as figure:
         above, below = figure.subplots(2, 1)
         above.plot(time, force, color=BLUE, linewidth=0.6)
         above.set(ylabel=label, xlabel='time (s)', xlim=(time[0], time[-1]))
@@ -137,10 +134,9 @@ def oscillation_in_time(time: Array, force: Array, reference: Array, zoom_s: flo
         return figure
 
 
-def phase_plane(time: Array, force: Array, steady: npt.NDArray[np.bool_]) -> Figure:
+def phase_plane(time: Array, force: Array, steady: Mask) -> Figure:
     """Draw force rate (kN/s) against force (N): the transient and the last cycles."""
-    with style():
-        figure = _figure(3.9)
+    with drawing(3.9) as figure:
         axes = figure.subplots()
         # Central differences; the ends of the record have none.
         rate = 1e-3 * np.gradient(force, time)[:-1]
@@ -163,8 +159,7 @@ def spectrum(frequency: Array, amplitude: Array, harmonics: Sequence[tuple[float
 
     harmonics: frequency (Hz) and amplitude (N) of the fundamental and its multiples.
     """
-    with style():
-        figure = _figure(3.0)
+    with drawing(3.0) as figure:
         axes = figure.subplots()
         shown = (frequency > 0.0) & (frequency <= end_hz)
         axes.semilogy(frequency[shown], amplitude[shown], color=BLUE, linewidth=0.9)
@@ -190,8 +185,7 @@ def hysteresis_loop(command: Array, valve_position: Array, straight: tuple[float
     straight: slope (m/N) and offset (m) of the line through the middle of the loop; width_n: its
     width at the middle (N).
     """
-    with style():
-        figure = _figure(3.7)
+    with drawing(3.7) as figure:
         axes = figure.subplots()
         slope, offset = straight
         ends = np.array([command.min(), command.max()])
@@ -232,8 +226,7 @@ def overlays(panels: Sequence[Panel], columns: int = 1) -> Figure:
     rows = -(-len(panels) // columns)
     labels = [label for label in dict.fromkeys(label for panel in panels for label in panel.lines)
               if label != 'reference']
-    with style():
-        figure = _figure(0.6 + 2.3 * rows)
+    with drawing(0.6 + 2.3 * rows) as figure:
         for panel, axes in zip(panels, np.ravel(figure.subplots(rows, columns, squeeze=False)),
                                strict=False):
             for label, (x, y) in panel.lines.items():

@@ -2,6 +2,7 @@
 
 import html
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Formatter
@@ -181,6 +182,11 @@ def table_of(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str], titl
     return Table(list(columns), [[filled(cell, row) for cell in columns.values()]
                                  for row in rows], title,
                  [name for name, cell in columns.items() if ':' in cell])
+
+
+def finite(value: float) -> float | None:
+    """Return a number of a document; None for one that is not finite."""
+    return float(value) if math.isfinite(value) else None
 
 
 def number(value: float | None, unit: str = '', digits: int = 4) -> str:

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.loop.closed_loop import Values, close_many, loops_of
 
 SIZES_N: Final = (20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0)
@@ -18,12 +18,11 @@ IMPEDANCE_M_S: Final = (0.02, 0.1)
 # Duration of a step, and rest before it: a compensator starts in the steady state.
 STEP_S: Final = 0.4
 BEFORE_S: Final = 0.01
-# Real part of the impedance (N s/m) that counts as half of what is missing, and sensor noise (N).
+# Deficit of the real part of the impedance (N s/m) that counts as much as a factor e of another
+# figure; sensor noise (N).
 IMPEDANCE_SCALE: Final = 100.0
 NOISE_N: Final = 1.0
 DIVERGED: Final = 1e6
-
-Array = npt.NDArray[np.float64]
 
 
 class Row(NamedTuple):

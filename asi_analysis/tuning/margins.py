@@ -11,11 +11,11 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize
 
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.parameters import as_record
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.experiments.step_tests import LOCKED
 from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.closed_loop import Values
@@ -77,7 +77,7 @@ def margins(actuator: Values, controller: Values, rate_hz: float) -> list[Margin
             for velocity in VELOCITIES_M_S]
 
 
-def _of(frequency: npt.NDArray[np.float64], loop: npt.NDArray[np.complex128]
+def _of(frequency: Array, loop: Complex
         ) -> tuple[float | None, float | None, float | None, float]:
     """Return gain margin and its frequency (Hz), phase margin (degrees) and disk margin."""
     steps = np.arange(len(loop))
@@ -91,7 +91,7 @@ def _of(frequency: npt.NDArray[np.float64], loop: npt.NDArray[np.complex128]
     return gain, at, phase, float(2.0 * np.abs((1.0 + loop) / (1.0 - loop)).min())
 
 
-def _crossings(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _crossings(values: Array) -> Array:
     """Return where n values cross 0, as positions between samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     return before + values[before] / (values[before] - values[before + 1])

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.step_response import step_response
-from asi_analysis.reporting.figures import Array, Panel, overlays
+from asi_analysis.reporting.figures import Panel, overlays
 from asi_analysis.reporting.result import Pictures
 from asi_analysis.tuning.figures import (
     BAND_HZ,
@@ -63,7 +64,7 @@ def _step(found: Mapping[str, Responses], number: int, size: float, rate_hz: flo
 
 
 def recorded(runs: Mapping[str, Run]) -> Pictures:
-    """Return what recordings control over each other, each from its largest step on."""
+    """Return overlays of the outputs of recordings, each from its largest step on."""
     lines: dict[str, Lines] = {}
     for name, run in runs.items():
         steps = step_response(run).steps

@@ -138,9 +138,9 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
     rates = attacked_rates(rate_hz)
     conditions: list[Condition] = []
 
-    def attacked(controller: Values, number: int, count: int) -> None:
+    def attacked(controller: Values, number: int) -> None:
         found = search(actuator, controller, rates, ATTACKED, seed + number)
-        conditions.extend(trial.condition for trial in found[:count])
+        conditions.extend(trial.condition for trial in found[:KEPT])
 
     def candidate(point: np.ndarray) -> Candidate:
         controller = settings(point)
@@ -157,7 +157,7 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
     first = settings(begin)
     for number, factors in enumerate(BOLD):
         attacked({**first, **{name: min(float(first[name]) * factor, highest[name])
-                              for name, factor in factors.items()}}, number, KEPT)
+                              for name, factor in factors.items()}}, number)
     strategy = cma.CMAEvolutionStrategy(
         begin, SPREAD, {'seed': seed, 'popsize': POPULATION, 'verbose': -9})
     tried: list[Candidate] = []
@@ -171,7 +171,7 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
         generation += 1
         report(f'cost {best.cost:.3g}', len(tried) / evaluations)
         if generation % GENERATIONS == 0:
-            attacked(best.controller, generation, KEPT)
+            attacked(best.controller, generation)
             best = candidate(first_point(best.controller))
     return best, tried
 

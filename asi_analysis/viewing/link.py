@@ -1,4 +1,4 @@
-"""The live page's end of ROS: it hears the loop, and reads and sets parameters of its nodes."""
+"""The ROS side of the live page: subscribes to the loop, reads and sets its parameters."""
 
 import asyncio
 import threading
@@ -119,7 +119,7 @@ class Link:
         self.values.setdefault(node, {}).update(values)
 
     async def serve(self, node: str, service: str, data: bool | None = None) -> str:
-        """Call a service of a node, SetBool or, without data, Trigger; return what it says."""
+        """Call a service of a node, SetBool or, without data, Trigger; return its message."""
         given = {} if data is None else {'data': data}
         answer = await self._call(Trigger if data is None else SetBool, node, service, **given)
         if not answer.success:

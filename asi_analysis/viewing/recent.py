@@ -8,15 +8,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.bag import Series, assemble, decode
 from asi_analysis.bags.bag_file import Topic
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.bags.run import Run
 from asi_common.topics import TOPICS
 
 # joint_states holds all but the reference.
 HEARD: Final = ('joint_states', 'force_reference')
 KEEP_S: Final = 30.0
-# The true rate is that of the last so many states.
+# Number of the last states from which the true rate is computed.
 RATE_STATES: Final = 2000
 
 
@@ -120,7 +121,7 @@ def _joined(parts: Sequence[Series]) -> Series:
                                          for part in parts]) for name in parts[0].values})
 
 
-def drawn(time_s: Array, values: Array, bins: int) -> npt.NDArray[np.float64]:
+def drawn(time_s: Array, values: Array, bins: int) -> Array:
     """
     Return at most 2 * bins points (time, value), n x 2: of each bin its smallest and largest.
 
@@ -136,5 +137,5 @@ def drawn(time_s: Array, values: Array, bins: int) -> npt.NDArray[np.float64]:
     starts = np.arange(0, whole, size)
     kept = np.sort(np.concatenate([starts + blocks.argmin(1), starts + blocks.argmax(1),
                                    np.arange(whole, len(points))]))
-    shown: npt.NDArray[np.float64] = points[kept]
+    shown: Array = points[kept]
     return shown

@@ -9,7 +9,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy import signal
 
-from asi_analysis.bags.run import SIGNALS, Array, Run
+from asi_analysis.arrays import Array
+from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.analysis import analyze
 

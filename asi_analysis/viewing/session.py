@@ -21,9 +21,9 @@ SIMULATED: Final[dict[str, dict[str, Any]]] = {
 
 class Session:
     """
-    The link to a loop, what was started beside it, and what the plant is meant to be.
+    The link to a loop, the processes started with it, and the effect put into the plant.
 
-    effect: the one that is on, '' for none; withheld: its parameters, as they were before it.
+    effect: its name, '' for none; withheld: the parameters that it changed, as they were before.
     """
 
     def __init__(self, namespace: str = '', simulate: bool = False) -> None:
@@ -40,7 +40,7 @@ class Session:
         self.hidden = False
 
     def close(self) -> None:
-        """Leave the loop, and end what was started."""
+        """Leave the loop, and end the processes that were started."""
         self.link.close()
         for node in [*([self.recorder] if self.recorder else []), *self.nodes]:
             node.stop()

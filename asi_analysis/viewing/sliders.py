@@ -62,7 +62,7 @@ def choices_of(descriptor: ParameterDescriptor) -> list[str]:
 
 
 def typed(text: str, value: Any) -> Any:
-    """Return what was typed for a parameter, as a number if its value is one; else the text."""
+    """Return the value typed for a parameter: a number if its value is one, else the text."""
     if isinstance(value, str):
         return text
     try:

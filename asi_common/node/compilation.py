@@ -1,4 +1,4 @@
-"""A line of log while a node compiles: its first start would be silent for long."""
+"""A log message when a node begins to compile, which takes 15 s at its first start."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from rclpy.logging import get_logger
 
 
 class _First(event.Listener):
-    """Tells of the first compilation of the process; code from the cache is only loaded."""
+    """Logs the first compilation of the process; loading code from the cache is none."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -19,7 +19,7 @@ class _First(event.Listener):
             get_logger(self.name).info('compiling, once for all later starts: about 15 s')
 
     def on_end(self, event: Any) -> None:
-        """Nothing is told."""
+        """Do nothing."""
 
 
 def tell_of_compilation(name: str) -> None:

@@ -1,10 +1,10 @@
 """
-What a node says about itself on /diagnostics: how its loop does, and what state it is in.
+The messages of a node on /diagnostics: statistics of its loop, and its state.
 
-Twice a second of wall time comes an array of `NODE: loop` and, if the node has one, `NODE: state`.
-Each change of the state comes at once too, as an array of that status alone. This one is stamped
-in the time of the loop and holds nothing of the wall clock: in lock-step it is the same in each
-run of an experiment, so a recorder keeps it there, and the periodic ones not.
+Twice a second of wall time it publishes an array of the statuses `NODE: loop` and, if it has a
+state, `NODE: state`. Each change of the state is also published at once, as an array of that
+status alone, which is stamped in the time of the loop and contains nothing of the wall clock. In
+lock-step this message is the same in each run of an experiment, so only it is recorded there.
 """
 
 import math
@@ -27,16 +27,16 @@ from asi_common.node.topics import create_publisher
 
 PERIOD_S: Final = 0.5
 LOOP, STATE = ': loop', ': state'
-# How long lock-step waits at most until all who listen have heard of a change, s; it takes a
-# millisecond, unless a listener has died.
+# Longest wait of lock-step until all subscribers have received a change, s; it takes a
+# millisecond, unless a subscriber has died.
 HEARD_S: Final = 2.0
 # Ticks over which period and latency are taken.
 WINDOW: Final = 5000
-# Real time: a period longer than so many nominal ones is worth a warning; so is a lost sample, for
+# Real time: a period longer than so many nominal ones gives a warning; a lost sample gives one for
 # so long (s).
 LONGEST_PERIODS: Final = 2.0
 LOST_FOR_S: Final = 5.0
-# A partner that is silent for so long (s) has ended, or stands still.
+# The other node has ended, or stands still, if it sends nothing for so long (s).
 SILENT_S: Final = 1.0
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -50,8 +50,8 @@ class LoopStatistics:
         self.ticks = self.lost = 0
         self._longest_ns = LONGEST_PERIODS * period_s * 1e9
         self._lost_at_s = -math.inf
-        # Cut when they are looked at. Numpy takes 5000 numbers of an array at once, of a deque one
-        # by one, for half a millisecond: a tick that came meanwhile would be late.
+        # Shortened when they are read. Numpy copies 5000 numbers of an array at once; those of a
+        # deque take it half a millisecond, and a tick in that time would be late.
         self._ticked_ns, self._latencies_ns = array('q'), array('q')
         self._saturated = array('q')  # the numbers of such ticks
         # Takes how long the answer of the last tick took, ns.
@@ -71,7 +71,7 @@ class LoopStatistics:
             self._lost_at_s = time.monotonic()
 
     def problems(self) -> list[str]:
-        """Return what of the last seconds is worth a warning, in words."""
+        """Return the warnings about the last seconds, in words."""
         problems = []
         if time.monotonic() - self._lost_at_s < LOST_FOR_S:
             problems.append(f'samples were lost within the last {LOST_FOR_S:g} s '
@@ -88,7 +88,7 @@ class LoopStatistics:
         return (time.monotonic_ns() - self._ticked_ns[-1]) * 1e-9 if self._ticked_ns else 0.0
 
     def values(self) -> dict[str, object]:
-        """Return what there is to say, by key; the unit is part of the key."""
+        """Return the statistics by key; the unit is part of the key."""
         for noted in (self._ticked_ns, self._latencies_ns, self._saturated):
             del noted[:-WINDOW]
         saturated = np.count_nonzero(np.array(self._saturated) > self.ticks - WINDOW)
@@ -111,7 +111,7 @@ def _summary(name: str, times_ns: npt.NDArray[np.int64]) -> dict[str, object]:
 
 
 class Diagnostics:
-    """Publishes how a node does, twice a second and whenever it is asked to."""
+    """Publishes the status of a node twice a second, and on request."""
 
     def __init__(self, node: Node,
                  describe: Callable[[], tuple[bytes, str, Mapping[str, object]]],
@@ -136,7 +136,7 @@ class Diagnostics:
 
 
 class StateChanges:
-    """Publishes what state a node is in, and why, when that changes."""
+    """Publishes the state of a node, and its reason, when it changes."""
 
     def __init__(self, node: Node):
         self._name = full_name(node)
@@ -152,7 +152,7 @@ class StateChanges:
         """
         Publish the status of a state that holds from a time (ns) of the loop on.
 
-        wait: return when all who listen have it, so that it comes before what is published next.
+        wait: return when all subscribers have it, so that it precedes what is published next.
         """
         self.publisher.publish(wire.diagnostics(stamp_ns, self._name, [status]))
         if wait:

@@ -1,4 +1,4 @@
-"""Who hears a node's topics, so that nothing is missed at the start of a run."""
+"""Whether a recorder has subscribed to a node's topics, so that a bag begins with the run."""
 
 import time
 from collections.abc import Iterable
@@ -9,13 +9,13 @@ from rclpy.publisher import Publisher
 
 from asi_common.node.executor import RunError
 
-# Waited for so long (s), a recorder has ended or was never started.
+# After waiting so long (s), the recorder has ended or was never started.
 RECORDER_S: Final = 120.0
 RECORDER: Final = 'asi_recorder'
 
 
 class AwaitedRecorder:
-    """Holds a node back until a recorder hears its topics (parameter `await_recorder`)."""
+    """Delays a node until a recorder has its topics (parameter `await_recorder`)."""
 
     def __init__(self, node: Node, awaited: bool):
         self._node = node
@@ -23,7 +23,7 @@ class AwaitedRecorder:
         self._since_s: float | None = None
 
     def missing(self, publishers: Iterable[Publisher]) -> list[str]:
-        """Return the topics that no recorder hears yet; raises RunError after RECORDER_S."""
+        """Return the topics without a recorder so far; raises RunError after RECORDER_S."""
         names = not_recorded(self._node, publishers) if self._awaited else []
         now_s = time.monotonic()
         if not names:
@@ -38,10 +38,10 @@ class AwaitedRecorder:
 
 def not_recorded(node: Node, publishers: Iterable[Publisher]) -> list[str]:
     """
-    Return the topics that no recorder hears yet.
+    Return the topics to which no recorder has subscribed yet.
 
-    Matched at the publisher: from then on a reliable publisher keeps what it sends until the
-    recorder has it.
+    As seen by the publisher: once matched, a reliable publisher keeps its messages until the
+    recorder has received them.
     """
     return [publisher.topic_name for publisher in publishers if not _recorded(node, publisher)]
 

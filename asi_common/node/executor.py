@@ -27,17 +27,17 @@ from rclpy.timer import Timer
 from asi_common.parameter import ParameterError
 from asi_common.writable import choose_log_folder
 
-# How long services, parameters, unhurried timers and new entities may wait, and events of the
-# middleware; twice as long, if no timer of the loop ticks.
+# Longest wait of services, parameters, unhurried timers and new entities; and of events of the
+# middleware. Twice as long if the loop has no timer.
 SERVICE_PERIOD_NS: Final = 10_000_000
 EVENT_PERIOD_NS: Final = 500_000_000
-# How long a node that waits may notice nothing, if the system clock is set back.
+# Longest wait of a node after the system clock has been set back.
 WAKE_PERIOD_S: Final = 0.02
-# How long a node that ends waits at most for others to receive what it has published last; it
-# takes 50 ms, unless a subscriber has died.
+# Longest wait of a node that ends until its last messages have been received; it takes 50 ms,
+# unless a subscriber has died.
 FAREWELL_S: Final = 2.0
-# How long it may take to end, the rest of a bag included. Fast DDS 2.14 may wait for ever for a
-# callback that waits for it, where several nodes end in the same moment.
+# Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
+# callback if several nodes end at the same moment.
 END_S = 60.0
 PROFILES: Final = Path(__file__).parent
 
@@ -51,11 +51,15 @@ class RunFinished(Exception):  # noqa: N818
 
 
 class Unhurried(MutuallyExclusiveCallbackGroup):
-    """Of timers that are served like services: when a tick is over, so that none is late."""
+    """Callback group of timers that are served between ticks, so that they delay none."""
 
 
 class Polled(CallbackGroup):
-    """Of subscriptions that a timer polls: waking for each message costs more than taking it."""
+    """
+    Callback group of subscriptions that a timer polls.
+
+    To wake up for a message costs more than to take it.
+    """
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -73,11 +77,11 @@ class LoopExecutor(SingleThreadedExecutor):
 
     rclpy's executor builds its wait set anew and makes a task for every message. This one keeps
     the wait set of subscriptions and timers and calls their callbacks (plain functions of the
-    message, or of nothing) directly, which takes half the time (bench/loop_rate.py). All else
-    goes through rclpy's own spin_once, which takes longer than a tick may be late: so only when
-    a look every SERVICE_PERIOD_NS finds a service, a client or a task that asks for it, and every
-    EVENT_PERIOD_NS for the events of the middleware; both when a timer of the loop has just
-    ticked, as then the next tick is far.
+    message, or without arguments) directly, which takes half the time (bench/loop_rate.py). All
+    else is left to rclpy's own spin_once, which takes longer than a tick may be late. It is called
+    only if a check every SERVICE_PERIOD_NS finds a service, client or task that needs it, and
+    every EVENT_PERIOD_NS for the events of the middleware; both just after a tick of the loop's
+    timer, when the next tick is farthest.
     """
 
     def __init__(self, context: Context | None = None) -> None:
@@ -88,7 +92,7 @@ class LoopExecutor(SingleThreadedExecutor):
     def spin(self) -> None:
         """Serve the nodes until `stopped` is true or the context is shut down."""
         threading.Thread(target=self._wake, daemon=True).start()
-        # The collector need not look again and again at what is there by now.
+        # The garbage collector need not traverse the objects of the start-up again and again.
         gc.freeze()
         while not self.stopped and self.context.ok():
             self.spin_once(timeout_sec=0.0)
@@ -106,7 +110,7 @@ class LoopExecutor(SingleThreadedExecutor):
             time.sleep(WAKE_PERIOD_S)
 
     def can_execute(self, entity: Any) -> bool:
-        """Keep spin_once away from what the loop serves."""
+        """Exclude from spin_once what the loop serves itself."""
         return not isinstance(entity, Subscription | Timer) and super().can_execute(entity)
 
     def _spin_loop(self, end_ns: int) -> None:
@@ -142,7 +146,7 @@ class LoopExecutor(SingleThreadedExecutor):
     def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],
                end_ns: int) -> None:
         """Call the callbacks of subscriptions and timers until `end_ns` and the tick after."""
-        # Looked up once: each takes its time, and here they would be asked for in every tick.
+        # Attributes are looked up once instead of in every tick.
         heard = [(s.handle, s.handle.pointer, s.msg_type, s.raw, s.callback)
                  for s in subscriptions]
         timed = [(t.handle, t.callback) for t in timers]
@@ -163,7 +167,7 @@ class LoopExecutor(SingleThreadedExecutor):
                     if taken is not None:
                         callback(taken[0])
             ticked = not timed
-            # Asked one by one: what came may have taken long enough for one to become ready.
+            # Checked one by one: a callback may have taken so long that a timer became ready.
             for handle, callback in timed:
                 if handle.is_timer_ready():
                     handle.call_timer()
@@ -171,7 +175,7 @@ class LoopExecutor(SingleThreadedExecutor):
                     ticked = True
 
     def _asked(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
-        """Tell whether a service, a client, or a task or change of a node waits for spin_once."""
+        """Return whether a service, a client, or a task or change of a node needs spin_once."""
         wait_set.clear_entities()
         for service in services:
             wait_set.add_service(service.handle)
@@ -223,7 +227,7 @@ def run_node(make_node: Callable[[], Node]) -> int:
         node.get_logger().fatal(str(error))
         return 1
     finally:
-        # By a thread that needs nothing of Python: says where it hangs, and exits with 1.
+        # A thread outside Python prints where the node hangs, and exits with status 1.
         faulthandler.dump_traceback_later(END_S, exit=True)
         _say_farewell(node)
         executor.shutdown()
@@ -240,10 +244,10 @@ def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:
     environment: gets the profile, unless the user has one; rmw: the middleware's identifier. The
     warning says what ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST does not do here, '' for nothing.
 
-    Shared memory of Fast DDS is guarded by locks that a killed process keeps, and a loop that
-    comes across one stands still for 2 s (doc/explanation/reliability.md). Asked to stay on this
-    machine, rmw_fastrtps adds shared memory whatever a profile says, and binds its sockets to all
-    interfaces; so a profile takes the place of that range.
+    The shared memory of Fast DDS is guarded by locks. A killed process keeps them, and a loop that
+    needs one then stands still for 2 s (doc/explanation/reliability.md). With the range LOCALHOST
+    rmw_fastrtps adds shared memory whatever the profile says, and binds its sockets to all
+    interfaces; so a profile replaces that range.
     """
     local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
     if not rmw.startswith('rmw_fastrtps'):

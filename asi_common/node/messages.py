@@ -1,10 +1,10 @@
 """
 The messages of the loop as the bytes that go over the wire (CDR, little endian).
 
-rclpy takes 4 to 11 us to make bytes of one of these messages and 4 to 31 us to make a message of
-bytes, more than all else that a node does in a tick; here each way takes one or two
-(`make bench BENCH=loop_rate`). So the nodes publish bytes and subscribe to bytes (`raw`).
-Whatever is laid out in another way, as with another frame or other joints, rclpy unpacks.
+rclpy takes 4 to 11 us to serialise one of these messages and 4 to 31 us to deserialise one, more
+than the rest of a tick; these functions take 1 to 2 us (`make bench BENCH=loop_rate`). So the
+nodes publish and subscribe to bytes (`raw`). A message of another layout, such as one with another
+frame or other joints, is deserialised by rclpy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,8 +30,8 @@ def _string(text: str) -> bytes:
     return _COUNT.pack(len(data)) + data
 
 
-# What is the same in every message. Each string comes with its length, the names and each pair
-# of numbers with their count; `x` fills up to where the next may begin, and may be anything.
+# The constant parts of the messages. A string is preceded by its length, a sequence by its count;
+# `x` is padding up to the alignment of the next field, with any content.
 _TWO: Final = _COUNT.pack(2)
 _FRAME: Final = _string(FRAME)
 _NAMES: Final = (_FRAME, _TWO, *map(_string, JOINTS), _TWO)
@@ -40,7 +40,7 @@ _BEFORE_NUMBERS: Final = _NAMED.pack(*_NAMES)
 
 _CLOCK: Final = Struct('<4siI')
 _FLOAT: Final = Struct('<4sd')
-# Written after the bytes of a clock, which are those of a stamp too; and read.
+# For writing, after the bytes of a clock, which equal those of a stamp; and for reading.
 _WRENCH: Final = Struct('<12s11s5xd40x')
 _STATE: Final = Struct(f'<12s{_NAMED.size}s2d4s4x2d4s4x2d')
 _WRENCH_READ: Final = Struct('<4siI11s5xd40x')
@@ -56,7 +56,7 @@ def clock(stamp_ns: int) -> bytes:
 def state(stamp_ns: int, position_m: float, valve_m: float, velocity: float,
           valve_velocity: float, force_n: float, command_n: float
           ) -> tuple[bytes, bytes, bytes, bytes, bytes]:
-    """Return what the actuator says: joint_states, /clock, force, valve_position, velocity."""
+    """Return the actuator's joint_states, /clock, force, valve_position and velocity."""
     stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
     return (_STATE.pack(stamp, _BEFORE_NUMBERS, position_m, valve_m,
                         _TWO, velocity, valve_velocity, _TWO, force_n, command_n),
@@ -65,7 +65,7 @@ def state(stamp_ns: int, position_m: float, valve_m: float, velocity: float,
 
 
 def answer(stamp_ns: int, command_n: float, reference_n: float) -> tuple[bytes, bytes]:
-    """Return what the controller says: valve_command and force_reference, forces along x."""
+    """Return the controller's valve_command and force_reference, forces along x."""
     stamp = _CLOCK.pack(_HEADER, stamp_ns // _SECOND_NS, stamp_ns % _SECOND_NS)
     return (_WRENCH.pack(stamp, _FRAME, command_n), _WRENCH.pack(stamp, _FRAME, reference_n))
 
@@ -83,8 +83,8 @@ def diagnostics(stamp_ns: int, node: str, statuses: Sequence[Status]) -> bytes:
     """
     Return a diagnostic_msgs/DiagnosticArray; `node` becomes the hardware_id of each status.
 
-    rclpy leaves in the gaps between the texts whatever was there in memory, which is not the same
-    from run to run.
+    Not by rclpy, which leaves uninitialised memory in the padding between the strings, so that the
+    bytes differ from run to run.
     """
     parts = [_string(''), _COUNT.pack(len(statuses))]
     for level, name, text, values in statuses:

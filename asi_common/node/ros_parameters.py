@@ -73,7 +73,7 @@ class RosParameters:
         self._apply = apply
 
     def _take_overrides(self) -> dict[str, Value]:
-        """Return what YAML file and command line gave, and make room to declare it properly."""
+        """Return and undeclare the overrides of YAML file and command line, which lack types."""
         given = {name: self._typed(self._node.get_parameter(name)).value
                  for name in self._node.get_parameters_by_prefix('')}
         for name, value in given.items():
@@ -88,7 +88,7 @@ class RosParameters:
         return given
 
     def _typed(self, given: RosParameter) -> RosParameter:
-        """Return a parameter, an integer made a float where a float is meant: users type 8."""
+        """Return a parameter, an integer converted where a float is meant: users type 8."""
         wanted = self._table.get(given.name)
         if (wanted is not None and isinstance(wanted.default, float)
                 and given.type_ == RosParameter.Type.INTEGER):

@@ -20,7 +20,7 @@ from rclpy.subscription import Subscription
 from asi_common.parameter import Parameter, ParameterError
 from asi_common.topics import STREAM_DEPTH, TOPICS
 
-# A loop wants the newest message.
+# A loop needs only the newest message.
 CONTROL_QOS: Final = QoSProfile(depth=10)
 STREAM_QOS: Final = QoSProfile(depth=STREAM_DEPTH)
 QOS_OVERRIDES: Final = 'qos_overrides.'
@@ -32,10 +32,10 @@ QOS_POLICIES: Final = {policy.name: policy for policy in (
 
 class SteadyClock:
     """
-    The wall clock as it was when this was made, going on evenly from there.
+    A clock that begins with the wall clock and never jumps.
 
-    In a loop in real time a clock that is set (by NTP at start-up, by hand) must neither look like
-    a command from the past nor bring a recording out of its order.
+    In a loop in real time, setting the wall clock (NTP at start-up, by hand) must neither make a
+    command look old nor bring a recording out of order.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ def create_subscription(node: Node, name: str, callback: Callable[[bytes], None]
 
 
 def check_qos_override(node: Node, name: str, value: object) -> None:
-    """Raise ParameterError if a parameter `qos_overrides.…` names nothing, or is not allowed."""
+    """Raise ParameterError if a parameter `qos_overrides.…` is unknown or not allowed."""
     topic, _, rest = name.removeprefix(QOS_OVERRIDES).partition('.')
     kind, _, policy = rest.partition('.')
     topics = [node.resolve_topic_name(each) for each in TOPICS]

@@ -1,9 +1,9 @@
 """
-A disturbance observer: it takes off the command what the measured force has beyond a model's.
+A disturbance observer: it subtracts from the command the disturbance that it estimates.
 
-The model is the lag of the valve's coil. Its inverse, with a low-pass of the given bandwidth,
-makes from the measured force the command that should have caused it; what was given is passed
-through the same low-pass, and the difference is the disturbance, as a command (Ohnishi, Shibata
+The inverse of a model (the lag of the valve's coil), with a low-pass of the given bandwidth,
+computes from the measured force the command that should have caused it. The actual command is
+passed through the same low-pass; the difference is the disturbance, as a command (Ohnishi, Shibata
 and Murakami, Motion control for advanced mechatronics, IEEE/ASME Transactions on Mechatronics 1,
 1996).
 Below its bandwidth it acts as an integrator, which a saturated command cannot wind up.
@@ -16,7 +16,7 @@ from asi_common.parameter import Parameter
 from asi_controller.additions.reference_model import approach
 
 PARAMETERS = (
-    Parameter('bandwidth', 0.0, 'Hz', 'Up to which disturbances are observed; 0: no observer',
+    Parameter('bandwidth', 0.0, 'Hz', 'Bandwidth of the low-pass of the observer; 0: no observer',
               0.0, 1e4),
     Parameter('lag_frequency', 18.9, 'Hz', 'Corner of the lag of the actuator', 0.1, 1e4,
               source='valve_flexure.coil_frequency'),
@@ -26,7 +26,7 @@ PARAMETERS = (
 @jit
 def disturbance(slow, measured, bandwidth, lag_frequency):
     """
-    Return the command (N) of which the measured force (N) has too much.
+    Return the disturbance, as a command (N), at a measured force (N).
 
     slow: low-pass of the measured force less that of the command, N, and of the force alone, N.
     """

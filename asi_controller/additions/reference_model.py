@@ -15,8 +15,7 @@ from asi_common.jit import jit
 from asi_common.parameter import Parameter
 
 PARAMETERS = (
-    Parameter('bandwidth', 0.0, 'Hz', 'With which the model approaches the reference; 0: no model',
-              0.0, 1e4),
+    Parameter('bandwidth', 0.0, 'Hz', 'Bandwidth of the model; 0: no model', 0.0, 1e4),
     Parameter('lag_frequency', 18.9, 'Hz', 'Corner of the lag of the actuator', 0.1, 1e4,
               source='valve_flexure.coil_frequency'),
     Parameter('drive', 1200.0, 'N', 'Largest drive of the model', 1.0, 1e5,

@@ -15,8 +15,8 @@ from asi_controller.design import Compensator, Design
 # Searched for the fourth-order row of Table 1 at 100 and 500 N on the locked piston, so that
 # nothing cycles at 2.5 times the gain at 5 kHz and at 1.5 times the gain at 1 kHz with a period
 # of delay, there and on the spring (test/controller/test_default_compensators.py), nor under the
-# worst conditions that `asi quench` had found for faster ones. Between those steps, and below
-# them, both overshoot more and leave more: see `asi run`.
+# worst conditions that `asi quench` had found for faster ones. At other steps, between and below
+# those, both have more overshoot and a larger error: see `asi run`.
 TUNED = 'search, on the locked piston and the spring load'
 GAIN_AT = 'above the corner of its lag'
 

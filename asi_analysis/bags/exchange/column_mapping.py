@@ -9,11 +9,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.bags.exchange.text_file import MISSING, SI_NUMBER, SI_PREFIX
 from asi_analysis.bags.exchange.units import conversion
-from asi_analysis.bags.run import SIGNALS, Array
+from asi_analysis.bags.run import SIGNALS
 from asi_analysis.errors import InputError, InputWarning
 
 # A joint may be rotary, a reference have the unit of any controlled signal, and the command of a

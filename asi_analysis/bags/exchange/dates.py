@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 
 _CLOCK: Final = (r'(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?'
@@ -17,7 +18,7 @@ _DAY: Final = (r'(?:(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)'
 _MOMENT: Final = re.compile(rf'(?:{_DAY}[T,\s]\s*)?{_CLOCK}')
 
 
-def since_first(name: str, column: npt.NDArray, path: Path) -> npt.NDArray[np.float64] | None:
+def since_first(name: str, column: npt.NDArray, path: Path) -> Array | None:
     """
     Return the seconds since the first of a column of durations, dates with time, or times of day.
 

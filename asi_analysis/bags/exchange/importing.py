@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import (
@@ -20,7 +20,7 @@ from asi_analysis.bags.exchange.joints import JOINT, bags_in, folder_name, joint
 from asi_analysis.bags.exchange.preview import message_types
 from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
-from asi_analysis.bags.run import SIGNALS, Array, Run
+from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError, InputWarning
 
 LEAST_RATE_HZ: Final = 1e-6
@@ -131,7 +131,7 @@ def _joints_in(path: Path) -> dict[str, Run]:
 
 def _read(path: Path, texts: list[str], rate_hz: float | None, skip_lines: int,
           delimiter: str | None, columns: Sequence[str] | None) -> tuple[list[str], Table]:
-    """Return the mapping, completed with what a file or bag tells itself, and its columns."""
+    """Return the mapping, completed by the file or bag itself, and its columns."""
     if not is_bag(path):
         table = read_table(path, skip_lines, delimiter, columns)
         return texts or own_mapping(table), table
@@ -208,7 +208,7 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
     return mapped[0] - mapped[0][known[0]]
 
 
-def _usable(time_s: Array, path: Path) -> npt.NDArray[np.bool_]:
+def _usable(time_s: Array, path: Path) -> Mask:
     """Return which samples have a time after that of the one before. Raises InputError."""
     valid = np.isfinite(time_s)
     valid[valid] = np.diff(time_s[valid], prepend=-1.0) > 0.0

@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
@@ -16,7 +17,6 @@ from asi_analysis.bags.exchange.ros1_bag import opened
 from asi_analysis.bags.exchange.several_files import GAP
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.exchange.units import UNITS, conversion
-from asi_analysis.bags.run import Array
 from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Result, table_of
 from asi_analysis.reporting.result import Table as Printed
@@ -32,7 +32,7 @@ WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for 
     'pressure': 'pressure press p',
     'position': 'pos position angle q qm x displacement disp stroke encoder enc theta '
                 'extension'}.items()}
-# A unit that was not told, for each signal.
+# Assumed unit of each signal without one.
 ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
                   'pressure': 'Pa', 'position': 'm'}
 # Signals that may be controlled.
@@ -129,7 +129,7 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
 
 
 def _values(table: Table, path: Path, notes: list[str]) -> dict[str, Array]:
-    """Return the columns of numbers, dates as seconds; the notes tell of the others."""
+    """Return the columns of numbers, dates as seconds; notes name the others."""
     found = {}
     for name, column in table.items():
         try:
@@ -232,7 +232,7 @@ def _seconds(values: dict[str, Array], name: str | None, guesses: dict[str, _Gue
 
 def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | None
             ) -> dict[str, _Guess]:
-    """Return the first column of each signal with its unit; the notes tell of the others."""
+    """Return the first column of each signal with its unit; notes name the others."""
     chosen: dict[str, _Guess] = {}
     others: dict[str, list[str]] = {}
     for name, guess in guesses.items():

@@ -15,12 +15,7 @@ from rosbags.rosbag1 import ReaderError, reader
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from asi_analysis.bags.bag import Series, align, time_base
-from asi_analysis.bags.bag_file import (
-    BROKEN,
-    TOO_MUCH,
-    most_unpacked,
-    with_a_file_as_metadata,
-)
+from asi_analysis.bags.bag_file import BROKEN, TOO_MUCH, most_unpacked, with_a_file_as_metadata
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.exchange.column_mapping import (
     Assignment,
     column_of,
@@ -14,12 +15,11 @@ from asi_analysis.bags.exchange.column_mapping import (
     parse_mapping,
 )
 from asi_analysis.bags.exchange.table_file import Table
-from asi_analysis.bags.run import Array
 from asi_analysis.errors import InputError, InputWarning
 
 # Times that differ by less than this share of a step are equal.
 CLOSE: Final = 1e-3
-# A step between samples so many times the usual one is a gap.
+# Least ratio of a step between samples to the usual one at which it is a gap.
 GAP: Final = 1.5
 Signals = dict[str, tuple[Array, str]]
 

@@ -33,7 +33,7 @@ REPLAY_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('start_paused', False, '', 'Wait for ~/pause with false', read_only=True),
     Parameter('delay', 1.0, 's', 'Wait so long first, so that subscribers find the topics',
               0.0, 3600.0, read_only=True),
-    Parameter('await_recorder', False, '', 'Begin when a recorder hears every topic',
+    Parameter('await_recorder', False, '', 'Begin when a recorder has every topic',
               read_only=True),
     Parameter('clock', False, '', 'Publish /clock, the time of the bag, instead of what the bag '
               'holds of it', read_only=True),

@@ -25,7 +25,7 @@ def changes(diagnosis: Diagnosis) -> dict[str, Any]:
         'parameters': [row for weighed in diagnosis.groups for row in _rows(diagnosis, weighed)],
         'left': [{'channel': shrink.channel,
                   'signal': signal_of(shrink.channel, diagnosis.runs[0],
-                                      diagnosis.plant == 'joint'),
+                                      diagnosis.plant),
                   'healthy_nrmse': machine.share[shrink.channel] ** 0.5,
                   # A refit within the spread may hide much of a change.
                   'now_nrmse': shrink.nominal if diagnosis.verdict else shrink.refitted}
@@ -63,4 +63,4 @@ def _rows(diagnosis: Diagnosis, weighed: Weighed) -> list[dict[str, Any]]:
 def _unit(diagnosis: Diagnosis, channel: str, free: Free) -> str:
     field = free.field.partition('@')[0]
     return unit_of(free.unit or UNITS.get(field, UNIT_OF_SCALE.get(free.scale, '')), channel,
-                   diagnosis.runs[0], diagnosis.plant == 'joint')
+                   diagnosis.runs[0], diagnosis.plant)

@@ -5,6 +5,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -14,6 +15,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.experiments.experiment import TABLES, parse_setting, read_parameters
 from asi_analysis.gap.answer.changes import changes
+from asi_analysis.gap.answer.characteristic import characteristic, line_of
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
@@ -21,6 +23,7 @@ from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_analysis.gap.model.model_file import DIRECT
 from asi_analysis.gap.model.simulator import of_simulator
+from asi_analysis.gap.model.static import GIVEN, static_signals
 from asi_analysis.gap.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
@@ -28,7 +31,7 @@ from asi_common import parameter_file
 from asi_common.jit import FULL
 from asi_common.parameter import ParameterError, Value, completed
 
-PLANTS = ('actuator', 'joint')
+PLANTS = ('actuator', 'joint', 'static')
 LEAST_TOLERANCE = 1e-3
 DRIVES = (None, 'force', 'position')
 LOAD = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type')
@@ -50,6 +53,8 @@ def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Val
     """
     if model is None:
         return {}
+    if plant == 'static':
+        return _line(read_static(Path(model)) if isinstance(model, str | Path) else model)
     known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
     path = 'model' if isinstance(model, Mapping) else Path(model)
     found = model if isinstance(model, Mapping) else read_parameters(Path(model), 'actuator')
@@ -70,6 +75,26 @@ def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Val
     except ParameterError as error:
         raise InputError(f'{path}: {error}') from None
     return values
+
+
+def read_static(path: Path) -> dict[str, Value]:
+    """Return gain and offset of a parameter file, under `asi_static` or /**."""
+    try:
+        return parameter_file.read_parameters(path, 'asi_static')
+    except ParameterError as error:
+        raise InputError(str(error)) from None
+
+
+def _line(given: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the gain and offset that are given; raises InputError for anything else."""
+    for name, value in given.items():
+        if name not in GIVEN:
+            raise InputError(f'{name} is no parameter of a static characteristic: '
+                             + ' or '.join(GIVEN))
+        if isinstance(value, str) or not math.isfinite(value) or (name == 'gain' and not value):
+            raise InputError(f'{name} = {value!r} is not allowed: a number'
+                             + (' but 0' if name == 'gain' else ''))
+    return {name: float(value) for name, value in given.items()}
 
 
 def recorded_model(runs: Sequence[Run]) -> dict[str, Value]:
@@ -143,7 +168,7 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
         if channel == 'load':
             p = diagnosis.best(weighed).fitted.record
             notes.append('nominal joint: ' + ', '.join(
-                f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, True))} '
+                f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, "joint"))} '
                 f'({origin if DOTTED[field] in values or diagnosis.healthy else "identified"})'
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
                 ) + ', and a constant force')
@@ -152,10 +177,22 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
             how = 'at once' if p['valve_flexure_model'] != FULL else (
                 f'as a servo of second order: {digits(p["valve_flexure_natural_frequency"], "Hz")}'
                 f', damping ratio {digits(p["valve_flexure_damping_ratio"])}')
-            notes.append(f'nominal drive: the {signal_of(channel, run, True)} follows the '
+            notes.append(f'nominal drive: the {signal_of(channel, run, "joint")} follows the '
                          + (f'reference {how}' if run.command_n is None else
                             'command at once, in proportion'))
     return notes
+
+
+def _of_the_line(diagnosis: Diagnosis, values: Mapping[str, Value]) -> str:
+    """Return a note: which signals, and what their nominal line is."""
+    run, weighed = diagnosis.runs[0], diagnosis.groups[0]
+    given, got = static_signals(run)
+    line = line_of(weighed.group, diagnosis.best(weighed).fitted.record)
+    texts = [f'{name} {digits(line[name], unit_of(unit, "static", run, "static"))} '
+             f'({"given" if name in values else "fitted"})'
+             for name, unit in (('gain', 'output/input'), ('offset', 'output'))]
+    return (f'nominal characteristic: {got.replace("_", " ")} over {given.replace("_", " ")}, '
+            + ', '.join(texts))
 
 
 def _of_the_tolerances(diagnosis: Diagnosis) -> list[str]:
@@ -194,17 +231,19 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
              held_out: Sequence[Run] = (), tolerance: float = TOLERANCE, drive: str | None = None,
              progress: Progress = silent, settings: Sequence[str] = (),
              tolerances: Mapping[str, float] = MappingProxyType({}),
-             baseline: Sequence[Run] = ()) -> Gap:
+             baseline: Sequence[Run] = (), signals: tuple[str | None, str | None] = (None, None)
+             ) -> Gap:
     """
     Return where recordings of the real machine differ from their model, why, and how far.
 
     model: nominal parameters by name or a ROS parameter file; None: those that the first bag
     tells, else the defaults; settings: 'name=value', which override both. plant:
-    'actuator', or 'joint' for any rigid joint or drive. held_out: recordings on which the result
-    is only judged. tolerance: how far the nominal parameters may be off, as a share; tolerances:
-    the same of single ones, by dotted name. drive: of a joint, 'force' or 'position'; None: by its
-    signals. baseline: recordings of the same machine when it was healthy; the answer is then what
-    has changed since. Raises InputError for recordings that
+    'actuator', 'joint' for any rigid joint or drive, or 'static' for a static characteristic, from
+    the first of `signals` to the second (None: the likeliest). held_out: recordings on which the
+    result is only judged. tolerance: how far the nominal parameters may be off, as a share;
+    tolerances: the same of single ones, by dotted name. drive: of a joint, 'force' or 'position';
+    None: by its signals. baseline: recordings of the same machine when it was healthy; the answer
+    is then what has changed since. Raises InputError for recordings that
     cannot be judged; `notes` says what is doubtful.
 
     >>> import asi_analysis as asi
@@ -216,12 +255,22 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
     if drive not in DRIVES:
         raise InputError(f'--drive {drive!r} is not allowed: force or position')
+    if signals != (None, None) and plant != 'static':
+        raise InputError('--input and --output take --plant static')
+    if plant == 'static':
+        runs, held_out = ([replace(run, information={**run.information, 'characteristic': {
+            'input': signals[0], 'output': signals[1]}}) for run in each]
+            for each in (runs, held_out))
     own = _tolerances({**model_tolerances(model), **tolerances, '': tolerance})
     del own['']
     everything = [*runs, *held_out]
     values = (recorded_model([*baseline, *runs]) if model is None and plant == 'actuator' else
               nominal_model(model, plant))
     for text in settings:
+        if plant == 'static':
+            name, _, number = text.partition('=')
+            values |= _line({name.strip(): parameter_file.read_scalar(number.strip())})
+            continue
         _, name, value = parse_setting(f'actuator.{text}')
         values[name] = value
     if settings and plant == 'actuator':
@@ -243,9 +292,12 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
                              [False] * len(runs) + [True] * len(held_out), drive, progress, own,
                              healthy)
     notes += [*_of_the_joint(diagnosis, values), *_of_the_tolerances(diagnosis)]
+    if plant == 'static':
+        notes = [_of_the_line(diagnosis, values), *notes]
     if plant == 'actuator':
         notes += _of_the_predictor(diagnosis, values)
     answer = plain(document(diagnosis))
+    answer['characteristic'] = plain(characteristic(diagnosis)) if plant == 'static' else None
     if baseline:
         answer['baseline'] = plain(changes(diagnosis))
     doubtful = doubts([*baseline, *everything])

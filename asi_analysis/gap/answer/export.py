@@ -33,6 +33,9 @@ def format_of(path: Path, plant: str) -> str:
         raise InputError(f'--export {path}: {found} has no words for a valve and its oil; write '
                          'the parameters of the actuator node (.yaml), or diagnose the load alone '
                          '(--plant joint)')
+    if plant == 'static':
+        raise InputError(f'--export {path}: no format has words for a static characteristic; '
+                         '--json has its sizes')
     return found
 
 

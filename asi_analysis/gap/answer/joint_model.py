@@ -107,7 +107,7 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
         if 'valve' in records:
             found = _driven(found, records['valve'])
     if UNKNOWN in diagnosis.verdict and not nominal:
-        unsaid.append(in_words(UNKNOWN, True))
+        unsaid.append(in_words(UNKNOWN, 'joint'))
     return found._replace(notes={**notes, **found.notes}, unsaid=(*unsaid, *found.unsaid))
 
 
@@ -268,7 +268,7 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
     """Return the fitted values of a hypothesis in words, by field."""
     fitted, channel = candidate.fitted, weighed.group.channels[0]
     known = likelihood(fitted)
-    effects = {free.field: in_words(name, True) + ': ' for variant, name in
+    effects = {free.field: in_words(name, 'joint') + ': ' for variant, name in
                _effects(candidate, weighed).items() for free in variant.free}
     found = {}
     for free in fitted.free:
@@ -278,7 +278,7 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
             continue
         unit = '' if field == 'valve_characteristic_gain' else unit_of(
             free.unit or UNITS.get(field, UNIT_OF_SCALE.get(free.scale, '')), channel,
-            diagnosis.runs[0], True)
+            diagnosis.runs[0], 'joint')
         low, high = interval(fitted, known, free.field)
         size = between(float(fitted.record[free.field]), low, high, unit)
         found[free.field] = (f'{effects.get(free.field, "")}{word} {size}'

@@ -53,10 +53,10 @@ def _row(joint: Mapping[str, Any]) -> list[str]:
     if answer is None:
         return [joint['joint'], joint['error'], *5 * ['']]
     found = answer['verdict'].split('+')
-    words = ' and '.join(in_words(name, True) for name in found)
+    words = ' and '.join(in_words(name, 'joint') for name in found)
     others = [verdict for verdict in answer['ambiguity_set'] if verdict != answer['verdict']]
     if others:
-        words += f' (or {", ".join(in_words(each, True) for each in others)})'
+        words += f' (or {", ".join(in_words(each, "joint") for each in others)})'
     if answer['baseline']:
         change = answer['baseline']['change']
         words = {'none': 'no change', 'cannot_tell': f'uncertain: {words}'}.get(change, words)

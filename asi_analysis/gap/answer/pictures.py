@@ -44,6 +44,23 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
     return figure
 
 
+def characteristic(given: Array, got: Array, models: Mapping[str, Array], labels: tuple[str, str],
+                   units: tuple[str, str]) -> Figure:
+    """Draw an output over its input, measured and by models; labels, units: of input, output."""
+    with style():
+        figure = _new(3.4)
+        axes = figure.subplots()
+        axes.plot(given, got, color=GREY, linewidth=2.6, label='real')
+        for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=False):
+            axes.plot(given, model, color=colour, linewidth=1.0, label=name)
+        axes.set_xlabel(labels[0])
+        axes.set_ylabel(labels[1])
+        axes.xaxis.set_major_formatter(EngFormatter(units[0]))
+        axes.yaxis.set_major_formatter(EngFormatter(units[1]))
+        _legend(figure, axes)
+    return figure
+
+
 def compared(time: Array, real: Array, model: Array, name: str, largest: float) -> Figure:
     """Draw the force (N) of a machine and of one model; largest: of the differences drawn."""
     colour = ORANGE if name == 'nominal' else BLUE

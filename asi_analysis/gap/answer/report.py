@@ -35,16 +35,19 @@ def write_gap_report(diagnosis: Diagnosis, answer: Mapping[str, Any], out: Path,
     if model is not None and diagnosis.verdict:
         out.mkdir(parents=True, exist_ok=True)
         missing = write_export(diagnosis, model, out / 'improved.yaml')['unsaid']
-    joint = diagnosis.plant == 'joint'
     return write_report(
         out, 'gap.html', drawn(diagnosis, answer), answer=answer, sentences=sentences(answer),
         tables=as_html(tables(answer, chances=False)), missing=missing,
-        title=' and '.join(in_words(name, joint) for name in answer['verdict'].split('+')))
+        title=' and '.join(in_words(name, diagnosis.plant)
+                           for name in answer['verdict'].split('+')))
 
 
 def drawn(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Pictures:
     """Return the pictures of a diagnosis, each with its caption."""
-    return {'overlay': (_overlay(diagnosis, answer),
+    first: Pictures = {'characteristic': (
+        _characteristic(diagnosis, answer), 'The output over the input')
+        } if diagnosis.plant == 'static' else {}
+    return {**first, 'overlay': (_overlay(diagnosis, answer),
                         'The recording and its models, where the nominal one is worst'),
             'probabilities': (pictures.probabilities(chances(answer)),
                               'Probability of each explanation')}
@@ -52,10 +55,25 @@ def drawn(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Pictures:
 
 def chances(answer: Mapping[str, Any]) -> dict[str, float]:
     """Return the probability of the explanations, in words, the most probable first."""
-    found = {in_words(row['effect'], answer['plant'] == 'joint'): row['probability']
+    found = {in_words(row['effect'], answer['plant']): row['probability']
              for row in answer['which'] if row['probability'] >= LEAST_PROBABILITY}
     found |= {name.replace('_', ' '): answer[f'{name}_probability'] for name in (NO_GAP, UNKNOWN)}
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _characteristic(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
+    weighed, found = diagnosis.groups[0], answer['characteristic']
+    recording = weighed.group.recordings[-1]
+    records = {'nominal': weighed.group.as_given}
+    if answer['verdict'] != NO_GAP:
+        records['with what was found'] = diagnosis.best(weighed).fitted.record
+    origin = recording.taken
+    assert recording.command is not None and recording.valve_position is not None
+    return pictures.characteristic(
+        recording.command + origin['input'], recording.valve_position + origin['output'],
+        {name: predict(recording, 'static', p) + origin['output'] for name, p in records.items()},
+        (found['input'].replace('_', ' '), found['output'].replace('_', ' ')),
+        (found['input_unit'], found['output_unit']))
 
 
 def _overlay(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:

@@ -30,6 +30,9 @@ class Gap(Result):
             yield 'The recordings are doubtful, and so is this answer: see the notes.'
         yield from sentences(self)
         yield from tables(self)
+        if self.characteristic:
+            from asi_analysis.gap.answer.characteristic import figures
+            yield figures(self.characteristic)
         yield from (f'note: {note}' for note in self.notes)
         if self.report:
             yield f'report: {self.report}'

@@ -48,15 +48,15 @@ def tables(answer: Mapping[str, Any], chances: bool = True) -> Iterator[Table]:
 
 
 def _explanations(answer: Mapping[str, Any], chances: bool) -> Table:
-    joint, rows = answer['plant'] == 'joint', []
+    plant, rows = answer['plant'], []
     known: list[str] = []   # sizes that effects of the verdict share are told once
     for row in answer['which']:
         if row['probability'] >= LEAST_PROBABILITY:
-            rows.append((with_id(row['effect'], joint), chance(row['probability']),
-                         in_words(row['block'], joint), sizes_in_words(row, known)))
+            rows.append((with_id(row['effect'], plant), chance(row['probability']),
+                         in_words(row['block'], plant), sizes_in_words(row, known)))
             known += row['parameters'] if row['effect'] in answer['verdict'].split('+') else []
     if chances:
-        rows += [(with_id(name, joint), chance(answer[f'{name}_probability']), '', '')
+        rows += [(with_id(name, plant), chance(answer[f'{name}_probability']), '', '')
                  for name in (NO_GAP, UNKNOWN)]
     columns = ('explanation', 'probability', 'block', 'size (95 % interval)')
     chosen = (0, 1, 2, 3) if chances else (0, 2, 3)

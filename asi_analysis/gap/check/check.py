@@ -25,9 +25,18 @@ from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink, plain
 from asi_analysis.gap.inference.hypotheses import evidence_of
 from asi_analysis.gap.inference.probability import as_plain
-from asi_analysis.gap.model.effects import BLOCK_OF, EFFECTS, NO_GAP, PARAMETER, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import (
+    BLOCK_OF,
+    EFFECTS,
+    NO_GAP,
+    OF_STATIC,
+    PARAMETER,
+    UNKNOWN,
+    block_of,
+)
 from asi_analysis.gap.model.group import exact, prepared_for
 from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.static import like
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
 from asi_analysis.reporting import figures
@@ -47,7 +56,7 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     shrink = main_shrink(diagnosis)
     weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
     group = weighed.group
-    recording = prepare([run])[0]
+    recording = like(group, run) if diagnosis.plant == 'static' else prepare([run])[0]
     valid, none = recording.valid, np.zeros_like(recording.fit)
     recording = prepared_for(group, replace(recording, fit=none))   # its start was not fitted
     errors = []
@@ -63,9 +72,9 @@ def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
     started = time.process_time()
     try:
         names = (entry['bag'], *entry.get('more', ()))
-        diagnosis = diagnose([read_bag(folder / name) for name in names],
-                             nominal_model(folder / entry['model']) if 'model' in entry else {},
-                             entry.get('plant', 'actuator'))
+        plant = entry.get('plant', 'actuator')
+        model = nominal_model(folder / entry['model']) if entry.get('model') else {}
+        diagnosis = diagnose([read_bag(folder / name) for name in names], model, plant)
         answer = plain(document(diagnosis))
         row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
                                             'ambiguity_set', 'gap', 'channels')}
@@ -180,7 +189,7 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
                                    if a['excitation'] == kind])
                      for kind in sorted({a['excitation'] for _, a in single})}
     by_effect = {name: _share([first(r) == name for r, a in single if a['effects'] == [name]])
-                 for name in BLOCK_OF}
+                 for name in (*BLOCK_OF, *OF_STATIC)}
     return {
         'cases': len(rows),
         'block_accuracy': _share([bool(r['where']) and r['where'][0]['block'] == a['blocks'][0]
@@ -282,7 +291,7 @@ def check(folder: Path, progress: Progress) -> GapCheck:
 def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: Mapping[str, Any],
          out: Path) -> None:
     """Write confusion.png and reliability.png."""
-    names = [*(effect.name for effect in EFFECTS), 'parameter', NO_GAP, UNKNOWN]
+    names = [*(effect.name for effect in EFFECTS), *OF_STATIC, 'parameter', NO_GAP, UNKNOWN]
 
     def short(name: str) -> str:
         return 'parameter' if name.startswith(PARAMETER) else name

@@ -33,7 +33,7 @@ OPTIONS = {'compensator': '--compensator', 'gain': '--gain', 'reference.shape': 
 LEAST_SEPARATION = 1.0
 # Signals in the order of their information.
 SENSORS = ('position', 'valve_position', 'velocity', 'force')
-# What else to measure, by the effects that it tells apart.
+# What else to measure, by the effects that it separates.
 MEASURE = (
     (('sensor_offset', 'sensor_drift'), 'the force with no load, before and after the run'),
     (('sensor_gain',), 'a known weight or a calibrated spring with the force sensor'),

@@ -44,7 +44,7 @@ def weigh(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
     evidence = dict.fromkeys(found, -math.inf) | evidence
     weight = {names: math.exp(value - highest) for names, value in evidence.items()}
     chance = {names: value / sum(weight.values()) for names, value in weight.items()}
-    # What leaves no more than noise leaves no room for anything unknown.
+    # If the residual is no more than noise, an unknown effect is excluded.
     return {**chance, (UNKNOWN,): 0.0}
 
 

@@ -32,6 +32,7 @@ LARGEST = 3.0        # upper bound of an effect in the linear screen, as a multi
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
 AT_LIMIT = 0.005     # of the range: distance within which a parameter is at a bound
 STARTS = 2           # number of the best starts that are fitted
+LINE = ('offset', 'gain')   # the nominal line of a static characteristic
 LOG_RANGE = 50.0     # ratio of bounds above which a parameter has a logarithmic scale
 
 
@@ -135,7 +136,9 @@ def held_out_error(group: Group, p: np.void) -> Values:
     for channel in group.channels:
         total, count = 0.0, 0
         for recording in group.recordings:
-            mask = _comparable(recording, group.recordings)
+            # Of a characteristic, fitted on many times its parameters, by a feature anywhere.
+            mask = recording.known if channel == 'static' else _comparable(
+                recording, group.recordings)
             error = (measured(recording, channel) - predict(recording, channel, p))[mask]
             total += float(error @ error)
             count += error.size
@@ -178,6 +181,8 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     known: derivatives by field, which are not computed again.
     """
     problem = Problem(group, tuple(free), tuple(fixed))
+    if {*LINE} & {each.field for each in free}:
+        starts = [_levelled(problem, theta) for theta in starts]
     ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
     best_cost, best_theta = math.inf, ranked[0]
     for start in ranked[:followed if len(starts) > 3 else 1]:
@@ -242,6 +247,25 @@ class Problem:
                     columns[begin:end, i] = (_residual(self.group, channel, p) - part) / step
                 begin = end
         return columns
+
+
+def _levelled(problem: Problem, theta: Array) -> Array:
+    """
+    Return a start whose nominal line is fitted, by linear least squares, where that is better.
+
+    Beside another line than its own the right size of an effect looks worse than a small one.
+    """
+    numbers = [i for i, free in enumerate(problem.free) if free.field in LINE]
+    base, columns = problem.residual(theta), []
+    for number in numbers:
+        moved = theta.copy()
+        moved[number] += STEP if theta[number] < 0.5 else -STEP
+        columns.append((problem.residual(moved) - base) / (moved[number] - theta[number]))
+    best = theta.copy()
+    best[numbers] += np.linalg.lstsq(np.array(columns).T, -base, rcond=None)[0]
+    best = np.clip(best, 0.001, 0.999)
+    left = problem.residual(best)
+    return best if left @ left < base @ base else theta
 
 
 def with_known_gain(group: Group, valve: Fitted) -> Group:

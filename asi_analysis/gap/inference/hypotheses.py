@@ -26,7 +26,9 @@ from asi_analysis.gap.inference.fit import (
 )
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.probability import (
+    CONSTANTS,
     LEAST_RESIDUAL,
+    STATIC,
     Evidence,
     Names,
     join_probabilities,
@@ -39,10 +41,12 @@ from asi_analysis.gap.model.effects import (
     UNKNOWN,
     Effect,
     Variant,
+    of_recording,
     parameter_error,
 )
 from asi_analysis.gap.model.group import Group, Values, acts_on, channels_of, with_lower_noise
 from asi_analysis.gap.model.predict import propagated_noise
+from asi_analysis.gap.model.static import as_limit, at_the_end, in_step
 from asi_common.record import field_name
 
 NOISE_UNCERTAINTY = 0.2   # of the mean square of the propagated noise
@@ -54,6 +58,11 @@ LEAST_SCREENED_GAIN = 0.04   # of the cost, in the linear screen: below it no fi
 # How many fits are polished, of those with at most this multiple of the least cost.
 POLISHED, RIVAL = 4, 4.0
 RETRIED = 3        # hypotheses from whose parameters the null fit is repeated
+AS_WELL = 0.003    # of the cost: what a further parameter of a form must save
+# Of the probability of something unknown of a characteristic: that a disturbance explains it that
+# keeps step with the input, or three effects that each change its shape.
+STRANGE = 0.4
+SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 SUFFICIENT = 0.8   # times the error floor: below it no further effect is tried
 
 
@@ -268,7 +277,7 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
 
 
 def _far_off(candidate: Candidate, group: Group) -> float:
-    """Return the log prior odds against the parameters beyond their tolerance, so far beyond."""
+    """Return the log prior odds against the distance of parameters beyond their tolerance."""
     return sum(log_odds_against(candidate.fitted.values[free.field]
                                 / float(group.nominal[free.field]))
                for effect in group.effects if effect.name in candidate.names
@@ -286,7 +295,8 @@ def _propagated_noise(group: Group, fitted: Fitted) -> Values:
 def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     """Return a group with the probability of every hypothesis, `unknown` among them."""
     effective = effective_hypotheses(found)
-    return Weighed(group, effective, probabilities(evidence_of(group, effective)))
+    constants = STATIC if group.channels == ('static',) else CONSTANTS
+    return Weighed(group, effective, probabilities(evidence_of(group, effective), constants))
 
 
 def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate]:
@@ -317,8 +327,85 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
         if (quieter := with_lower_noise(group, null.held_out)) is not group:
             group, null = quieter, fit_null(quieter)
         group = with_parameter_errors(group, null)
-        weighed.append(weigh(group, candidates_of(group, null, tick)))
+        found = candidates_of(group, null, tick)
+        weighed.append(_weigh_static(group, null, found) if group.channels == ('static',) else
+                       weigh(group, found))
     return weighed
+
+
+def _weigh_static(group: Group, null: Fitted, found: dict[Names, Candidate]) -> Weighed:
+    """
+    Return the group of a static characteristic with the probability of every hypothesis.
+
+    Its forms are nested. A disturbance that keeps step with the input, or a shape made of three
+    effects, counts only if nothing else explains the gap, and then less than something unknown.
+    """
+    every: dict[Names, Candidate] = {}
+    for each in found.values():
+        simple = _simplest(group, null, each)
+        if at_the_end(group, simple.fitted.record):
+            if 'valve_saturation' in simple.names:
+                continue
+            simple = _simplest(group, null, _with_limit(group, null, simple))
+        known = every.get(simple.names)
+        if known is None or simple.fitted.cost < known.fitted.cost:
+            every[simple.names] = simple
+    strange = {names: each for names, each in every.items()
+               if _of_the_input(group, each) or len(SHAPES & set(names)) > 2}
+    weighed = weigh(group, {names: each for names, each in every.items() if names not in strange})
+    likely = max(weighed.probability, key=lambda names: weighed.probability[names])
+    if UNKNOWN not in likely or not strange:
+        return weighed
+    best = min(strange.values(), key=lambda each: each.fitted.cost)
+    outside = sum(p for names, p in weighed.probability.items() if UNKNOWN in names)
+    # So that it stays below the most probable of the others.
+    share = min(STRANGE, 0.9 * weighed.probability[likely] / (
+        outside + weighed.probability[likely]))
+    chance = {names: p * (1.0 - share if UNKNOWN in names else 1.0)
+              for names, p in weighed.probability.items()}
+    chance[best.names] = share * outside
+    return weighed._replace(probability=chance,
+                            candidates=weighed.candidates | {best.names: best})
+
+
+def _simplest(group: Group, null: Fitted, found: Candidate) -> Candidate:
+    """Return a hypothesis in the forms with the fewest parameters that fit as well."""
+    for effect in (each for each in group.effects if each.name in found.names):
+        own = next(each for each in found.variants if each in effect.variants)
+        forms = {own: found.fitted}
+        for form in effect.variants:
+            if _fields(form) < _fields(own) or _fields(form) > _fields(own):
+                forms[form] = fit_subset(group, null, tuple(
+                    form if each is own else each for each in found.variants), found.fitted)
+        best = min(forms, key=lambda form: forms[form].cost * (1.0 + AS_WELL * len(form.free))
+                   + len(form.free))
+        found = found._replace(fitted=forms[best], variants=tuple(
+            best if each is own else each for each in found.variants))
+    return found
+
+
+def _fields(variant: Variant) -> set[str]:
+    return {free.field for free in variant.free}
+
+
+def _with_limit(group: Group, null: Fitted, found: Candidate) -> Candidate:
+    """Return a hypothesis with a limit of the output in place of a dead band at an end."""
+    p, field = as_limit(found.fitted.record)
+    effects = {effect.name: effect for effect in group.effects}
+    band, limit = effects['valve_deadband'], effects['valve_saturation']
+    form = next(each for each in limit.variants if _fields(each) == {field, 'corner'})
+    variants = tuple(form if each in band.variants else each for each in found.variants)
+    names = tuple(sorted(limit.name if name == band.name else name for name in found.names))
+    return Candidate(names, variants, fit_subset(group, null, variants,
+                                                 found.fitted._replace(record=p)))
+
+
+def _of_the_input(group: Group, found: Candidate) -> bool:
+    """Return whether a hypothesis has a disturbance that keeps step with the input."""
+    values = found.fitted.values
+    return 'disturbance_frequency' in values and all(
+        in_step(r, values[of_recording('disturbance_frequency', r.number)])
+        for r in group.recordings if r.fit.any())
 
 
 def with_parameter_errors(group: Group, null: Fitted) -> Group:

@@ -6,6 +6,7 @@ residual that the fitted parameters could explain is removed first.
 """
 
 import itertools
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -33,11 +34,12 @@ BINS, NEAR_BEST = 1000, 0.99
 QUANTISERS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
               'residual_step_zero': (0.0, 1.0)}
 OFFSET_RANGE = 1e3  # times the residual: the range of a free offset
-# A line excitation: at most so many sines, each with at least this share of the power of force or
-# motion, together with at least that share.
+# A line excitation: the largest number of sines, and the least share of the power of force or
+# motion in each of them and in all together.
 MOST_LINES, LINE_POWER, LINES_POWER = 3, 0.1, 0.8
 ORDER = 3          # highest order of harmonics
 REGULAR = 1e-12    # of the energy of all parameters: less is rounding
+STATIC_BINS = 2000  # of the input of a characteristic, in the search for its steps
 RESPONSE_S = 0.2   # length of the step response of a valve
 
 
@@ -52,7 +54,7 @@ def initial_guesses(fitted: Fitted) -> Values:
     """
     group = fitted.problem.group
     found: Values = {}
-    moves = {'load', *MOTIONS}.intersection(group.channels)
+    moves = {'load', 'static', *MOTIONS}.intersection(group.channels)
     for recording in group.recordings if moves else ():
         if not recording.fit.any():
             continue
@@ -62,6 +64,8 @@ def initial_guesses(fitted: Fitted) -> Values:
         own = _wave(residual, recording) | _pulse(residual, _judged(recording), known, raw,
                                               recording.period_s)
         found |= {of_recording(name, recording.number): value for name, value in own.items()}
+    if 'static' in group.channels:
+        found |= _static_steps(fitted)
     for channel in group.channels:
         if channel == 'valve' or channel == 'force' and not group.measures_valve:
             found |= _steps(fitted, channel)
@@ -104,7 +108,7 @@ def _output(recording: Recording, channel: str) -> Array:
 
 
 def _predicted(recording: Recording, channel: str, p: np.void) -> Array:
-    """Return the same, predicted; of a motion, the force that what it misses takes."""
+    """Return the predicted output; of a motion, the force that its error would take."""
     if channel not in MOTIONS:
         return predict(recording, channel, p)
     return simulator.missed_force(recording, p)
@@ -124,13 +128,9 @@ def _wave(residual: Array, recording: Recording) -> Values:
     """
     count = 8 * residual.size   # padded, for a frequency as fine as the wave's phase at the end
     lobe = 4 * count // residual.size + 1   # as wide as a wave is in these spectra
-    motion = recording.motion
-    force = recording.force_judged
-    assert motion is not None and force is not None
-    moved = motion.position[motion.pad:motion.pad + residual.size]
     power, *driven = (np.abs(np.fft.rfft(signal * np.hanning(residual.size), count)) ** 2
-                      for signal in (residual, *(each - each.mean() for each in (
-                          force, moved))))
+                      for signal in (residual, *(each - each.mean()
+                                                 for each in _excitation(recording))))
     lowest = count // residual.size   # one wave in the recording
     power[:lowest] = 0.0
     lines = [_lines(each, lobe) for each in driven]
@@ -143,8 +143,18 @@ def _wave(residual: Array, recording: Recording) -> Values:
         found = int(np.argmax(power))
     turns = found / count * np.arange(residual.size)
     phase = np.angle(np.sum(residual * np.exp(-2j * np.pi * turns))) / (2.0 * np.pi) - 0.25
+    if recording.motion is None:   # it adds to the output; a push on a load takes from it
+        phase += 0.5
     return {'residual_frequency': found / (count * recording.period_s),
             'residual_phase': 1.0 + phase % 1.0}
+
+
+def _excitation(recording: Recording) -> tuple[Array, ...]:
+    """Return the signals that excite: force and motion; none of a characteristic."""
+    motion, force = recording.motion, recording.force_judged
+    if motion is None or force is None:
+        return ()
+    return force, motion.position[motion.pad:motion.pad + recording.fit.size]
 
 
 def _lines(power: Array, lobe: int) -> list[int]:
@@ -235,6 +245,41 @@ def _steps(fitted: Fitted, channel: str) -> Values:
         # With few levels neighbouring quanta are equivalent until one level changes.
         found[name] = largest / float(nearby[gains >= NEAR_BEST * gains.max()].mean())
     return found
+
+
+def _static_steps(fitted: Fitted) -> Values:
+    """
+    Return quantum and phase (turns, and one) of the steps in which an input seems to act.
+
+    What steps leave is a sawtooth over the input: the strongest of its spatial frequencies.
+    """
+    places: dict[bool, list[Array]] = {True: [], False: []}
+    lefts: dict[bool, list[Array]] = {True: [], False: []}
+    for recording in fitted.problem.group.recordings:
+        if recording.fit.any() and recording.command is not None:
+            residual, _ = _unexplained(fitted, 'static', recording)
+            for way in (True, False):
+                those = recording.known & ((np.gradient(recording.command) > 0.0) == way)
+                places[way].append(recording.command[those])
+                lefts[way].append(residual[those])
+    # Rising and falling each by itself: a lag or a hysteresis moves them apart.
+    ways = [(np.concatenate(places[way]), np.concatenate(lefts[way])) for way in (True, False)]
+    every = np.concatenate([place for place, _ in ways])
+    low, span = float(every.min()), float(np.ptp(every))
+    count = 8 * STATIC_BINS
+    power = np.zeros(count // 2 + 1)
+    for place, left in ways:
+        level = ((place - low) / span * STATIC_BINS).astype(int)
+        sums = np.bincount(np.minimum(level, STATIC_BINS - 1), left, STATIC_BINS)
+        power += np.abs(np.fft.rfft(sums, count)) ** 2
+    power[:8 * 2] = 0.0   # at least two steps over the range
+    quantum = span * 8.0 / max(int(np.argmax(power[:count // 4])), 1)
+    # q round(u / q - phase) + q phase - u is -sin(2 pi (u / q - phase)) / pi and its harmonics.
+    angle = np.angle(sum(np.sum(left * np.exp(-2j * np.pi * place / quantum))
+                         for place, left in ways))
+    quarter = math.copysign(0.5 * np.pi, float(fitted.record['gain']))
+    return {'residual_step': quantum,
+            'residual_step_phase': 1.0 + (quarter - angle) / (2.0 * np.pi) % 1.0}
 
 
 def _response_samples(recording: Recording) -> int:

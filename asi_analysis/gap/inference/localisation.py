@@ -20,7 +20,8 @@ from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass, velocity_
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
 # Blocks of each channel: they share its gap if no effect is named.
 ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
-         'load': ('mechanics', 'sensor'), **dict.fromkeys(MOTIONS, ('mechanics', 'hydraulics'))}
+         'load': ('mechanics', 'sensor'), 'static': ('valve', 'command_path', 'sensor'),
+         **dict.fromkeys(MOTIONS, ('mechanics', 'hydraulics'))}
 
 
 LEAST_SHARE = 0.01     # of the samples in a regime, and of a gap
@@ -52,7 +53,7 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
     relative to the signal. It is shared by the blocks of the hypotheses in proportion to their
     probability, and within a hypothesis by what each effect explains.
     """
-    # What names nothing is no place for the gap, unless nothing is named at all.
+    # Hypotheses without an effect have no block, and do not count if any other has.
     share = _shares(groups, lambda names: bool(names))
     if sum(share.values()) == 0.0:   # refitted, nothing is above the error floor
         for weighed in groups:
@@ -201,7 +202,10 @@ def regimes_of(recording: Recording, channel: str) -> dict[tuple[str, str], Mask
             ('time since reversal', 'below 5 ms'): since < 0.005,
             ('time since reversal', '5 to 50 ms'): (since >= 0.005) & (since < 0.05),
             ('time since reversal', 'above 50 ms'): since >= 0.05}
-    if recording.valve_position is not None and channel != 'valve':
+    if channel == 'static' and recording.command is not None:
+        rising = np.gradient(recording.command) > 0.0
+        found |= {('input', 'rising'): rising, ('input', 'falling'): ~rising}
+    if recording.valve_position is not None and channel not in ('valve', 'static'):
         opening = np.abs(recording.valve_position)
         middle = np.quantile(opening, 0.5)
         found |= {('valve opening', 'small'): opening <= middle,
@@ -260,10 +264,12 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
         inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
         kinds.append({name: values[valid] for name, values in (
             ('position', motion.position[inner] if motion and motion.measured else None),
-            ('velocity', velocity_of(recording)), ('command', recording.command),
+            ('velocity', velocity_of(recording)),
+            ('input' if channel == 'static' else 'command', recording.command),
             ('valve position', recording.valve_position),
             ('force', recording.force), ('time in the run', recording.time_s),
-            ) if values is not None and not (name == 'valve position' and channel == 'valve')})
+            ) if values is not None and not (
+                name == 'valve position' and channel in ('valve', 'static'))})
     rest = np.concatenate(residual)
     found = {}
     for name in set.intersection(*(set(kind) for kind in kinds)):

@@ -62,7 +62,7 @@ def check_signals(run: Run) -> list[str]:
 
 
 def check_cut_off(run: Run) -> list[str]:
-    """Return a note if the force is cut off, so that it does not tell what it does to the load."""
+    """Return a note if the force is cut off: its effect on the load is then unknown."""
     force = run.signals().get('force', np.zeros(0))
     if not clipped(force[np.isfinite(force)]).any():
         return []

@@ -33,7 +33,7 @@ DAMPING, TRIES = 1e-4, 5   # of a step: to begin with, and how often with more
 SLOW = 0.003      # of the cost: an updated derivative that gains less is computed anew
 HOPE = 2.0        # times what a linear problem would gain: a fit may gain no more
 LONGEST_STEP = 0.3
-SCANNED = 9       # values of what a derivative does not tell of
+SCANNED = 9       # values of a parameter for which derivatives mislead
 # Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
 # differences: three standard errors of its variance are about this over the root of the samples.
 MARGIN, NOISE_ERROR = 1.1, 10.0
@@ -61,7 +61,7 @@ class Posterior(Problem):
         return 0.5 * float(residual @ residual) + self.given(theta)
 
     def given(self, theta: Array) -> float:
-        """Return the part of it that is the normal priors."""
+        """Return the part of the cost that comes from the normal priors."""
         mean, precision = self.prior
         return 0.5 * float(precision @ (theta - mean) ** 2)
 
@@ -100,7 +100,7 @@ class Posterior(Problem):
         return np.array(list(self.each(column, range(theta.size)))).T
 
     def each(self, function: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-        """Return what a function makes of each item, on all cores if there is a pool."""
+        """Yield the value of a function of each item, on all cores if there is a pool."""
         return map(function, items) if self.pool is None else self.pool.map(function, items)
 
     def curvature(self, theta: Array, base: Array, step: Array) -> Array:
@@ -136,8 +136,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     step all are updated by what it showed (Broyden's method); they are computed anew where that
     does not lead on, at most `rounds` times. Memories of the start are then sought in their whole
     range: what they change ends with a reversal of the motion, so that derivatives mislead.
-    goal: a cost; a fit that will not reach it, as its present rate or its derivatives tell, is
-    given up.
+    goal: a cost; a fit is given up if its rate or its derivatives show that it cannot reach this.
     """
     mean, precision = problem.prior
 
@@ -182,7 +181,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
 
 
 def _elsewhere(problem: Posterior, theta: Array) -> Iterator[Array]:
-    """Yield the parameters with one that a derivative does not tell of anywhere in its range."""
+    """Yield the parameters with each memory of the start in turn at values in its whole range."""
     for number, free in enumerate(problem.free):
         if free.field.partition('@')[0] in MEMORIES:
             for share in np.linspace(0.0, 1.0, SCANNED):
@@ -232,7 +231,7 @@ class Found(NamedTuple):
 
     @property
     def given(self) -> float:
-        """The log prior cost of what the nominal parameters had to give."""
+        """The cost, in log prior density, of the deviations of the nominal parameters."""
         return self.problem.given(self.best.theta)
 
     @property

@@ -11,13 +11,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from asi_analysis.gap.model.effects import (
-    BY_NAME,
-    NO_GAP,
-    PARAMETER,
-    UNKNOWN,
-    has_one_law,
-)
+from asi_analysis.gap.model.effects import BY_NAME, NO_GAP, PARAMETER, UNKNOWN, has_one_law
 from asi_analysis.gap.model.group import Values
 
 Names = tuple[str, ...]
@@ -57,6 +51,7 @@ class Constants(NamedTuple):
 
 
 CONSTANTS = Constants()
+STATIC = CONSTANTS._replace(unknown_offset=-3.0)   # of a static characteristic
 NOISE_SHARE = 0.1   # of the mean square noise: a smaller difference of residuals does not count
 LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
 USUAL_S = 5.0
@@ -66,7 +61,7 @@ USUAL_FACTOR = 2.0       # by which such a parameter differs: the spread of its 
 
 
 def log_odds_against(ratio: float) -> float:
-    """Return the log prior odds against a parameter so many times its nominal value."""
+    """Return the log prior odds against a parameter at a ratio to its nominal value."""
     return 0.5 * (math.log(ratio) / math.log(USUAL_FACTOR)) ** 2
 
 

@@ -81,7 +81,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
             own = {free.field for free in variant.free}
             if not channels_of(variant, group) or not guessed or own & held:
                 continue
-            # Contacts and couplings are stiffer than what the sub-step was chosen by.
+            # Contacts and couplings are too stiff for the sub-step of the group.
             fixed = (*problem.fixed, *variant.fixed, *((exact,) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)

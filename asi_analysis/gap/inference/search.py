@@ -29,14 +29,7 @@ from asi_analysis.gap.inference.posterior import (
 )
 from asi_analysis.gap.inference.probability import Names, with_unknown
 from asi_analysis.gap.inference.screen import Start, screen
-from asi_analysis.gap.model.effects import (
-    PARAMETER,
-    UNKNOWN,
-    Effect,
-    Free,
-    Variant,
-    block_of,
-)
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
     Group,
     acts_on,
@@ -86,9 +79,10 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
 
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
     """
-    Return the valve with what explains it equally well, but not what follows it.
+    Return the valve with `rivals`: candidates that explain its position equally well.
 
-    They share the probability by the cost (negative log posterior) of what follows it.
+    They share the probability of its best candidate. costs: of all that follows the valve in the
+    signal path, given each (negative log posterior).
     """
     candidates, chance = dict(valve.candidates), dict(valve.probability)
     effects = dict.fromkeys(valve.group.effects)
@@ -103,7 +97,7 @@ def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Wei
 
 
 def _explained(null: Found, tick: Callable[[], None], alone: bool) -> Weighed | None:
-    """Return a group, weighed, if one of its hypotheses leaves no more than the noise."""
+    """Return a group, weighed, if the residual of one of its hypotheses is only noise."""
     found, group = _hypotheses(null, tick), null.problem.group
     if not alone and all(f.left for f in found.values()):
         return None
@@ -122,7 +116,7 @@ def _explained(null: Found, tick: Callable[[], None], alone: bool) -> Weighed | 
 
 
 def _follows(null: Found) -> bool:
-    """Return whether the nominal model follows the signals at all: else it is another machine."""
+    """Return whether the nominal model follows the signals; if not, it is of another machine."""
     group = null.problem.group
     power = np.array([np.mean(np.concatenate(
         [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
@@ -134,7 +128,7 @@ def _rivals(valve: Weighed) -> Iterator[Weighed]:
     """
     Yield the same, with another parameter that changes the valve position as its gain does.
 
-    Thrust and full opening act on the force too, so what follows the valve tells them apart.
+    Thrust and full opening also act on the force, which distinguishes them.
     """
     best, gain = _most_probable(valve), 'valve_characteristic_gain'
     if (best.names != (PARAMETER + 'valve_characteristic.gain',)
@@ -185,7 +179,7 @@ def _null(group: Group) -> Found:
 def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model, single effects and pairs that were fitted."""
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
-    # Nominal parameters that had to give much may hide an effect: then it is sought without them.
+    # Large deviations of nominal parameters may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
     found = {(): _without_last(null, list(singles.values()))} | singles
@@ -196,15 +190,15 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
 
 
 def _wants_more(found: Found) -> bool:
-    """Return whether a fit leaves, or its nominal parameters gave, what an effect may explain."""
+    """Return whether a further effect may explain a residual, or deviations of the parameters."""
     return found.left or found.given > ODDS_AGAINST
 
 
 def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return an effect with one more each; and, if two explain all, the other of them with one.
+    Return the pairs with the best single effect; if one explains all, also those with its second.
 
-    The best single effect may be none of two, but one that does what both do.
+    The best single effect need not be one of the true two: it may imitate both.
     """
     pairs = _with_second(first, tick)
     best = min(pairs.values(), key=lambda each: each.best.cost)
@@ -331,7 +325,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(_with_shared(form, null, _free_fields(form)[0]))
         starts = [min(shared, key=form.problem.cost)]
-        # Far from the nominal model, what an effect is not may mislead.
+        # Far from the nominal model, the other parameters' values may mislead.
         if far and form.best is best_forms[form.names]:
             starts.append(form.best.theta)
         goal = leader.best.cost + REACH

@@ -44,7 +44,8 @@ OF_A_RECORDING = (
     'sensor_drift_curve', 'sensor_drift_bend', 'load_external_force',
     'load_external_force_frequency', 'load_external_force_phase', 'load_external_force_start',
     'load_external_force_end', 'backlash_centre', 'force_sensor_offset', 'force_sensor_drift',
-    'force_sensor_drift_curve', 'start_flux', 'start_seal', 'start_position', 'start_velocity')
+    'force_sensor_drift_curve', 'start_flux', 'start_seal', 'start_position', 'start_velocity',
+    'loop_start')
 
 
 def of_recording(field: str, number: int) -> str:
@@ -252,6 +253,8 @@ EFFECTS: tuple[Effect, ...] = (
 GRAVITY = Effect('gravity', MECHANICS, 'the joint carries more or less weight', (
     Variant(tuple(Free(f'gravity_{part}', -2.0, 2.0, (0.05, -0.05), 'force', 'N')
                   for part in ('sine', 'cosine')), LOAD_SIDE),), exact=True)
+# Of a static characteristic alone (static.py): the block, and whether it has one law.
+OF_STATIC = {'gain_asymmetry': (VALVE, True), 'curvature': (VALVE, False)}
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}
 
@@ -267,6 +270,8 @@ BEYOND = 5.0   # largest factor, up or down, of a parameter beyond its tolerance
 def block_of(name: str) -> str | None:
     """Return the block of an effect, or of a parameter beyond its tolerance; None: neither."""
     if not name.startswith(PARAMETER):
+        if name in OF_STATIC:
+            return OF_STATIC[name][0]
         return GRAVITY.block if name == GRAVITY.name else BLOCK_OF.get(name)
     parameter = name.removeprefix(PARAMETER)
     return next((block for start, block in BLOCK_OF_PARAMETER.items()
@@ -275,6 +280,8 @@ def block_of(name: str) -> str | None:
 
 def has_one_law(name: str) -> bool:
     """Return whether an effect has one law; see `Effect`."""
+    if name in OF_STATIC:
+        return OF_STATIC[name][1]
     return name.startswith(PARAMETER) or name == GRAVITY.name or BY_NAME[name].exact
 
 

@@ -22,6 +22,7 @@ Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
 NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the noise is lower
 MODEL_ERROR = 0.005  # of a signal (rms): general error of any model
+PASS_S = 1.0
 SIMULATOR_ERROR = 0.001   # the same of the simulator's prediction
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
 # they have no effect, and are left out.
@@ -81,10 +82,17 @@ class Group:
     given: np.void | None = None   # as nominal, but for what another group has found
     exact_substep_s: float = 0.0   # of the simulator
     floor_measured: bool = False   # the error floor is what healthy recordings leave
+    passes: int = 0    # of the input of a static characteristic, however slow
 
     @property
     def held_out_s(self) -> float:
-        """Return how many seconds are not fitted on: to choose or to report on."""
+        """
+        Return how many seconds are not fitted on: to choose or to report on.
+
+        Of a static characteristic a pass counts as PASS_S, since its time says nothing.
+        """
+        if self.passes:
+            return PASS_S * self.passes
         return sum(float((r.held_out | r.report).sum()) * r.period_s for r in self.recordings)
 
     @property
@@ -388,6 +396,8 @@ ACTS_ON = _channels_by_field()
 
 def acts_on(field: str, channel: str, group: Group) -> bool:
     """Return whether a parameter acts on a channel."""
+    if channel == 'static':
+        return True
     field = field.partition('@')[0]
     if simulator.of_simulator(group.nominal):
         if _is_of_valve(field) and field not in forms.UNCERTAIN['force']:

@@ -182,9 +182,11 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         for effect in EFFECTS)
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
                        effects=effects, model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
+    if not dynamics:
+        return group
     # No servo is exactly of second order: what is within the model error tells no effects apart.
-    return replace(group, formulation={channel: floor - group.noise[channel] ** 2 for channel, floor
-                                       in group.error_floor.items()}) if dynamics else group
+    return replace(group, formulation={channel: floor - group.noise[channel] ** 2
+                                       for channel, floor in group.error_floor.items()})
 
 
 def _gain(recordings: Sequence[Recording]) -> float:

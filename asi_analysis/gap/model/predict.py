@@ -8,7 +8,7 @@ import numpy as np
 
 from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
-from asi_analysis.gap.model import blocks, simulator
+from asi_analysis.gap.model import blocks, simulator, static_blocks
 from asi_analysis.gap.model.blocks import Complex
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
@@ -55,6 +55,8 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
 
 def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output of a channel: n samples, in the channel's unit."""
+    if channel == 'static':
+        return static_blocks.predict(recording, p)
     p = _in_recording(p, recording.number)
     if simulator.of_simulator(p):
         return simulator.predict(recording, channel, p)
@@ -116,7 +118,7 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
 
     The inputs are valve position and motion. A lag reduces it, an inverted lag increases it.
     """
-    if channel == 'valve' or simulator.of_simulator(p):
+    if channel in ('valve', 'static') or simulator.of_simulator(p):
         return 0.0
     if channel == 'load':
         motion = recording.motion
@@ -258,7 +260,8 @@ def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, 
 
 def measured(recording: Recording, channel: str) -> Array:
     """Return the measured output of a channel."""
-    signal = {'valve': recording.valve_position, 'force': recording.force,
+    signal = {'valve': recording.valve_position, 'static': recording.valve_position,
+              'force': recording.force,
               'load': recording.force_judged, 'velocity': recording.raw_velocity,
               'position': recording.raw_position}[channel]
     assert signal is not None

@@ -16,13 +16,8 @@ from asi_actuator.parameters import as_record
 from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.loop import harmonic_balance as hb
-from asi_analysis.loop.onset import Onset, balanced_cycle, onset, with_gain
-from asi_analysis.loop.simulation import (
-    Values,
-    step_run,
-    step_runs,
-    sustained,
-)
+from asi_analysis.loop.onset import LeastGain, balanced_cycle, onset, with_gain
+from asi_analysis.loop.simulation import Values, step_run, step_runs, sustained
 from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.terminal import Progress, silent
 
@@ -38,7 +33,7 @@ class Cycles(NamedTuple):
 
     simulated: Oscillation | None
     predicted: hb.Balance | None
-    onset: Onset | None
+    onset: LeastGain | None
 
 
 def only(active: Sequence[str], actuator: Values) -> dict[str, Any]:

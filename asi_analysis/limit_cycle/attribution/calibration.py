@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.attribution.loops import CAUSES, VALVE_FAULTS, loop
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
 
-Array = npt.NDArray[np.float64]
 Causes = npt.NDArray[np.int64]
 
 WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')

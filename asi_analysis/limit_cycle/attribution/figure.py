@@ -11,7 +11,7 @@ from asi_analysis.limit_cycle.attribution.hammerstein import Explanation
 from asi_analysis.limit_cycle.attribution.recording import shape_of
 from asi_analysis.limit_cycle.attribution.shape import Shape
 from asi_analysis.limit_cycle.detection.verdict import response_of
-from asi_analysis.reporting.figures import BLUE, COLOURS, GREY, ORANGE, WIDTH_IN, style
+from asi_analysis.reporting.figures import BLUE, COLOURS, GREY, ORANGE, drawing
 
 DRAWN_CYCLES: Final = 4.0
 # Kinds of valve that are drawn: those with the smallest residual.
@@ -23,8 +23,7 @@ def model(document: dict[str, Any]) -> Figure:
     causes = document['causes']
     names = [cause['nonlinearity'].replace('_', ' ') for cause in causes]
     row = np.arange(len(causes))
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 2.2 + 0.5 * len(causes)), layout='constrained')
+    with drawing(2.2 + 0.5 * len(causes)) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         left.barh(row, [100.0 * (cause['share'] or 0.0) for cause in causes], color=BLUE)
         left.set_yticks(row, names)
@@ -42,8 +41,7 @@ def model(document: dict[str, Any]) -> Figure:
 def recorded(run: Run, document: dict[str, Any], signal: str | None = None) -> Figure:
     """Draw command and output of the segment, outputs of the fitted valves, and the causes."""
     found = shape_of(run, document, signal)
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 8.0), layout='constrained')
+    with drawing(8.0) as figure:
         plane, time, bars = figure.subplots(3, 1, height_ratios=(3, 2, 2))
         name, _ = response_of(run, signal)
         _plane(plane, found)

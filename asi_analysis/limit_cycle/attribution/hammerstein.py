@@ -12,12 +12,10 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize, signal
 
+from asi_analysis.arrays import Array
 from asi_analysis.limit_cycle.attribution import valves
-
-Array = npt.NDArray[np.float64]
 
 WIDTHS: Final = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
 # Stiction: slip jump as a share of the stick band; stick band as a share of the command's range.

@@ -14,17 +14,16 @@ without it. Unit of time: the controller's period; unit of valve position: the w
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 
 from asi_actuator.model.valve_hysteresis import play as play_step
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.attribution.shape import prominent_frequency
 from asi_analysis.limit_cycle.attribution.valves import Stem, stick_step
 from asi_analysis.measures.oscillation import of_samples
 from asi_common.jit import jit
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuning',

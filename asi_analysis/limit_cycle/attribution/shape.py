@@ -8,18 +8,15 @@ so that a varying period does not blur them. `calibration.py` turns features int
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal, stats
 
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.attribution.hammerstein import Explanation, explain, without_drift
 from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.measures.noise import autoregression
 from asi_analysis.measures.record import reduce
 from asi_analysis.measures.sinusoid import analytic_signal, on_grid, valid_samples
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 FEWEST_CYCLES: Final = 3.5
 MOST_CYCLES: Final = 20.0
@@ -188,7 +185,7 @@ def _explained(f: dict[str, float], found: dict[str, Explanation]) -> None:
     f['lag'], f['delay'] = float(np.log10(linear.lag + 0.01)), linear.delay
 
 
-def _starts(output: Array, cycle: float) -> npt.NDArray[np.float64]:
+def _starts(output: Array, cycle: float) -> Array:
     """Return the starts of the cycles, in samples, from the phase of the analytic signal."""
     phase = np.unwrap(np.angle(analytic_signal(output, 1.0, 1.0 / cycle))) / (2.0 * np.pi)
     phase = np.maximum.accumulate(phase)

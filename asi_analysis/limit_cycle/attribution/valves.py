@@ -3,12 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.model.valve_hysteresis import play as play_step
+from asi_analysis.arrays import Array
 from asi_common.jit import jit
-
-Array = npt.NDArray[np.float64]
 
 
 class Stem(NamedTuple):
@@ -38,45 +36,35 @@ def stick_step(stem, command, before, band, jump):
 
 
 @jit
-def _play(command, start, half, out):
-    out[:start] = command[start] - half
+def play(command, half, first):
+    """
+    Return the output of a play of half width `half`, in units of the command.
+
+    It starts at the largest command within the `first` samples, where the valve has just moved up.
+    """
+    start, out = np.argmax(command[:first]), np.empty_like(command)
     position = command[start] - half
+    out[:start] = position
     for k in range(start, command.size):
         position = play_step(position, command[k], half)
         out[k] = position
+    return out
 
 
 @jit
-def _stick(command, start, band, jump, out):
+def stick(command, band, jump, first):
+    """
+    Return the position of a valve with stiction, in units of the command; it starts as `play`.
+
+    band: stick band S; jump: slip jump J (Choudhury, Thornhill, Shah, Control Engineering Practice
+    13, 2005; after Kano et al., DYCOPS 2004).
+    """
+    start, out = np.argmax(command[:first]), np.empty_like(command)
     stem = Stem(command[start] - 0.5 * (band - jump), 1.0, command[start], False)
     out[:start + 1] = stem.position
     for k in range(start + 1, command.size):
         stem = stick_step(stem, command[k], command[k - 1], band, jump)
         out[k] = stem.position
-
-
-def _start(command: Array, first: int) -> int:
-    """Return the first sample of an operator: at a peak, where the valve has just moved up."""
-    return int(np.argmax(command[:first]))
-
-
-def play(command: Array, half: float, first: int) -> Array:
-    """Return the output of a play of half width `half`, in units of the command."""
-    out = np.empty_like(command)
-    _play(np.ascontiguousarray(command), _start(command, first), half, out)
-    return out
-
-
-def stick(command: Array, band: float, jump: float, first: int) -> Array:
-    """
-    Return the position of a valve with stiction, in units of the command.
-
-    band: stick band S; jump: slip jump J (Choudhury, Thornhill, Shah, Control Engineering Practice
-    13, 2005; after Kano et al., DYCOPS 2004). It starts at the largest command within the `first`
-    samples.
-    """
-    out = np.empty_like(command)
-    _stick(np.ascontiguousarray(command), _start(command, first), band, jump, out)
     return out
 
 

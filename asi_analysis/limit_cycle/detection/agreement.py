@@ -23,7 +23,7 @@ from asi_analysis.measures.oscillation import oscillation
 PARTS: Final = ((0.0, 0.9), (0.1, 1.0), (0.0, 0.8), (0.2, 1.0), (0.05, 0.95), (0.1, 0.9))
 # Least mean probability at which a verdict stands.
 AGREED: Final = 0.5
-# Least share of what is new in the command that the output tells in a closed loop.
+# Least share of the command's innovation that the output explains in a closed loop.
 CLOSED: Final = 0.3
 # Largest confidence in a limit cycle without a recorded reference, which may drive it: if the
 # command answers the output, and if no command is recorded either.
@@ -100,8 +100,8 @@ def _unless_driven(run: Run, segment: Segment) -> Segment:
     """Return a segment of a run without a reference: an external drive cannot be excluded."""
     if segment.verdict != 'limit_cycle':
         return segment
-    share = drive.told_by_output(run, segment.signal, segment.start_s, segment.end_s,
-                                 segment.frequency_hz)
+    share = drive.explained_by_output(run, segment.signal, segment.start_s, segment.end_s,
+                                      segment.frequency_hz)
     ask = 'if nothing drove it from outside, say --undriven'
     if share is not None and share < CLOSED:
         return segment._replace(verdict='unsteady', confidence=AGREED, why=(

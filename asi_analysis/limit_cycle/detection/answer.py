@@ -1,6 +1,5 @@
 """`asi limit-cycle`: the segments of recordings, each with its verdict."""
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -9,14 +8,10 @@ from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.isolation import judge
 from asi_analysis.limit_cycle.detection.verdict import Segment
 from asi_analysis.measures.quality import findings, quality_of, trust
-from asi_analysis.reporting.result import Pictures, Result, Table, table_of
+from asi_analysis.reporting.result import Pictures, Result, Table, finite, table_of
 
 # Largest confidence in a verdict that rests on doubtful samples.
 DOUBTFUL_CONFIDENCE: Final = 0.5
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def segment_as_dict(segment: Segment) -> dict[str, Any]:
@@ -27,20 +22,20 @@ def segment_as_dict(segment: Segment) -> dict[str, Any]:
         'start_s': segment.start_s, 'end_s': segment.end_s,
         'verdict': segment.verdict, 'confidence': segment.confidence, 'why': segment.why,
         'cycles': segment.cycles,
-        'frequency_hz': _number(segment.frequency_hz),
-        'frequency_low_hz': _number(segment.frequency_interval_hz[0]),
-        'frequency_high_hz': _number(segment.frequency_interval_hz[1]),
+        'frequency_hz': finite(segment.frequency_hz),
+        'frequency_low_hz': finite(segment.frequency_interval_hz[0]),
+        'frequency_high_hz': finite(segment.frequency_interval_hz[1]),
         # The key is fixed; `unit` gives the unit of other signals.
-        'amplitude_n': _number(segment.amplitude),
-        'amplitude_low_n': _number(segment.amplitude_interval[0]),
-        'amplitude_high_n': _number(segment.amplitude_interval[1]),
-        'thd': _number(segment.thd),
+        'amplitude_n': finite(segment.amplitude),
+        'amplitude_low_n': finite(segment.amplitude_interval[0]),
+        'amplitude_high_n': finite(segment.amplitude_interval[1]),
+        'thd': finite(segment.thd),
         'harmonics': [abs(h / first) for h in segment.harmonics],
-        'envelope_rate_1_s': _number(segment.envelope_rate_1_s),
-        'envelope_rate_low_1_s': _number(segment.envelope_rate_interval_1_s[0]),
-        'envelope_rate_high_1_s': _number(segment.envelope_rate_interval_1_s[1]),
-        'return_map_slope': _number(segment.return_map_slope),
-        'orbit_closure': _number(segment.orbit_closure),
+        'envelope_rate_1_s': finite(segment.envelope_rate_1_s),
+        'envelope_rate_low_1_s': finite(segment.envelope_rate_interval_1_s[0]),
+        'envelope_rate_high_1_s': finite(segment.envelope_rate_interval_1_s[1]),
+        'return_map_slope': finite(segment.return_map_slope),
+        'orbit_closure': finite(segment.orbit_closure),
         'came_from': segment.came_from, 'isolated': segment.isolated,
         'reliable': segment.reliable,
     }

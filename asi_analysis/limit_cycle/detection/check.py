@@ -10,17 +10,16 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 from scipy.integrate import solve_ivp
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.measures.sinusoid import fit
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 # Least confidence of a verdict that must survive changes of the record, and for one of how many
@@ -30,13 +29,12 @@ CHANGED: Final = 5
 
 
 def cramer_rao(time_s: Array, frequency_hz: float, amplitude: float, phase: float,
-               noise: float, drift: int = 1) -> tuple[float, float]:
-    """Return the Cramér-Rao bounds of frequency (Hz) and amplitude in white noise."""
+               noise: float) -> tuple[float, float]:
+    """Return the Cramér-Rao bounds of frequency (Hz) and amplitude in white noise on a drift."""
     t = time_s - time_s.mean()
     angle = 2.0 * np.pi * frequency_hz * t + phase
     jacobian = np.column_stack([-amplitude * 2.0 * np.pi * t * np.sin(angle),
-                                -amplitude * np.sin(angle), np.cos(angle),
-                                *[t**k for k in range(drift + 1)]])
+                                -amplitude * np.sin(angle), np.cos(angle), np.ones(len(t)), t])
     bound = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * noise
     return float(bound[0]), float(bound[2])
 

@@ -5,9 +5,10 @@ from typing import Final
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.drives import drives
-from asi_analysis.measures.record import Array, reduce
+from asi_analysis.measures.record import reduce
 from asi_analysis.measures.sinusoid import (
     HarmonicFit,
     analytic_signal,
@@ -26,8 +27,8 @@ AT_LIMIT: Final = 0.25
 # Past samples from which the command is predicted, and most samples that are used.
 LAGS: Final = 6
 MOST_SAMPLES: Final = 20_000
-# Share of the command's variance below which nothing in it is new: rounding.
-NOTHING_NEW: Final = 1e-12
+# Share of the command's variance below which its innovation is rounding.
+NO_INNOVATION: Final = 1e-12
 
 
 def moving(run: Run, start_s: float, end_s: float) -> Iterator[tuple[str, tuple[Array, Array]]]:
@@ -129,14 +130,15 @@ def quantisation(values: Array) -> float:
     return float(np.median(np.diff(levels)))
 
 
-def told_by_output(run: Run, name: str, start_s: float, end_s: float, frequency_hz: float
-                   ) -> float | None:
+def explained_by_output(run: Run, name: str, start_s: float, end_s: float, frequency_hz: float
+                        ) -> float | None:
     """
-    Return the share of what is new in the command that the output tells: near 1 in a closed loop.
+    Return the share of the command's innovation that the output explains: near 1 in a closed loop.
 
-    What is new is the error of a prediction of the command from its own past, the last samples and
-    those one cycle ago; it is told by the output up to the same sample (Granger, Econometrica 37,
-    1969). Without feedback the output tells nothing. None without a command that moves.
+    The innovation is the error of a linear prediction of the command from its own past: the last
+    samples and those one cycle ago. In a closed loop the output up to the same sample explains it
+    (Granger causality: Granger, Econometrica 37, 1969), without feedback it explains nothing. None
+    without a command that moves.
     """
     inside = run.between(start_s, end_s + 0.5 * run.period_s)
     if inside.command_n is None or name == 'command':
@@ -159,5 +161,5 @@ def told_by_output(run: Run, name: str, start_s: float, end_s: float, frequency_
         return float(left @ left) / max(len(left) - given.shape[1], 1)
 
     alone = error(own)
-    # A command that its own past tells entirely has nothing new.
-    return max(1.0 - error([*own, seen[cycle:]]) / alone, 0.0) if alone > NOTHING_NEW else 0.0
+    # A command that its own past predicts exactly has no innovation.
+    return max(1.0 - error([*own, seen[cycle:]]) / alone, 0.0) if alone > NO_INNOVATION else 0.0

@@ -3,12 +3,10 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from asi_analysis.arrays import Array
 from asi_analysis.measures.sinusoid import least_squares
-
-Array = npt.NDArray[np.float64]
 
 MOST_WINDOWS: Final = 250
 # Windows for the decay of the swing; with more of them noise has more influence.

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asi_analysis.bags.run import Array, Run
+from asi_analysis.arrays import Array, Mask
+from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.verdict import response_of
-from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, WIDTH_IN, style
+from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, drawing
 
 COLOUR: Final = {'limit_cycle': ORANGE, 'saturating': PURPLE, 'forced': GREEN,
                  'decaying': BLUE, 'growing': BLUE, 'noise': GREY, 'unsteady': GREY}
@@ -31,8 +31,7 @@ def draw(run: Run, document: dict[str, Any]) -> Figure:
     oscillations = [s for s in segments if s['frequency_hz'] is not None]
     name, values = response_of(run, segments[0]['signal'])
     label, unit = name.replace('_', ' '), run.unit(name)
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 5.6 if oscillations else 2.8), layout='constrained')
+    with drawing(5.6 if oscillations else 2.8) as figure:
         axes = figure.subplots(2 if oscillations else 1, 1, squeeze=False)[:, 0]
         _in_time(axes[0], run, values, segments)
         axes[0].set(xlabel='time (s)', ylabel=f'{label} ({unit})')
@@ -43,7 +42,7 @@ def draw(run: Run, document: dict[str, Any]) -> Figure:
         return figure
 
 
-def _part(run: Run, segment: dict[str, Any]) -> npt.NDArray[np.bool_]:
+def _part(run: Run, segment: dict[str, Any]) -> Mask:
     return (run.time_s >= segment['start_s']) & (run.time_s <= segment['end_s'])
 
 

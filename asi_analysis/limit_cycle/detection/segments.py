@@ -3,17 +3,15 @@
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.limit_cycle.detection.envelope import Envelope
 from asi_analysis.measures.quality import without_spikes
-
-Array = npt.NDArray[np.float64]
 
 # Least number of windows in a piece, and penalty of one more piece.
 SHORTEST_PIECE: Final = 3
 PENALTY: Final = 6.0
-# The first window is cut off if its residual is so many times the median: a transient.
+# The first window is cut off, as a transient, if its residual is this multiple of the median.
 TRANSIENT: Final = 5.0
 
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.measures.noise import autoregression, surrogates
-from asi_analysis.measures.record import Array
 from asi_analysis.measures.sinusoid import analytic_signal, on_grid
 
 SURROGATES: Final = 200

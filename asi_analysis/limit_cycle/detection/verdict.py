@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy import integrate, stats
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import OUTPUTS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
@@ -20,7 +21,7 @@ from asi_analysis.limit_cycle.detection import segments as seg
 from asi_analysis.limit_cycle.detection.steadiness import steadiness
 from asi_analysis.measures.noise import Autoregression, autoregression
 from asi_analysis.measures.quality import check_size, check_time
-from asi_analysis.measures.record import Array, reduce
+from asi_analysis.measures.record import reduce
 from asi_analysis.measures.sinusoid import (
     HarmonicFit,
     analytic_signal,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop.harmonic_balance import Loop
 from asi_analysis.loop.one_harmonic import COMMANDS_N, OneHarmonic, piston_response
-from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, WIDTH_IN, style
+from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, drawing
 
 MARKED_HZ = (50, 80, 100, 130, 200)
 MARKED_N = (100, 2000, 8000)
@@ -30,8 +30,7 @@ def nyquist(loop: Loop, frequency_hz: float) -> Figure:
 
     frequency_hz: at which N is evaluated, because N depends on amplitude and frequency.
     """
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 7.0), layout='constrained')
+    with drawing(7.0) as figure:
         above, below = figure.subplots(2, 1)
         _of_hysteresis(above, loop, frequency_hz)
         _of_damping(below, loop)
@@ -68,7 +67,7 @@ def _of_damping(axes: Axes, loop: Loop) -> None:
             OneHarmonic(loop, held=True), np.geomspace(30.0, 400.0, 4000), friction)
         axes.plot(response.real, response.imag, color=colour, label=name)
     velocities = np.geomspace(0.01, 2.0, 60)
-    inverse = -1e3 / np.array([describing.damping(v, 0.0, loop.plant).real for v in velocities])
+    inverse = -1e3 / np.array([describing.damping(v, 0.0, loop.plant) for v in velocities])
     axes.plot(inverse, np.zeros_like(velocities), color=ORANGE, linewidth=3,
               label='-1/D(A), damping, 0.01 to 2 m/s')
     axes.set(title='damping and friction: on the real axis', xlabel='real part ((m/s)/kN)',
@@ -77,8 +76,7 @@ def _of_damping(axes: Axes, loop: Loop) -> None:
 
 def branches(document: dict[str, Any]) -> Figure:
     """Draw amplitude and frequency of the predicted and the simulated cycles over the gain."""
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 5.6), layout='constrained')
+    with drawing(5.6) as figure:
         above, below = figure.subplots(2, 1, sharex=True)
         for method, colour, mark in (('describing_function', GREY, '-'),
                                      ('harmonic_balance', BLUE, '-'), ('simulation', ORANGE, '.')):
@@ -102,8 +100,7 @@ def branches(document: dict[str, Any]) -> Figure:
 def onsets(document: dict[str, Any]) -> Figure:
     """Draw onset gain and frequency over the size of the step (Fig. 7)."""
     rows = document['onset_by_step']
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 4.6), layout='constrained')
+    with drawing(4.6) as figure:
         above, below = figure.subplots(2, 1, sharex=True)
         for kind, colour, mark in (('predicted', BLUE, 'o-'), ('simulated', ORANGE, 's--')):
             for axes, quantity in ((above, 'gain'), (below, 'frequency_hz')):

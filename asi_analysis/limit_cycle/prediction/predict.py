@@ -20,13 +20,7 @@ from asi_analysis.loop.one_harmonic import (
     stable,
 )
 from asi_analysis.loop.onset import branch, fold, onset, user_gain, with_gain
-from asi_analysis.loop.simulation import (
-    Values,
-    loop_of,
-    step_run,
-    sustained,
-    with_mean_friction,
-)
+from asi_analysis.loop.simulation import Values, loop_of, step_run, sustained, with_mean_friction
 from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
 from asi_analysis.terminal import Progress, silent

@@ -1,6 +1,5 @@
 """`asi quench`: limit-cycle margin of a compensator, and conditions under which it cycles."""
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +10,7 @@ from asi_analysis.limit_cycle.quench.design import design
 from asi_analysis.limit_cycle.quench.dither import dither
 from asi_analysis.limit_cycle.quench.margin import LOADS, margin
 from asi_analysis.loop.simulation import Values, step_run, sustained
-from asi_analysis.reporting.result import Pictures, Result, Table, filled, table_of
+from asi_analysis.reporting.result import Pictures, Result, Table, filled, finite, table_of
 from asi_analysis.terminal import Progress, silent
 
 WORST: Final = 5
@@ -99,7 +98,7 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
         'margin_at': {'amplitude_n': found.amplitude_n, 'bias_n': found.bias_n,
                       'frequency_hz': found.frequency_hz, 'load': found.load},
         'conditions_tried': count, 'sustained_found': len(cycling),
-        'worst_amplitude_n': _finite(cycling[0].amplitude_n) if cycling else 0.0,
+        'worst_amplitude_n': finite(cycling[0].amplitude_n) if cycling else 0.0,
         'worst': [_trial(trial, tuple(rates_hz), actuator) for trial in trials[:WORST]],
         'replayed': [], 'dither': [], 'design': None}
     if replayed:
@@ -123,11 +122,7 @@ def _load(actuator: Values) -> str:
     return f'{kind}, {spring}{actuator["load.mass"]:.2g} kg'
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _trial(trial: Trial, rates_hz: tuple[float, ...], actuator: Values) -> dict[str, Any]:
-    return {'amplitude_n': _finite(trial.amplitude_n), 'sustained': trial.sustained,
-            'frequency_hz': _finite(trial.found.frequency_hz),
+    return {'amplitude_n': finite(trial.amplitude_n), 'sustained': trial.sustained,
+            'frequency_hz': finite(trial.found.frequency_hz),
             'condition': trial.condition.settings(rates_hz, actuator)}

@@ -14,7 +14,7 @@ from asi_analysis.limit_cycle.quench.margin import (
     plant,
 )
 from asi_analysis.loop.simulation import Values, loop_of
-from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, WIDTH_IN, style
+from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, drawing
 from asi_controller.compensator import frequency_response
 
 
@@ -24,8 +24,7 @@ def draw(actuator: Values, controller: Values, document: dict[str, Any]) -> Figu
     loop = loop_of(actuator, controller, rate)
     compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate)
     table = hysteresis_table(as_record(actuator), loop.compensator)
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 7.4 if curve else 4.2), layout='constrained')
+    with drawing(7.4 if curve else 4.2) as figure:
         axes = figure.subplots(2 if curve else 1, 1, squeeze=False)[:, 0]
         for name, load in LOADS.items():
             response = compensated * plant(as_record({**actuator, **load}), at['bias_n'],

@@ -10,16 +10,13 @@ from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.parameters import as_record
+from asi_analysis.arrays import Complex
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.simulation import Values, loop_of
 from asi_controller.compensator import frequency_response
-
-Complex = npt.NDArray[np.complex128]
-Array = npt.NDArray[np.float64]
 
 FREQUENCIES_HZ: Final = np.geomspace(0.5, 2000.0, 700)
 # N is computed on this coarser grid and interpolated, as it varies slowly with frequency.

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.free_parameter import Scale, to_values, to_vector
 from asi_analysis.paper.calibration import ensemble_figures
@@ -30,8 +30,6 @@ from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import write_text
 from asi_common.parameter_file import write_parameters
-
-Array = npt.NDArray[np.float64]
 
 SLOPE_STEP: Final = 0.02
 # Members differ from each other by at least this share of the range of some parameter.

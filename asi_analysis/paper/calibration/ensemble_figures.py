@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asi_analysis.paper.calibration.quantities import FREE, PHYSICAL
-from asi_analysis.reporting.figures import BLUE, ORANGE, WIDTH_IN, style
+from asi_analysis.reporting.figures import BLUE, ORANGE, drawing
 
 PAIRED_PARAMETERS = 8
 
@@ -17,8 +17,7 @@ def _share(member: Mapping[str, float], k: int) -> float:
 
 def spread(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> Figure:
     """Draw the position of the members in the range of each parameter, 0 to 1."""
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 0.24 * len(PHYSICAL) + 0.8), layout='constrained')
+    with drawing(0.24 * len(PHYSICAL) + 0.8) as figure:
         axes = figure.subplots()
         for row, k in enumerate(PHYSICAL):
             axes.plot([_share(member, k) for member in found], [row] * len(found), 'o',
@@ -35,8 +34,7 @@ def pairs(found: Sequence[Mapping[str, float]], best: Mapping[str, float]) -> Fi
     """Draw the parameters with the largest spread against each other."""
     shares = np.array([[_share(member, k) for k in PHYSICAL] for member in found])
     widest = np.argsort(-shares.std(axis=0))[:PAIRED_PARAMETERS]
-    with style():
-        figure = Figure(figsize=(9.0, 9.0), layout='constrained')
+    with drawing(9.0, 9.0) as figure:
         grid = figure.subplots(len(widest), len(widest), sharex='col')
         for i, down in enumerate(widest):
             for j, across in enumerate(widest):

@@ -17,7 +17,7 @@ from asi_analysis.paper.calibration.search import new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured, Row
 from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
-from asi_analysis.reporting.figures import BLUE, WIDTH_IN, save, style
+from asi_analysis.reporting.figures import BLUE, drawing, save
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import write_text
@@ -73,8 +73,7 @@ def table(name: str, points: Sequence[FrontPoint]) -> str:
 
 def picture(name: str, points: Sequence[FrontPoint]) -> Figure:
     """Draw the cost against the quantity, with the number of rows that are not met."""
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 2.8), layout='constrained')
+    with drawing(2.8) as figure:
         axes = figure.subplots()
         axes.plot([each.value for each in points], [each.cost for each in points], 'o-',
                   color=BLUE)

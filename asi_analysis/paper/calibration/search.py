@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.loop.bench import Values
@@ -36,8 +36,6 @@ from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import replacing
-
-Array = npt.NDArray[np.float64]
 
 # For the search only: coarser, but near the aims every row changes by less than a tenth of its
 # limits.

@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.bench import RATE_HZ, Array, Bench, Values, open_loop
+from asi_analysis.arrays import Array
+from asi_analysis.loop.bench import RATE_HZ, Bench, Values, open_loop
 
 # A sine is projected over whole periods, after at least this long.
 SETTLING_S: Final = 0.1

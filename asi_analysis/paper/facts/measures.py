@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from asi_actuator.parameters import as_record
 from asi_analysis.loop.bench import BEFORE_S, RATE_HZ, Runner, Values, in_process, step_experiment
 from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.loop.one_harmonic import (
@@ -131,34 +130,34 @@ def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,
     return measured
 
 
-def high_gain_cycle(actuator: Values, conditions: Conditions, onset_gain: float,
-                    runner: Runner = in_process, refinement: int = 1) -> Measured:
+def high_gain_cycle(setup: Setup) -> Measured:
     """Return the cycle of Fig. 6: frequency, amplitude, distortion and largest valve opening."""
-    if not math.isfinite(onset_gain):
+    conditions, gain = setup.conditions, onset_gain(setup)
+    if not math.isfinite(gain):
         return {'cycle_frequency_hz': 0.0, 'cycle_thd_percent': 100.0, 'cycle_amplitude_n': 0.0,
                 'cycle_peak_valve_percent': 100.0}
-    run = runner(step_experiment(
-        {**actuator, **LOCKED}, _gain(conditions, conditions.cycle_gain * onset_gain),
-        conditions.cycle_step_n, refinement * CYCLE_S))
-    last = refinement * LAST_SAMPLES
+    run = setup.runner(step_experiment(
+        {**setup.actuator, **LOCKED}, _gain(conditions, conditions.cycle_gain * gain),
+        conditions.cycle_step_n, setup.refinement * CYCLE_S))
+    last = setup.refinement * LAST_SAMPLES
     found = of_samples(run.force_n[-last:], RATE_HZ)
-    full = float(as_record(actuator)['valve_characteristic_full_opening'])
+    full = float(setup.record()['valve_characteristic_full_opening'])
     return {'cycle_frequency_hz': found.frequency_hz, 'cycle_amplitude_n': found.amplitude_n,
             'cycle_thd_percent': 100.0 * found.thd,
             'cycle_peak_valve_percent':
                 100.0 * float(np.abs(run.valve_position_m[-last:]).max()) / full}
 
 
-def onset_ratio(actuator: Values, conditions: Conditions, changes: Mapping[str, Value],
-                onset_gain: float, highest: float, accuracy: float) -> float:
-    """Return the onset gain of a changed actuator over `onset_gain`, at most `highest`."""
-    if not math.isfinite(onset_gain):
+def onset_ratio(setup: Setup, changes: Mapping[str, Value]) -> float:
+    """Return the onset gain of a changed actuator over its own, at most HIGHEST_RATIO."""
+    conditions, gain = setup.conditions, onset_gain(setup)
+    if not math.isfinite(gain):
         return 0.0
-    found = onset({**actuator, **LOCKED, **changes},
-                  step_settings(conditions, onset_gain, conditions.cycle_step_n),
-                  RATE_HZ, onset_gain, accuracy, conditions.onset_watched_s, highest,
+    found = onset({**setup.actuator, **LOCKED, **changes},
+                  step_settings(conditions, gain, conditions.cycle_step_n), RATE_HZ, gain,
+                  conditions.ratio_accuracy, conditions.onset_watched_s, HIGHEST_RATIO,
                   conditions.first_watched_s)
-    return min(found.gain / onset_gain, highest) if found else highest
+    return min(found.gain / gain, HIGHEST_RATIO) if found else HIGHEST_RATIO
 
 
 def paper_prediction(actuator: Values, samples: int = SAMPLES) -> tuple[
@@ -173,14 +172,15 @@ def paper_prediction(actuator: Values, samples: int = SAMPLES) -> tuple[
     return of, locus(of, PREDICTED_N)
 
 
-def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float) -> Measured:
+def prediction_error(setup: Setup) -> Measured:
     """
     Return ratios of the one-harmonic prediction to the simulated cycle, from the onset to Kp = 15.
 
     Frequency: the worst ratio, as a number above 1. Amplitude, at Kp = 15: predicted over
     simulated, and simulated without damping and friction over simulated with them.
     """
-    of, rows = paper_prediction(actuator, conditions.describing_samples)
+    conditions = setup.conditions
+    of, rows = paper_prediction(setup.actuator, conditions.describing_samples)
     first = first_intersection(of, rows)
 
     def predicted(gain: float) -> Intersection:
@@ -188,11 +188,11 @@ def prediction_error(actuator: Values, conditions: Conditions, onset_gain: float
 
     def simulated(gain: float, changes: Mapping[str, Value]) -> Oscillation | None:
         return sustained(step_run(
-            {**actuator, **LOCKED, **changes},
+            {**setup.actuator, **LOCKED, **changes},
             step_settings(conditions, gain, conditions.cycle_step_n), RATE_HZ,
             conditions.onset_watched_s, conditions.first_watched_s))
 
-    low = max(conditions.cycle_gain * min(onset_gain, PAPER_GAIN), first.gain)
+    low = max(conditions.cycle_gain * min(onset_gain(setup), PAPER_GAIN), first.gain)
     ratios = []
     for gain in np.linspace(low, PAPER_GAIN, 3):
         found = simulated(gain, {})

@@ -6,7 +6,8 @@ import numpy as np
 
 from asi_actuator.model.actuator import rest, simulate
 from asi_actuator.parameters import as_record
-from asi_analysis.loop.bench import RATE_HZ, Array, Values, open_loop
+from asi_analysis.arrays import Array
+from asi_analysis.loop.bench import RATE_HZ, Values, open_loop
 from asi_analysis.paper.facts.conditions import LOCKED
 
 # The family of Fig. 3: valve positions as shares of full opening, up to a speed.

@@ -1,9 +1,8 @@
 """The result of `asi reproduce`: every published fact compared with the simulator."""
 
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.run import SIGNALS
@@ -17,7 +16,7 @@ from asi_analysis.paper.facts.converged import Converged
 from asi_analysis.paper.facts.fact import Fact, Measured, Row, Setup
 from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS, measure, met
 from asi_analysis.paper.reproduction.table_1 import columns_alone
-from asi_analysis.reporting.result import Pictures, Result, Table, table_of
+from asi_analysis.reporting.result import Pictures, Result, Table, finite, table_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 
@@ -76,7 +75,7 @@ class Reproduction(Result):
 
     def repeat_over_ros(self, out: Path, report: Progress = silent) -> None:
         """Measure the closed-loop rows again with the real nodes, one bag each in `out`."""
-        self['over_ros'] = [as_dict(each) for each in over_ros(self, out, report)]
+        self['over_ros'] = over_ros(self, out, report)
 
 
 def reproduce_paper(actuator: Values | None = None, conditions: Conditions | None = None,
@@ -111,32 +110,20 @@ def _as_document(fact: Fact, row: Row, setup: Setup, measured: Mapping[str, Conv
     figure = measured[row.name]
     return {
         'id': fact.id, 'quantity': row.quantity, 'published': row.published,
-        'simulated': _finite(figure.value), 'refined': _finite(figure.refined),
-        'change_percent': _finite(100.0 * figure.relative_change), 'note': figure.note,
+        'simulated': finite(figure.value), 'refined': finite(figure.refined),
+        'change_percent': finite(100.0 * figure.relative_change), 'note': figure.note,
         'unit': row.unit, 'tolerance': row.tolerance, 'met': met(row, measured),
         'section': row.section, 'conditions': fact.conditions(setup), 'method': fact.method,
         'role': str(row.role)}
 
 
-class Comparison(NamedTuple):
-    """One value, measured over ROS and in this process."""
-
-    value: str
-    in_process: float
-    over_ros: float
-
-    @property
-    def equal(self) -> bool:
-        return self.in_process == self.over_ros
-
-
-def over_ros(result: Reproduction, out: Path,
-             report: Progress = silent) -> list[Comparison]:
+def over_ros(result: Reproduction, out: Path, report: Progress = silent) -> list[dict[str, Any]]:
     """
     Measure the closed-loop rows again with the real nodes in lock-step, one bag each in `out`.
 
-    Lock-step is the same calculation, so every value must be equal to the last bit. Raises the
-    errors of `run_experiment`, and RunFailedError for an incomplete bag.
+    Return each value with that in this process, by the keys of doc/reference/json.md. Lock-step is
+    the same calculation, so every value must be equal to the last bit. Raises the errors of
+    `run_experiment`, and RunFailedError for an incomplete bag.
     """
     def runner(experiment: Experiment) -> LoopRun:
         number = len(list(out.iterdir())) if out.exists() else 0
@@ -153,15 +140,6 @@ def over_ros(result: Reproduction, out: Path,
     for fact in FACTS:
         if fact.over_ros:
             again.update(fact.over_ros(setup))
-    return [Comparison(name, result.measured[name].value, float(value))
-            for name, value in again.items()]
-
-
-def as_dict(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison with the keys of doc/reference/json.md."""
-    return {key: _finite(value) for key, value in comparison._asdict().items()} | {
-        'equal': comparison.equal}
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    pairs = {name: (result.measured[name].value, float(value)) for name, value in again.items()}
+    return [{'value': name, 'in_process': finite(here), 'over_ros': finite(there),
+             'equal': here == there} for name, (here, there) in pairs.items()]

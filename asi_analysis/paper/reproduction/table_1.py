@@ -13,7 +13,7 @@ from asi_analysis.paper.facts.conditions import LOCKED
 from asi_analysis.paper.facts.fact import Measured, Row, Setup
 from asi_analysis.paper.facts.table import FACTS
 from asi_analysis.paper.facts.table_1 import load_in_words, step_test
-from asi_analysis.reporting.figures import COLOURS, style
+from asi_analysis.reporting.figures import COLOURS, drawing
 from asi_common.parameter import Value
 
 # The columns by their facts and fields of `Conditions`, each at the condition found for it alone.
@@ -66,8 +66,7 @@ def figure_of_sweep(setup: Setup) -> Figure:
                                     'load.stiffness': 2e5, 'load.damping': 20.0}),
         PROPORTIONAL._replace(load=LOCKED))}
     found = sweep(setup, loads)
-    with style():
-        figure = Figure(figsize=(9.0, 9.0), layout='constrained')
+    with drawing(9.0, 9.0) as figure:
         grid = figure.subplots(4, 3, sharex=True)
         for across, (id_, _) in enumerate(ALONE.items()):
             for down, row in enumerate(_rows(id_)[:4]):

@@ -27,6 +27,7 @@ from asi_analysis.bags.exchange import bag_table
 from asi_analysis.bags.exchange.importing import import_recording, read_joint, read_joints
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.measures.analysis import analyze
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TIME = STORE.types['builtin_interfaces/msg/Time']
@@ -237,6 +238,49 @@ def test_stamps_of_another_time_and_lost_messages_are_told(
             published, stamped or published, strict=True)]})
     with pytest.warns(InputWarning, match=told):
         read_bag(bag)
+
+
+def numbered_bag(path: Path, numbers: Sequence[int], other: Sequence[int]) -> Path:
+    """Write forces with these numbers, and as many references."""
+    writer = BagWriter(path)
+    for topic, series in (('/force', numbers), ('/force_reference', other)):
+        channel = writer.add_topic(topic, STAMPED)
+        for number, tick in enumerate(series):
+            stamp_ns = 10**6 * (number + 1)
+            writer.write(channel, stamp_ns, stamp_ns, tick, wrench(stamp_ns, 1.0))
+    writer.close()
+    return path
+
+
+@pytest.mark.parametrize('numbers, other, lost', [
+    ([3, 4, 7, 8, 9], range(1, 6), '2 messages of /force were lost on their way'),
+    ([3, 4, 7, 8, 9], [1, 2, 5, 6, 9], ''),         # one counter for all topics
+    ([3, 4, 1, 2, 9], range(1, 6), ''),             # two publishers
+    (5 * [0], 5 * [0], '')])                        # none
+def test_messages_lost_before_they_were_recorded_are_told(
+        numbers: Sequence[int], other: Sequence[int], lost: str, tmp_path: Path) -> None:
+    bag = numbered_bag(tmp_path / 'bag', numbers, other)
+    with pytest.warns(InputWarning, match=lost) if lost else nullcontext():
+        run = read_bag(bag)
+    assert len(run.problems) == (1 if lost else 0)
+    assert [each['kind'] for each in analyze(run)['quality']] == (['reading'] if lost else [])
+
+
+def test_samples_that_a_node_says_it_has_lost_are_told(tmp_path: Path) -> None:
+    array = 'diagnostic_msgs/msg/DiagnosticArray'
+    status, pair = (STORE.types[f'diagnostic_msgs/msg/{name}'] for name in (
+        'DiagnosticStatus', 'KeyValue'))
+    diagnostics = [(10**6 * k, bytes(STORE.serialize_cdr(STORE.types[array](
+        HEADER(TIME(0, 10**6 * k), ''), [status(0, 'asi_actuator: loop', '', '', [
+            pair('ticks', '9'), pair('lost samples', str(k))])]), array))) for k in (1, 3)]
+    bag = foreign_bag(tmp_path / 'bag', {
+        '/force': [(10**6 * k, wrench(10**6 * k, 1.0)) for k in range(1, 6)],
+        '/diagnostics': diagnostics}, types={'/diagnostics': array})
+    with pytest.warns(InputWarning, match='asi_actuator lost 3 samples'):
+        run = read_bag(bag)
+    finding, = analyze(run)['quality']
+    assert (finding['kind'], finding['severity']) == ('reading', 'note')
+    assert finding['text'].endswith('bag: asi_actuator lost 3 samples')
 
 
 def test_a_command_stamped_as_it_is_sent_belongs_to_the_state_before(tmp_path: Path) -> None:

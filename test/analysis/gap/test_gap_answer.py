@@ -97,13 +97,13 @@ def test_a_parameter_may_have_a_tolerance_of_its_own(tmp_path):
 
 
 def test_words_of_a_joint_have_no_valve():
-    assert with_id('valve_deadband', False) == 'dead band of the valve (valve_deadband)'
-    assert with_id('backlash', False) == 'backlash'
-    named = [in_words(name, True) for name in (*BY_NAME, *BLOCKS)]
+    assert with_id('valve_deadband', 'actuator') == 'dead band of the valve (valve_deadband)'
+    assert with_id('backlash', 'actuator') == 'backlash'
+    named = [in_words(name, 'joint') for name in (*BY_NAME, *BLOCKS)]
     assert not any('valve' in each for each in named)
     torque = Run(np.arange(4.0), command_n=np.zeros(4), position_m=np.zeros(4),
                  information={'signals': {'command': 'Nm', 'position': 'rad'}})
-    assert [unit_of(unit, 'load', torque, True) for unit in ('N', 'N s/m', 'kg', 's')] == [
+    assert [unit_of(unit, 'load', torque, 'joint') for unit in ('N', 'N s/m', 'kg', 's')] == [
         'Nm', 'Nm s/rad', 'Nm s2/rad', 's']
 
 

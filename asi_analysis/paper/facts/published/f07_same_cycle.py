@@ -42,8 +42,7 @@ def _spread(setup: Setup) -> Measured:
 
 def measure(setup: Setup) -> Measured:
     name = 'cycle_peak_valve_percent'
-    known = setup.measured if name in setup.measured else high_gain_cycle(
-        setup.actuator, setup.conditions, onset_gain(setup), refinement=setup.refinement)
+    known = setup.measured if name in setup.measured else high_gain_cycle(setup)
     return {name: known[name], **({} if setup.fitted_only else _spread(setup))}
 
 

@@ -3,7 +3,7 @@
 from typing import Final
 
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Row, Setup, Stage
-from asi_analysis.paper.facts.measures import HIGHEST_RATIO, onset_gain, onset_ratio
+from asi_analysis.paper.facts.measures import HIGHEST_RATIO, onset_ratio
 from asi_analysis.paper.facts.words import locked_loop
 
 HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
@@ -11,9 +11,7 @@ HYSTERESIS_AS_GAIN: Final = {'valve_hysteresis.model': 'linear',
 
 
 def measure(setup: Setup) -> Measured:
-    return {'linear_onset_ratio': onset_ratio(
-        setup.actuator, setup.conditions, HYSTERESIS_AS_GAIN, onset_gain(setup), HIGHEST_RATIO,
-        setup.conditions.ratio_accuracy)}
+    return {'linear_onset_ratio': onset_ratio(setup, HYSTERESIS_AS_GAIN)}
 
 
 FACT = Fact(

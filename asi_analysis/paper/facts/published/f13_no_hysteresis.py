@@ -1,14 +1,13 @@
 """F13: the cycle is due to the hysteresis: without it, there is none near the onset."""
 
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Role, Row, Setup
-from asi_analysis.paper.facts.measures import HIGHEST_RATIO, onset_gain, onset_ratio
+from asi_analysis.paper.facts.measures import HIGHEST_RATIO, onset_ratio
 from asi_analysis.paper.facts.words import locked_loop
 
 
 def measure(setup: Setup) -> Measured:
     return {'no_hysteresis_onset_ratio': onset_ratio(
-        setup.actuator, setup.conditions, {'valve_hysteresis.model': 'off'}, onset_gain(setup),
-        HIGHEST_RATIO, setup.conditions.ratio_accuracy)}
+        setup, {'valve_hysteresis.model': 'off'})}
 
 
 FACT = Fact(

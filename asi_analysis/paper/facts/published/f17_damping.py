@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
-from asi_analysis.loop.bench import Array
+from asi_analysis.arrays import Array
 from asi_analysis.paper.facts.fact import INFINITE, Fact, Measured, Role, Row, Setup, Stage
 from asi_analysis.paper.facts.static import FASTEST_M_S, OPENINGS, damping_sweep
 

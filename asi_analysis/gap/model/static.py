@@ -1,0 +1,521 @@
+"""
+A measured static characteristic: a gain and an offset, from any input to any output.
+
+The input passes, in this order: delay, steps, hysteresis, dead band, two slopes, curvature, gain
+and offset, saturation, lag; drift and disturbance are added. Signals count from the middle of
+their range, so nothing depends on their origin; sizes are in units of their half range, so
+nothing depends on their units.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.model import static_blocks
+from asi_analysis.gap.model.effects import (
+    COMMAND_PATH,
+    MECHANICS,
+    SENSOR,
+    VALVE,
+    Effect,
+    Free,
+    Variant,
+    in_each,
+)
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.predict import for_recordings
+from asi_analysis.gap.parts import reported, split
+from asi_analysis.gap.prepare import Array, Mask, Recording, noise_of, recorded, uniform
+from asi_common.parameter import Value
+
+CHANNEL: Final = 'static'
+# Signals that may be the input, and the output, the likeliest first.
+INPUTS: Final = ('command', 'reference', 'valve_position', 'position', 'force')
+OUTPUTS: Final = ('pressure', 'force', 'velocity', 'position', 'valve_position')
+GIVEN: Final = ('gain', 'offset')   # the nominal parameters
+MOST_SAMPLES: Final = 6000          # of all recordings; of more, means of neighbours are taken
+FEWEST: Final = 100
+# Of the coarse search for a dead band and for two slopes: samples, half widths and centres.
+END: Final = 0.97    # of the range: where a dead band must have ended
+SEARCHED: Final = 400
+WIDTHS: Final = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45)
+CENTRES: Final = tuple(round(0.08 * number, 2) for number in range(-10, 11))
+MODEL_ERROR: Final = 0.003          # of the output (rms): general error of any model
+TURN: Final = 0.05    # of the range: a smaller reversal of the input is noise
+REPEATS: Final = 0.05   # of the range (rms): how well an input must repeat its cycle
+IN_STEP, IN_STEP_SLOW = 0.2, 0.5   # of 1 / duration: a wave so near a harmonic is one
+LINE: Final = 0.5     # of the power: a line of so much is a disturbance, no noise
+SAME_RATE: Final = 1.4   # ratio of the rates of two passes that cannot be told apart
+REST: Final = 0.05    # of the time: an input that rests for so long lets a lag end
+SLOW: Final = 0.1     # of the usual rate: what is slower is at rest
+SLOW_OF_SINE: Final = 2.0 / math.pi * math.asin(SLOW * 2.0 / math.pi)   # share of a sine
+# Numbers of parts of a recording; prime, so that no cycle fits.
+DIVISIONS: Final = (13, 17, 19, 23, 29, 31, 37, 41, 43)
+SHORTEST_PART_S: Final = 0.2
+BINS: Final = 6
+STRETCHES: Final = 12   # of a cycle, in which noise is measured
+HELD: Final = 0.5     # of the time: an input that rests for so long comes in steps itself
+CLEAR: Final = 2.0    # times its noise (rms) that the output must move
+FAINT: Final = 5e-4   # of its range: noise of a measured input that needs no smoothing
+SMOOTHED: Final = 0.01   # of a cycle: over which an input is smoothed at most
+
+# Sizes of effects that count from the origin of a signal.
+ABSOLUTE: Final = {'deadband_centre': 'input', 'asymmetry_centre': 'input',
+                   'limit_above': 'output', 'limit_below': 'output'}
+
+
+def _effect(name: str, block: str, description: str, *variants: tuple[Free, ...] | Variant,
+            exact: bool = True) -> Effect:
+    return Effect(name, block, description, tuple(
+        each if isinstance(each, Variant) else Variant(each, (CHANNEL,)) for each in variants),
+        exact)
+
+
+_LOOP = Free('loop_width', 0.0, 0.8, (0.006, 0.02, 0.06, 0.15), 'command', 'input')
+_BEGIN = Free('loop_start', -1.0, 1.0, (0.0,))
+_BAND = (Free('command_deadband', 0.0, 0.8, (0.02, 0.06, 0.2, 0.4), 'command', 'input'),
+         Free('deadband_centre', -0.9, 0.9, (0.0, 0.3, -0.3), 'command', 'input'))
+_CURVE = (Free('curve_square', -0.6, 0.6, (0.05, -0.05)),
+          Free('curve_cube', -0.6, 0.6, (0.05, -0.05)))
+_ABOVE = Free('limit_above', 0.6, 1.1, (0.97, 0.85), 'valve_position', 'output')
+_BELOW = Free('limit_below', -1.1, -0.6, (-0.97, -0.85), 'valve_position', 'output')
+_CORNER = Free('corner', 0.0, 0.2, (0.03, 0.1))
+
+
+EFFECTS: Final = (
+    _effect('transport_delay', COMMAND_PATH, 'the output comes later', (
+        Free('command_delay', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's'),)),
+    _effect('command_quantisation', COMMAND_PATH, 'the input acts in steps', (
+        Free('command_quantum', 0.99, 1.01, (1.0,), 'residual_step', 'input'),
+        Free('command_phase', 0.4, 1.6, (1.0, 0.75, 1.25, 0.55), 'residual_step_phase', 'turns'),
+        Free('command_edge', 0.0, 0.3, (0.05,)))),
+    _effect(
+        'valve_hysteresis', VALVE, 'the way up and the way down differ, however slow',
+        Variant((_LOOP, _BEGIN), (CHANNEL,), (('loop_share', 1.0), ('loop_spread', 0.0))),
+        (_LOOP, _BEGIN, Free('loop_share', 0.03, 1.0, (0.9, 0.3)),
+         Free('loop_spread', 0.0, 1.0, (0.7, 0.3)), Free('loop_skew', -0.9, 0.9, (0.0,))),
+        exact=False),
+    _effect(
+        'valve_deadband', VALVE, 'the output stands still about a value of the input',
+        _BAND, (*_BAND, Free('deadband_slope', 0.0, 0.5, (0.1,)))),
+    _effect(
+        'valve_saturation', VALVE, 'the output goes only so far',
+        (_ABOVE, _BELOW, _CORNER), (_ABOVE, _CORNER), (_BELOW, _CORNER)),
+    # One gain that changes, at a point or everywhere: not both.
+    _effect('gain_asymmetry', VALVE, 'the gain to one side is not that to the other', Variant(
+        (Free('gain_asymmetry', -0.8, 0.8, (0.1, -0.1)),
+         Free('asymmetry_centre', -0.8, 0.8, (0.0, 0.3, -0.3), 'command', 'input')),
+        (CHANNEL,), (('bend', 1.0),))),
+    _effect('curvature', VALVE, 'the characteristic is bent', *(
+        Variant(frees, (CHANNEL,), (('bend', 2.0),)) for frees in (_CURVE, (
+            *_CURVE, Free('curve_fourth', -0.6, 0.6, (0.02,)),
+            Free('curve_fifth', -0.6, 0.6, (0.02,))))), exact=False),
+    _effect('valve_lag', VALVE, 'the output follows with a lag', (
+        Free('valve_lag', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's'),),
+        (Free('valve_lag', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's'),
+         Free('valve_lag_split', 0.0, 0.5, (0.2,)))),
+    _effect(
+        'disturbance_force', MECHANICS, 'something else acts on the output',
+        (Free('disturbance_wave', 0.0, 1.0, (0.05,), 'valve_position', 'output'),
+         Free('disturbance_phase', 0.5, 1.5, (1.0,), 'residual_phase', 'turns'),
+         Free('disturbance_frequency', 0.98, 1.02, (1.0,), 'residual_frequency', 'Hz')),
+        (Free('disturbance_pulse', -2.0, 2.0, (0.05, -0.05), 'valve_position', 'output'),
+         Free('disturbance_start', 0.997, 1.003, (1.0,), 'residual_start', 's'),
+         Free('disturbance_end', 0.997, 1.003, (1.0,), 'residual_end', 's'))),
+    _effect('sensor_drift', SENSOR, 'the output wanders', (
+        Free('sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'output/s'),
+        Free('sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'output/s2'),
+        Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'output/s3')), exact=False),
+)
+# Of several recordings: each has its own zero too.
+SHIFT = Free('sensor_offset', -1.0, 1.0, (0.0,), 'valve_position', 'output')
+GAIN = _effect('sensor_gain', SENSOR, 'the gain is another', (
+    Free('gain', -10.0, 10.0, (1.1, 0.9), 'slope', 'output/input'),))
+OFFSET = _effect('sensor_offset', SENSOR, 'the output is shifted', (
+    Free('offset', -5.0, 5.0, (0.02, -0.02), 'valve_position', 'output'),))
+
+
+def static_signals(run: Run, wanted_in: str | None = None, wanted_out: str | None = None
+                   ) -> tuple[str, str]:
+    """
+    Return the names of input and output: as wanted, else the likeliest of those recorded.
+
+    Raises InputError if there are not two that move.
+    """
+    chosen = run.information.get('characteristic', {})
+    wanted_in, wanted_out = wanted_in or chosen.get('input'), wanted_out or chosen.get('output')
+    moving = [name for name, values in run.signals().items()
+              if np.nanmax(values) > np.nanmin(values)]
+    for name in (wanted_in, wanted_out):
+        if name is not None and name not in moving:
+            raise InputError(f'{run.source}: no {name} that moves; there are: '
+                             + (', '.join(moving) or 'none'))
+    given = wanted_in or next((n for n in INPUTS if n in moving and n != wanted_out), None)
+    got = wanted_out or next((n for n in OUTPUTS if n in moving and n != given), None)
+    if given is None or got is None or given == got:
+        raise InputError(f'{run.source}: a characteristic takes an input and an output that move; '
+                         f'there are: {", ".join(moving) or "none"}')
+    return given, got
+
+
+def turning_points(values: Array, least: float = TURN) -> list[int]:
+    """Return the samples at which a signal turns by more than a share of its range."""
+    threshold = least * float(np.ptp(values))
+    turns, extreme, way = [0], 0, 0
+    for k in range(1, values.size):
+        ahead = values[k] - values[extreme]
+        if way == 0:
+            if abs(ahead) > threshold:
+                way, extreme = 1 if ahead > 0.0 else -1, k
+        elif ahead * way >= 0.0:
+            extreme = k
+        elif abs(ahead) > threshold:
+            turns.append(extreme)
+            way, extreme = -way, k
+    return [*turns, extreme] if way else turns
+
+
+def passes(recording: Recording) -> list[tuple[int, int]]:
+    """Return the stretches of samples over which the input moves one way."""
+    assert recording.command is not None
+    return list(itertools.pairwise(turning_points(recording.command)))
+
+
+def rates(recording: Recording) -> Array:
+    """Return the mean speed of the input (units/s) in each of its passes."""
+    assert recording.command is not None
+    return np.array([abs(recording.command[end] - recording.command[start])
+                     / ((end - start) * recording.period_s)
+                     for start, end in passes(recording)])
+
+
+def one_rate(recordings: Sequence[Recording]) -> bool:
+    """Return whether the input moves at one speed only, and never rests: see `SAME_RATE`."""
+    found = np.concatenate([rates(r) for r in recordings])
+    if found.size == 0:
+        return True
+    if any(_at_rest(r) > REST + SLOW_OF_SINE for r in recordings):
+        return False
+    return bool(found.max() < SAME_RATE * float(np.quantile(found, 0.1)))
+
+
+def _at_rest(recording: Recording) -> float:
+    """Return the share of the time in which the input hardly moves, for its passes."""
+    assert recording.command is not None
+    usual = float(np.median(rates(recording))) if len(passes(recording)) else 0.0
+    return float(np.mean(np.abs(np.gradient(recording.command, recording.period_s))
+                         <= SLOW * usual))
+
+
+def _to_and_fro(given: Array) -> float:
+    """Return how many samples an input takes to and fro; 0: it does not come back."""
+    turns = np.array(turning_points(given)[1:-1])
+    if turns.size < 2:
+        return 0.0
+    return float(np.median(turns[2:] - turns[:-2]) if turns.size > 2 else 2 * np.diff(turns)[0])
+
+
+def cycle(given: Array) -> int:
+    """Return after how many samples an input repeats; 0: it does not, or less than twice."""
+    guess = int(_to_and_fro(given))
+    if not guess:
+        return 0
+    span = float(np.ptp(given))
+
+    def missed(lag: int) -> float:
+        return float(np.sqrt(np.mean((given[lag:] - given[:-lag]) ** 2))) / span
+
+    near = range(max(int(0.97 * guess), 1), min(int(1.03 * guess) + 2, given.size // 2 + 1))
+    best = min(near, key=missed, default=0)
+    return best if best and missed(best) < REPEATS else 0
+
+
+def in_step(recording: Recording, frequency: float) -> bool:
+    """
+    Return whether a wave (Hz) keeps step with an input that goes to and fro.
+
+    Such a wave is of the characteristic, not of something else. What changes slowly from cycle to
+    cycle shifts the slowest waves.
+    """
+    assert recording.command is not None
+    lag = cycle(recording.command) or _to_and_fro(recording.command)
+    if not lag:
+        return False
+    times = frequency * lag * recording.period_s
+    off = abs(times - round(times)) / lag * recording.command.size   # in 1 / duration
+    return off < (IN_STEP_SLOW if times < 3.5 else IN_STEP)
+
+
+def _unrepeated(given: Array, got: Array, slope: float) -> float:
+    """
+    Return what does not repeat of an output whose input does (rms): noise of any colour.
+
+    Half of the difference of neighbouring cycles, without its trend and a single strong line,
+    which are drift and disturbance; by its median, for a pulse is none either. 0: unknown.
+    """
+    lag = cycle(given)
+    if not lag:
+        return 0.0
+    apart = (got[lag:] - got[:-lag] - slope * (given[lag:] - given[:-lag])) / math.sqrt(2.0)
+    time = np.linspace(-1.0, 1.0, apart.size)
+    place = (given[lag:] - given.mean()) / np.ptp(given)
+    # What changes with the time or the place from cycle to cycle is an effect, no noise.
+    known = np.stack([np.ones_like(time), time, place, place * time, place ** 2, place ** 3])
+    apart = apart - known.T @ np.linalg.lstsq(known.T, apart, rcond=None)[0]
+    spectrum = np.fft.rfft(apart * np.hanning(apart.size))
+    top = int(np.argmax(np.abs(spectrum)))
+    near = slice(max(top - 2, 0), top + 3)
+    if np.sum(np.abs(spectrum[near]) ** 2) > LINE * np.sum(np.abs(spectrum) ** 2) and top > 2:
+        return 0.0
+    # The second half, for what was before the recording dies away in the first; and within short
+    # stretches, for a pulse is no noise.
+    halves = (float(np.median(np.abs(part - np.median(part)))) / 0.6745
+              for part in np.array_split(apart, 2))
+    stretches = np.median([np.std(part) for part in np.array_split(apart, STRETCHES)])
+    return min(*halves, float(stretches))
+
+
+def _smooth(given: Array) -> tuple[Array, float]:
+    """
+    Return a measured input without its noise, and what noise is left (rms).
+
+    A mean over so many samples that the noise is faint; over SMOOTHED of a pass at most.
+    """
+    noise = noise_of(given)
+    span = float(np.ptp(given))
+    if noise < FAINT * span or np.unique(given).size < 0.3 * given.size:
+        return given, 0.0
+    turns = turning_points(given)
+    most = SMOOTHED * float(np.median(np.diff(turns))) * 2.0 if len(turns) > 1 else 1.0
+    width = int(min((noise / (FAINT * span)) ** 2, most))
+    if width < 2:
+        return given, noise
+    width += 1 - width % 2
+    half = width // 2
+    padded = np.pad(given, half, 'reflect', reflect_type='odd')
+    return np.convolve(padded, np.ones(width) / width, 'valid'), noise / math.sqrt(width)
+
+
+def _thinned(values: Array, every: int) -> Array:
+    """Return the means of so many neighbours."""
+    count = values.size // every
+    return values[:count * every].reshape(count, every).mean(axis=1)
+
+
+def _parts(given: Array, period: float) -> tuple[Mask, Mask]:
+    """Return which samples to fit on and to hold out: alike in where, and which way, it moves."""
+    place = np.clip(((given - given.min()) / np.ptp(given) * BINS).astype(int), 0, BINS - 1)
+    place = 2 * place + (np.gradient(given) > 0.0)
+    every = np.maximum(np.bincount(place, minlength=2 * BINS), 1)
+
+    def uneven(masks: tuple[Mask, Mask]) -> float:
+        shares = [np.bincount(place[mask], minlength=2 * BINS) / every for mask in masks]
+        return float(max(np.abs(share - 0.5)[every > 5].max() for share in shares))
+
+    usable = [parts for parts in DIVISIONS if parts * SHORTEST_PART_S < given.size * period]
+    return min((split(given.size, period, parts) for parts in usable[-4:] or DIVISIONS[:1]),
+               key=uneven)
+
+
+def _middle(signals: Sequence[Array]) -> float:
+    return 0.5 * float(min(each.min() for each in signals) + max(each.max() for each in signals))
+
+
+def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str, got: str
+                      ) -> list[Recording]:
+    """
+    Return runs ready for the diagnosis: input and output from the middle of their ranges.
+
+    `taken` holds these: input, output. Raises InputError for what cannot be judged.
+    """
+    read: list[tuple[float, Array, Array]] = []
+    for run in runs:
+        static_signals(run, given, got)
+        period, signals = uniform(run)
+        read.append((period, signals[given], signals[got]))
+    every = max(math.ceil(sum(each[1].size for each in read) / MOST_SAMPLES), 1)
+    middle = {'input': _middle([x for _, x, _ in read]),
+              'output': _middle([y for _, _, y in read])}
+    recordings: list[Recording] = []
+    whole = any(held_out)
+    for run, out, (period, x, y) in zip(runs, held_out, read, strict=True):
+        if x.size < FEWEST:
+            raise InputError(f'{run.source}: {x.size} samples; a characteristic takes {FEWEST}')
+        smooth, left = _smooth(x)
+        slope = float(np.polyfit(x - x.mean(), y, 1)[0])
+        there = recorded(run, 'static', period, x.size)
+        if every > 1:
+            smooth, y = _thinned(smooth, every), _thinned(y, every)
+            there = _thinned(there.astype(float), every) > 0.99
+            left /= math.sqrt(every)
+        # An input in steps has corners everywhere, which are no noise.
+        noise = min(noise_of(y), noise_of(y - slope * smooth))
+        if float(np.std(y)) < CLEAR * noise:
+            raise InputError(f'{run.source}: {got} hardly moves: {np.std(y):.3g} with noise of '
+                             f'{noise:.3g} (rms)')
+        noise = _unrepeated(smooth, y, slope) or math.hypot(noise, slope * left)
+        fit, held = (mask & there for mask in _parts(smooth, period * every))
+        report = np.zeros_like(fit) if whole else reported(held)
+        held = held & ~report
+        if whole and out:
+            fit, held, report = np.zeros_like(fit), np.zeros_like(fit), fit | held
+        recordings.append(Recording(
+            source=run.source, period_s=period * every, command=smooth - middle['input'],
+            force=None, valve_position=y - middle['output'], velocity=None, motion=None,
+            force_judged=None, noise={'valve_position': noise}, fit=fit, held_out=held,
+            report=report, taken=middle,
+            number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
+    if not any(r.fit.any() for r in recordings) or not any(r.held_out.any() for r in recordings):
+        raise InputError(f'{", ".join(r.source for r in recordings)}: too few samples are left: '
+                         'the others are lost, or next to such ones')
+    return recordings
+
+
+def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: float,
+                 held_out: Sequence[bool], healthy: Sequence[Run] = ()
+                 ) -> tuple[Group, list[str]]:
+    """
+    Return the group of a static characteristic, ready to be fitted, and notes.
+
+    known: `gain` (output over input) and `offset` (output at no input), if they are given.
+    Raises InputError for what cannot be judged.
+    """
+    if healthy:
+        raise InputError('--baseline takes --plant actuator or joint')
+    recordings = static_recordings(runs, held_out, *static_signals(runs[0]))
+    x, y = (np.concatenate([getattr(r, name) for r in recordings])
+            for name in ('command', 'valve_position'))
+    scale = scales(recordings)
+    slope, shift = float(np.polyfit(x, y, 1)[0]), 0.0
+    middle = recordings[0].taken
+    p = np.zeros(1, static_blocks.DTYPE)[0]
+    p['reach'], p['size'] = scale['command'], scale['valve_position']
+    p['gain'] = float(known.get('gain', slope))
+    if 'offset' in known:
+        p['base'] = float(known['offset']) + p['gain'] * middle['input'] - middle['output']
+    else:
+        p['offset'] = float(np.mean(y - p['gain'] * x))
+        shift = float(p['offset'])
+    count = 1 + max(r.number for r in recordings)
+    p = for_recordings(p, count)
+    nuisance = [Free('offset', -5.0, 5.0, (shift / scale['valve_position'],), 'valve_position')
+                ] if 'offset' not in known else []
+    effects = list(_with_guesses(recordings))
+    if 'gain' not in known:
+        nuisance.append(Free('gain', -10.0, 10.0, (slope / scale['slope'],), 'slope'))
+    else:
+        nuisance.append(Free('gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
+        effects.append(GAIN)
+    if 'offset' in known:
+        effects.append(OFFSET)
+    if all(_at_rest(r) > HELD for r in recordings):
+        effects = [each for each in effects if each.name != 'command_quantisation']
+    if count > 1:
+        effects = [_with_own_zero(each) if each.name == 'sensor_drift' else each
+                   for each in effects]
+    noise = max(r.noise['valve_position'] for r in recordings)
+    size = float(np.std(y))
+    floor = noise ** 2 + (MODEL_ERROR * size) ** 2
+    return Group(p, recordings, (CHANNEL,), tuple(nuisance), scale, {CHANNEL: noise},
+                 {CHANNEL: floor}, {CHANNEL: 0.0}, tuple(effect._replace(variants=tuple(
+                     variant._replace(free=in_each(variant.free, count))
+                     for variant in effect.variants)) for effect in effects),
+                 floor_measured=any(cycle(r.command) for r in recordings
+                                    if r.command is not None),
+                 passes=max(sum(len(passes(r)) for r in recordings), 1)), notes_of(recordings)
+
+
+def _with_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
+    """Return the effects; dead band and two slopes begin where a coarse search finds them."""
+    x, y = (np.concatenate([getattr(r, name)[r.known] for r in recordings])
+            for name in ('command', 'valve_position'))
+    every = max(x.size // SEARCHED, 1)
+    x, y = x[::every], y[::every]
+    reach = float(np.abs(x).max())
+
+    def left(bent: Array) -> float:
+        known = np.stack([np.ones_like(x), bent] if bent.ndim == 1 else [np.ones_like(x), *bent])
+        return float(np.linalg.norm(y - known.T @ np.linalg.lstsq(known.T, y, rcond=None)[0]))
+
+    half, middle = min(
+        ((half, middle) for half in WIDTHS for middle in CENTRES),
+        key=lambda at: left(np.sign(x - at[1] * reach) * np.maximum(
+            np.abs(x - at[1] * reach) - at[0] * reach, 0.0)))
+    knee = min(CENTRES, key=lambda at: left(np.stack([x, np.abs(x - at * reach)])))
+    begins = {'command_deadband': half, 'deadband_centre': middle, 'asymmetry_centre': knee}
+    return tuple(effect._replace(variants=tuple(variant._replace(free=tuple(
+        free._replace(starts=(begins[free.field], *free.starts)) if free.field in begins else free
+        for free in variant.free)) for variant in effect.variants)) for effect in EFFECTS)
+
+
+def _with_own_zero(effect: Effect) -> Effect:
+    return effect._replace(variants=tuple(variant._replace(free=(*variant.free, SHIFT))
+                                          for variant in effect.variants))
+
+
+def scales(recordings: Sequence[Recording]) -> dict[str, float]:
+    """Return the units of the bounds of effects: half ranges, and a quarter of a usual pass."""
+    def half(name: str) -> float:
+        return max(0.5 * float(np.ptp(np.concatenate([getattr(r, name) for r in recordings]))),
+                   1e-300)
+
+    reach, size = half('command'), half('valve_position')
+    lengths = [(end - start) * r.period_s for r in recordings for start, end in passes(r)]
+    duration = max(r.fit.size * r.period_s for r in recordings)
+    return {'': 1.0, 'command': reach, 'valve_position': size, 'slope': size / reach,
+            'time': 0.5 * (float(np.median(lengths)) if lengths else duration),
+            'drift': size / duration, 'drift_curve': size / duration ** 2,
+            'drift_bend': size / duration ** 3}
+
+
+def like(group: Group, run: Run) -> Recording:
+    """Return another recording of the same device, ready; from the origins of those of a group."""
+    found = static_recordings([run], [False], *static_signals(run))[0]
+    here, there = found.taken, group.recordings[0].taken
+    assert found.command is not None and found.valve_position is not None
+    return replace(found, taken=there, command=found.command + here['input'] - there['input'],
+                   valve_position=found.valve_position + here['output'] - there['output'])
+
+
+def zero_of(group: Group, field: str) -> float:
+    """Return what a size of an effect counts from: the middle of a range, of a position in it."""
+    signal = ABSOLUTE.get(field.partition('@')[0])
+    return float(group.recordings[0].taken[signal]) if signal else 0.0
+
+
+def at_the_end(group: Group, p: np.void) -> bool:
+    """Return whether a dead band reaches to the end of the range: then it is a limit."""
+    edge = abs(float(p['deadband_centre'])) + float(p['command_deadband'])
+    return bool(p['command_deadband'] > 0.0) and edge > END * group.scale['command']
+
+
+def as_limit(p: np.void) -> tuple[np.void, str]:
+    """Return a record with a limit in place of a dead band at an end, and the limit's field."""
+    p, sign = p.copy(), math.copysign(1.0, float(p['deadband_centre']))
+    edge = float(p['deadband_centre'] - sign * p['command_deadband'])
+    level = float(p['base'] + p['offset'])   # of the output within the dead band
+    field = 'limit_above' if sign * float(p['gain']) > 0.0 else 'limit_below'
+    p[field], p['command_deadband'], p['deadband_centre'] = level, 0.0, 0.0
+    p['offset'] -= p['gain'] * edge
+    return p, field
+
+
+def notes_of(recordings: Sequence[Recording]) -> list[str]:
+    """Return what recordings of a characteristic cannot tell."""
+    notes = []
+    if one_rate(recordings):
+        notes.append('the input moves at one rate only: lag and delay cannot be told for certain '
+                     'from hysteresis; the same input at another rate separates them')
+    if max(len(passes(r)) for r in recordings) < 2:
+        notes.append('the input never comes back: hysteresis does not show, and a drift looks '
+                     'like another gain; go up and down at least twice')
+    elif not any(cycle(r.command) for r in recordings if r.command is not None):
+        notes.append('the input does not repeat: noise that is not white cannot be told from an '
+                     'unknown effect; repeat the same cycle')
+    return notes

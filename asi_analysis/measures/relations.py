@@ -1,0 +1,284 @@
+"""
+Findings on how the signals of a run belong together: units, signs, order in time, altered samples.
+
+Compared are the controlled signal with its reference, the command with both, and the position with
+the velocity.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from asi_analysis.bags.run import CONTROLLED, Run
+from asi_analysis.measures.answer import Answer, answer, late
+from asi_analysis.measures.breaks import frozen, jumps, spikes
+from asi_analysis.measures.correlation import correlation_delay, largest_correlation
+from asi_analysis.measures.finding import DOUBTFUL, Finding, Interval, name_of, place_of
+
+Array = npt.NDArray[np.float64]
+
+# Ratio of the standard deviations of a controlled signal and its reference from which on (or below
+# the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
+# in any case. Below SAME_SIZE the signal does not follow, and is not compared further.
+UNIT_FACTOR: Final = 100.0
+SAME_SIZE: Final = 0.3
+CORRELATED: Final = 0.7
+# The same ratio to a command of the same unit.
+COMMAND_FACTOR: Final = 30.0
+# Samples by which an output that comes before its reference does so clearly, if without the shift
+# their correlation is below this share of that with it.
+EARLY_SAMPLES: Final = 3
+CLEARLY: Final = 0.8
+# Share of a run by which an output may be early, or within which one of the wrong sign answers.
+SOON: Final = 0.1
+# Largest share of its change that an output may make before the reference changes.
+BEFORE: Final = 0.3
+# Factor between position and integral of velocity from which on a unit is wrong, if they agree
+# otherwise; parts of a run that are compared, and samples of each at least.
+MOTION_FACTOR: Final = 1.5
+AGREE: Final = 0.98
+RESOLVED: Final = 0.5     # largest change of the velocity in a period, rms, as a share of it
+MOTION_PARTS: Final = 8
+MOTION_SAMPLES: Final = 20
+# Change of a command with a signal of the same unit beyond which that is probably wrong.
+MOST_GAIN: Final = 1000.0
+LEAST_GAIN: Final = 0.01
+USUAL_GAIN: Final = (0.05, 100.0)
+# Findings of a whole run, after which it is not compared further.
+WHOLE: Final = frozenset(('unit', 'sign', 'order'))
+
+
+def of_reference(run: Run) -> Iterator[Finding]:
+    """Compare the controlled signal with its reference: unit, and order in time."""
+    if run.reference_n is None or run.unit('reference') not in CONTROLLED:
+        return
+    name = run.controlled()
+    output = run.signals().get(name)
+    if output is None:
+        return
+    both = np.isfinite(run.reference_n) & np.isfinite(output)
+    if not both.any():
+        return
+    time, reference, values = run.time_s[both], run.reference_n[both], output[both]
+    whole = ((float(time[0]), float(time[-1])),)
+    ratio, strange = _ratio(run, reference, values, both)
+    by_command = _of_command(run, name, ratio, _correlation(reference, values))
+    yield from by_command.findings
+    if any(each.kind in WHOLE for each in by_command.findings):
+        return
+    if strange and not by_command.same_unit:
+        yield Finding('unit', name, DOUBTFUL, whole,
+                      f'the {name_of(name)} moves {ratio:.3g} times as far as its '
+                      'reference: is its unit right?')
+        return
+    if ratio < SAME_SIZE:
+        return
+    against, lag = largest_correlation(reference, -values)
+    if not by_command.same_sign and against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
+            largest_correlation(reference, values)[0] < CLEARLY * against):
+        yield Finding('sign', name, DOUBTFUL, whole,
+                      f'the {name_of(name)} moves against its reference: is its sign right?')
+        return
+    yield from _of_continuity(run, name, time, reference, values)
+    if not by_command.same_time:
+        yield from _of_order(run, name, time, reference, values)
+
+
+def _correlation(a: Array, b: Array) -> float:
+    """Return the correlation coefficient, 0 if one of the signals is constant."""
+    return float(np.corrcoef(a, b)[0, 1]) if np.ptp(a) > 0.0 and np.ptp(b) > 0.0 else 0.0
+
+
+def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_]
+           ) -> tuple[float, bool]:
+    """Return how far a signal moves for its reference, and whether its unit is probably wrong."""
+    reference_sd, output_sd = float(np.std(reference)), float(np.std(values))
+    ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
+    if 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
+        return ratio, False
+    strange = ratio > UNIT_FACTOR ** 2 or abs(_correlation(reference, values)) > CORRELATED
+    if not strange and run.command_n is not None and run.unit('command') == run.unit('reference'):
+        strange = output_sd > COMMAND_FACTOR * float(np.nanstd(run.command_n[both]))
+    return ratio, strange
+
+
+def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: Array
+                   ) -> Iterator[Finding]:
+    kept = ~spikes(values, reference, same_unit=True)
+    time, reference, values = time[kept], reference[kept], values[kept]
+    for kind, parts, word in (
+            ('jump', jumps(time, reference, values), 'jumps from one sample to the next'),
+            ('frozen', frozen(values), 'stands still while it should move')):
+        if parts:
+            where = tuple((float(time[first]), float(time[last])) for first, last in parts)
+            yield Finding(kind, name, DOUBTFUL, where,
+                          f'the {name_of(name)} {word} {place_of(where)}')
+
+
+def _of_order(run: Run, name: str, time: Array, reference: Array, values: Array
+              ) -> Iterator[Finding]:
+    if early := _answered_before(time, reference, values):
+        yield Finding('order', name, DOUBTFUL, early,
+                      f'the {name_of(name)} changes before its reference does {place_of(early)}: '
+                      'their times do not belong together')
+    elif lead := _lead(reference, values):
+        yield Finding('order', name, DOUBTFUL, ((float(time[0]), float(time[-1])),),
+                      f'the {name_of(name)} fits its reference best if it is '
+                      f'{1e3 * lead * run.period_s:.4g} ms later: their times do not belong '
+                      'together')
+
+
+def _lead(reference: Array, values: Array) -> int:
+    """Return by how many samples a signal clearly comes before its reference, 0 if it does not."""
+    lag = correlation_delay(reference, values, 1.0)
+    lead = 0 if lag is None else round(-lag)
+    if not EARLY_SAMPLES <= lead < SOON * len(values):
+        return 0
+    now = np.corrcoef(reference, values)[0, 1]
+    shifted = np.corrcoef(reference[lead:], values[:-lead])[0, 1]
+    return lead if now < CLEARLY * shifted else 0
+
+
+def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
+    """Return intervals from the response to a jump of the reference to that jump, if later."""
+    changes = np.abs(np.diff(reference))
+    jumps = np.flatnonzero(changes > 0.2 * max(float(np.ptp(reference)), 1e-300))
+    if not 0 < len(jumps) <= 20:
+        return ()
+    edges = [0, *(int(jump) + 1 for jump in jumps), len(time)]
+    found = []
+    for begin, jump, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
+        if min(jump - begin, end - jump) < 20:
+            continue
+        before = values[begin:begin + max(1, (jump - begin) // 2)]
+        after = values[jump + (end - jump) // 2:end]
+        low, high = float(np.median(before)), float(np.median(after))
+        change = high - low
+        spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
+        share = (values[jump - 1] - low) / change if change else 0.0
+        if abs(change) > 3.0 * spread and share > BEFORE:
+            first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
+            found.append((float(time[first]), float(time[jump])))
+    return tuple(found)
+
+
+class _ByCommand(NamedTuple):
+    """What the command tells: findings, and what is surely right of signal and reference."""
+
+    findings: list[Finding]
+    same_unit: bool = False
+    same_sign: bool = False
+    same_time: bool = False
+
+
+def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCommand:
+    """
+    Compare the command with the answer of a controller to reference and controlled signal.
+
+    moved: how far the signal moves for its reference; correlation: of both.
+    """
+    if run.command_n is None or run.reference_n is None:
+        return _ByCommand([])
+    time, signals = run.time_s, (run.command_n, run.reference_n, run.signal(name))
+    whole, words = ((float(time[0]), float(time[-1])),), name_of(name)
+    found = answer(time, *signals)
+    if found is None:
+        return _ByCommand(list(_of_no_answer(run, name)))
+    problems = []
+    alike = run.unit('command') == run.unit(name)
+    if wrong := _wrong_unit(found, words, moved if alike else 1.0, correlation):
+        problems.append(Finding(wrong[0], name, DOUBTFUL, whole, wrong[1]))
+    for part in found.breaks:
+        # What comes after lost rows has another time, or another offset.
+        where = ((float(time[part.first]), float(time[-1 if part.lost else part.last])),)
+        what = ('the command does not answer reference and {} as in the rest of the run {}: '
+                'samples were lost, repeated or altered' if part.factor is None else
+                f'the command answers {part.factor:.4g} times the {{}} {part.offset:+.4g} '
+                f'{run.unit(name)} {{}}: it was altered after the controller had it')
+        problems.append(Finding('answer', 'time' if part.factor is None else name, DOUBTFUL,
+                                where, what.format(words, place_of(where))))
+    usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
+    return _ByCommand(problems, usual or found.factor == 1.0,
+                      found.everywhere and found.signal < 0.0, found.everywhere)
+
+
+def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
+                ) -> tuple[str, str] | None:
+    """Return kind and text of a finding on unit or sign; None if there is nothing wrong."""
+    factor, size = found.factor, abs(found.signal)
+    if np.isnan(size):
+        return None
+    if factor not in (None, 1.0, -1.0):
+        return 'unit', (f'the command answers 1/{factor:.4g} of the {words} as it answers the '
+                        'reference: is its unit right?')
+    if factor == -1.0 or factor is None and found.signal > 0.0 and (
+            found.reference > 0.0 or correlation < 0.0):
+        return 'sign', f'the command rises with the {words}: is its sign right?'
+    ratio = abs(found.reference / found.signal)
+    if factor is None and (ratio > UNIT_FACTOR or ratio < 1.0 / UNIT_FACTOR or (
+            np.isnan(ratio) and (size > MOST_GAIN and moved < SAME_SIZE
+                                or size < LEAST_GAIN and moved > 1.0 / SAME_SIZE))):
+        return 'unit', (f'the command changes by {size:.3g} times the change of the {words}'
+                        + ('' if np.isnan(ratio) else
+                           f', and by {ratio:.3g} times as much with the reference')
+                        + ': is its unit right?')
+    return None
+
+
+def _of_no_answer(run: Run, name: str) -> Iterator[Finding]:
+    """Say which signal was recorded late, where the command shows it."""
+    signals = (run.signal('command'), run.signal('reference'), run.signal(name))
+    whole, words = ((float(run.time_s[0]), float(run.time_s[-1])),), name_of(name)
+    which, samples = late(run.time_s, *signals)
+    if which:
+        signal, word = (name, words) if which == 'signal' else (which, which)
+        yield Finding('order', signal, DOUBTFUL, whole,
+                      f'the command answers the {word} {1e3 * samples * run.period_s:.4g} ms '
+                      'before it is recorded: their times do not belong together')
+
+
+def of_motion(run: Run) -> Iterator[Finding]:
+    """Compare the position with the integral of the velocity: their units, and that of time."""
+    if run.position_m is None or run.velocity_m_s is None or (
+            run.unit('velocity') != f'{run.unit("position")}/s'):
+        return
+    known = np.flatnonzero(np.isfinite(run.position_m) & np.isfinite(run.velocity_m_s))
+    if len(known) < MOTION_PARTS * MOTION_SAMPLES:
+        return
+    whole = _way_by_velocity(run, known)
+    parts = [known] if whole and not _alike(whole) else np.array_split(known, MOTION_PARTS)
+    ratios = [_way_by_velocity(run, part) for part in parts]
+    wrong = [(ratio, part) for ratio, part in zip(ratios, parts, strict=True)
+             if ratio and not _alike(ratio)]
+    if wrong:
+        where = tuple((float(run.time_s[part[0]]), float(run.time_s[part[-1]]))
+                      for _, part in wrong)
+        yield Finding('motion', 'time', DOUBTFUL, where,
+                      f'the position changes by {wrong[0][0]:.3g} times the integral of the '
+                      f'velocity {place_of(where)}: is the time right, and both units and signs?')
+
+
+def _alike(ratio: float) -> bool:
+    return 1.0 / MOTION_FACTOR < ratio < MOTION_FACTOR
+
+
+def _way_by_velocity(run: Run, part: npt.NDArray[np.intp]) -> float | None:
+    """
+    Return the change of position over the integral of velocity.
+
+    None if they do not agree, or the samples are too far apart for an integral.
+    """
+    assert run.position_m is not None
+    assert run.velocity_m_s is not None
+    time, position, velocity = run.time_s[part], run.position_m[part], run.velocity_m_s[part]
+    if np.mean(np.diff(velocity) ** 2) > RESOLVED ** 2 * np.mean(velocity ** 2):
+        return None
+    way = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)))
+    for apart in (1, len(part) // 20):
+        moved, expected = (each[apart:] - each[:-apart] for each in (position, way))
+        sizes = np.sqrt(np.mean(moved ** 2)), np.sqrt(np.mean(expected ** 2))
+        if min(sizes) > 0.0 and abs(alike := np.mean(moved * expected) / np.prod(sizes)) > AGREE:
+            return float(np.copysign(sizes[0] / sizes[1], alike))
+    return None

@@ -1,0 +1,36 @@
+"""Joints of the examiner: the same seed gives the same case; one thing is there or nothing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from asi_analysis.gap.check.check import is_truth, run_cases, score, unseal
+from asi_examiner.bags import write_cases
+from asi_examiner.joint import FOLLOWING, FORCED, OF_A_SERVO, draw_joint
+
+DYNAMICS = {'inertia', 'damping', 'gravity', 'gravity_zero', 'spring', 'offset', 'stribeck',
+            'bristle', 'pulsation', 'ratio'}
+
+
+@pytest.mark.parametrize('seed', range(60000, 60012))
+def test_joint_is_what_its_answer_says(seed):
+    case, again = draw_joint(seed), draw_joint(seed)
+    run = case.runs[0]
+    np.testing.assert_array_equal(run.position_m, again.runs[0].position_m)
+    assert run.rate_hz == pytest.approx(case.rate_hz) and np.isfinite(run.position_m).all()
+    there = {name for name in case.plant.dtype.names if case.plant[name]} - DYNAMICS
+    assert bool(there) == (case.kind != 'none') == bool(case.effects)
+    effects = FOLLOWING if case.also else FORCED
+    assert case.blocks == tuple(effects[name] for name in case.effects if name in effects)
+    assert set(case.also) <= set(OF_A_SERVO)
+
+
+def test_cases_of_joints_are_written_and_judged(tmp_path):
+    assert list(write_cases(tmp_path / 'cases', 1, 60002, 'joint')) == [1]
+    entry, = json.loads((tmp_path / 'cases' / 'cases.json').read_text())
+    assert entry == {'bag': 'case_0000', 'more': [], 'plant': 'joint'}
+    rows, answers = run_cases(tmp_path / 'cases', lambda *_: None), unseal(
+        tmp_path / 'cases' / 'answers.sealed')
+    assert is_truth(rows[0]['verdict'], answers['case_0000'])
+    assert score(rows, answers)['cases'] == 1

@@ -1,0 +1,152 @@
+"""What reference, command, controlled signal, position and velocity tell of each other."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_quality import a_run, put, with_force
+
+from asi_actuator.model.actuator import STATE_DTYPE, advance, measure, prepare
+from asi_analysis.bags.run import SIGNALS, Run
+from asi_analysis.loop.closed_loop import records, simulate_loop
+from asi_analysis.measures.analysis import analyze
+from asi_analysis.measures.answer import answer
+from asi_analysis.measures.quality import findings
+from asi_controller.compensator import compensate, compensator
+from asi_controller.reference import reference_force
+
+RATE_HZ = 1000.0
+JUMP = 50       # sample of the step
+NOISY = {'force_sensor.noise': 0.5}
+
+
+def a_loop(shape: str = 'step', load: str = 'spring', rate_hz: float = RATE_HZ,
+           **controller: float) -> Run:
+    """Return a run of one second with noise, of a loop with lead4."""
+    return Run(*simulate_loop(
+        {'load.type': load, **NOISY}, {'compensator': 'lead4', 'reference.shape': shape,
+                                       'reference.amplitude': 100.0, **controller}, 1.0, rate_hz))
+
+
+def of_rows(run: Run, rows: np.ndarray, time_s: np.ndarray | None = None) -> Run:
+    """Return these samples of a run, at even times unless others are given."""
+    return replace(run, time_s=np.arange(len(rows)) / RATE_HZ if time_s is None else time_s, **{
+        signal.field: run.signal(signal.name)[rows] for signal in SIGNALS
+        if signal.name in run.signals()})
+
+
+def late(values: np.ndarray, samples: int) -> np.ndarray:
+    return np.concatenate([np.full(samples, values[0]), values[:-samples]])
+
+
+ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
+    'in mN': ('unit', lambda run: with_force(run, lambda f: 1e3 * f)),
+    'in kN': ('unit', lambda run: with_force(run, lambda f: 1e-3 * f)),
+    'in lbf': ('unit', lambda run: with_force(run, lambda f: f / 4.4482216)),
+    'other sign': ('sign', lambda run: with_force(run, lambda f: -f)),
+    'late': ('order', lambda run: with_force(run, lambda f: late(f, 5))),
+    'late reference': ('order', lambda run: replace(
+        run, reference_n=late(run.signal('reference'), 30))),
+    'sign of a beginning': ('answer', lambda run: with_force(
+        run, lambda f: put(f, slice(0, JUMP + 15), -f[:JUMP + 15]))),
+    'bridged': ('answer', lambda run: with_force(
+        run, lambda f: put(f, slice(60, 90), np.linspace(f[60], f[90], 30)))),
+    'held': ('answer', lambda run: with_force(run, lambda f: put(f, slice(60, 63), f[60]))),
+    'rows lost': ('answer', lambda run: of_rows(run, np.delete(np.arange(1000), slice(62, 67)))),
+    'rows repeated': ('answer', lambda run: of_rows(
+        run, np.concatenate([np.arange(100), np.arange(70, 1000)]))),
+    'ms as s': ('motion', lambda run: replace(run, time_s=1e3 * run.time_s)),
+    'backwards': ('motion', lambda run: of_rows(run, np.arange(1000)[::-1])),
+    'position in mm': ('motion', lambda run: replace(
+        run, position_m=1e3 * run.signal('position'))),
+}
+
+
+@pytest.mark.parametrize('how', ALTERED)
+def test_samples_that_do_not_belong_together_are_found(how: str) -> None:
+    kind, alter = ALTERED[how]
+    run = a_loop()
+    assert findings(run) == []
+    altered = analyze(alter(run))
+    assert kind in {each['kind'] for each in altered['quality']}
+    assert altered.rise_time_s is None or kind == 'answer' and altered['reliable']['rise_time_s']
+
+
+def test_every_second_row_is_lost_from_there() -> None:
+    """The time of those rows is made up: half of that which they took."""
+    run = a_loop('multisine', 'free')
+    rows = np.concatenate([np.arange(500), np.arange(500, 1000, 2)])
+    found = {each.kind: each for each in findings(of_rows(run, rows))}
+    assert found['motion'].intervals_s[0][0] > 0.4
+
+
+@pytest.mark.parametrize('change', [lambda f: 5.0 + f, lambda f: 0.5 * f])
+def test_another_scale_from_there(change: Callable[[np.ndarray], np.ndarray]) -> None:
+    found, = findings(with_force(a_loop('multisine'), lambda f: put(
+        f, slice(600, None), change(f[600:]))))
+    assert found.kind == 'answer'
+    assert found.intervals_s[0] == pytest.approx((0.6, 0.999), abs=0.01)
+
+
+@pytest.mark.parametrize('shape', ['step', 'ramp', 'sine', 'triangle', 'chirp', 'prbs'])
+@pytest.mark.parametrize('load', ['locked', 'spring', 'prescribed'])
+def test_clean_runs_have_no_findings(shape: str, load: str) -> None:
+    assert findings(a_loop(shape, load)) == []
+    assert findings(a_loop(shape, load, 5000.0, gain=1.0)[::5]) == []
+
+
+def test_the_velocity_of_a_constant_motion_is_not_quantised() -> None:
+    run = Run(*simulate_loop({'load.type': 'prescribed', 'load.velocity': 0.05}, {
+        'reference.shape': 'step'}, 0.5, RATE_HZ))
+    assert findings(run) == []
+
+
+@pytest.mark.parametrize('addition', [
+    {'hysteresis_inverse.size': 20.0}, {'friction_feedforward.level': 10.0},
+    {'gain_schedule.velocity': 0.1}, {'velocity_feedforward.share': 0.5},
+    {'reference_model.bandwidth': 50.0}, {'integrator.rate': 5.0}, {'saturation': 110.0}])
+def test_a_controller_that_is_not_linear_is_not_accused(addition: dict[str, float]) -> None:
+    for shape in ('sine', 'step'):
+        assert findings(a_loop(shape, **addition)) == []
+
+
+@pytest.mark.parametrize('shape', ['step', 'multisine'])
+@pytest.mark.parametrize('ticks', [40, 300])
+def test_a_gain_that_is_changed_for_a_while_is_not_accused(shape: str, ticks: int) -> None:
+    settings = {'compensator': 'lead4', 'reference.shape': shape, 'reference.amplitude': 100.0}
+    plant, controller, reference = records({'load.type': 'spring', **NOISY}, settings, RATE_HZ)
+    state, rows = np.zeros(1, STATE_DTYPE)[0], []
+    for tick in range(1000):
+        if tick in (500, 500 + ticks):
+            controller = compensator({
+                'compensator': 'lead4', 'gain': 1.5 if tick == 500 else 1.92}, RATE_HZ, controller)
+        force, _, _, velocity = measure(state, plant)
+        desired = reference_force(tick / RATE_HZ, reference)
+        command = compensate(controller, desired, force, velocity)
+        rows.append((desired, command, force))
+        advance(state, command, plant, prepare(plant, 1.0 / RATE_HZ))
+    assert findings(Run(np.arange(1000) / RATE_HZ, *np.transpose(rows))) == []
+
+
+def test_the_answer_of_a_proportional_controller() -> None:
+    run = a_loop('multisine', compensator='proportional', gain=4.0, feedforward=1.0)
+    found = answer(run.time_s, run.signal('command'), run.signal('reference'), run.signal('force'))
+    assert found is not None
+    assert (found.reference, found.signal) == pytest.approx((5.0, -4.0))
+    assert found.factor == 1.0 and found.breaks == ()
+
+
+def test_a_command_that_answers_nothing_tells_nothing() -> None:
+    run = a_loop()
+    noise = np.random.default_rng(1).normal(size=len(run))
+    assert answer(run.time_s, noise, run.signal('reference'), run.signal('force')) is None
+    assert findings(replace(run, command_n=np.zeros(len(run)))) == []
+    assert findings(replace(run, command_n=run.reference_n)) == []      # open loop
+
+
+@pytest.mark.parametrize('last', range(6, 20))
+def test_a_wrong_sign_that_ends_soon_after_the_step_is_a_jump(last: int) -> None:
+    """Without a command, and the only step is no longer the explanation."""
+    run = with_force(a_run(), lambda f: put(f, slice(470, 500 + last), -f[470:500 + last]))
+    assert {each.kind for each in findings(run)} & {'jump', 'sign'}
