@@ -18,8 +18,8 @@ from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.model.static import cycle, turning_points
 from asi_examiner.static import draw_static
 
-CYCLE = 533   # samples
-TIME_S = 0.03 * np.arange(1600)
+CYCLE = 532   # samples
+TIME_S = 0.03 * np.arange(3 * CYCLE)
 RISING = sawtooth(2.0 * np.pi * TIME_S / (0.03 * CYCLE), 0.5)   # three cycles, -1 to 1
 UNITS = {'signals': {'command': 'A', 'pressure': 'Pa'}}
 pytestmark = pytest.mark.filterwarnings('ignore::asi_analysis.errors.InputWarning')
@@ -73,7 +73,7 @@ def test_effect_is_named_with_its_size(effect, got, sizes):
     assert answer.verdict == effect
     for name, value in sizes.items():
         assert size(answer, name) == pytest.approx(value, rel=0.05)
-    if effect != 'no_gap':
+    if effect not in ('no_gap', 'command_quantisation'):   # an edge lies between two samples
         assert answer.gap['after_nrmse'] < 1.2 * answer.gap['noise_floor_nrmse']
     assert 'Pa/A (fitted)' in str(answer)
     assert problems(json.loads(json.dumps(answer.to_dict(), allow_nan=False)), 'asi gap') == []
