@@ -4,11 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help setup demo test torture soak bench lint docs clean
+PART := test/common test/controller test/actuator/test_model_blocks.py test/actuator/test_drivers.py \
+  test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
+
+.PHONY: help setup demo test test-python test-oldest torture soak bench lint docs clean
 
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
 	@echo 'make test     run the tests'
+	@echo 'make test-python PYTHON=python3.13   a part of the tests with another Python'
+	@echo 'make test-oldest   the same with the oldest dependencies that setup.py allows'
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
 	@echo 'make soak     an hour of lock-step, ten minutes of real time: memory, files, threads'
 	@echo 'make bench    measure the speed of everything (doc/reference/performance.md); BENCH=NAME: one'
@@ -21,6 +26,20 @@ demo: setup
 
 test: setup
 	@$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile
+
+# A part of the tests with another Python, or the oldest dependencies, in a virtual environment of its
+# own; too long for .ci/run. PART names other tests.
+OTHER = build/$(@:test-%=%)
+test-python: CHOSEN = $(or $(PYTHON),python3)
+test-oldest: CHOSEN = $(or $(PYTHON),python3.11)
+test-oldest: BOUNDS = -c $(OTHER)/oldest.txt
+test-python test-oldest:
+	@mkdir -p build && $(CHOSEN) -m venv --clear $(OTHER)
+	@$(OTHER)/bin/pip install -qq --disable-pip-version-check setuptools
+	@$(OTHER)/bin/python test/oldest.py > $(OTHER)/oldest.txt
+	@$(OTHER)/bin/pip install -qq --disable-pip-version-check $(BOUNDS) . pytest pytest-timeout \
+	  pytest-xdist hypothesis control colcon-common-extensions
+	@$(OTHER)/bin/python -m pytest -q -p no:cacheprovider -n auto --maxprocesses 4 --dist loadfile $(PART)
 
 torture: setup
 	@$(BIN)/python -m torture

@@ -25,11 +25,10 @@ setup(
         ('share/' + package_name + '/launch', glob('launch/*')),
     ],
     python_requires='>=3.11',
-    # Lower bounds: the oldest versions that were tried, with the tests of bags, import, measures,
-    # parameters and compensators on Python 3.11; not with the nodes nor the diagnosis. Upper:
-    # the first version after the newest tried that may break what is used. What is used of others
-    # that they do not promise to keep is in test/test_private_parts.py, which names the version
-    # that lacks it. To try a set: a virtual environment with these versions, and the tests in it.
+    # Lower bounds: the oldest versions that were tried together, by `make test-oldest`. Upper: the
+    # first version after the newest tried that may break what is used. What is used of others that
+    # they do not promise to keep is in test/test_private_parts.py, which names the version that
+    # lacks it.
     install_requires=[
         'ros-jazzy-rclpy[fastrtps]',
         'ros-jazzy-common-interfaces',
@@ -49,7 +48,7 @@ setup(
         'matplotlib>=3.9,<4',
         'jinja2>=3.1.4,<4',
         'typer>=0.26,<1',       # with its own copy of click
-        'rich>=13.7,<16',
+        'rich>=13.8,<16',
         'cma>=4.0,<5',
         'joblib>=1.4,<2',
     ],

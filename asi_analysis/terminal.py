@@ -18,13 +18,15 @@ def silent(text: str, share: float | None) -> None:
 @contextmanager
 def bar() -> Iterator[Progress]:
     """Yield a progress function that shows a bar on stderr if that is a terminal."""
+    if not sys.stderr.isatty():     # an old rich ends a bar that is disabled by an empty line
+        yield silent
+        return
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
     console = Console(stderr=True)
     with Bars(SpinnerColumn(), TextColumn('{task.description}'), BarColumn(),
-              TimeElapsedColumn(), console=console, transient=True,
-              disable=not sys.stderr.isatty()) as bars:
+              TimeElapsedColumn(), console=console, transient=True) as bars:
         task = bars.add_task('', total=None)
 
         def progress(text: str, share: float | None) -> None:

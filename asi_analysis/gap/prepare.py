@@ -12,7 +12,7 @@ from scipy.signal import coherence, resample_poly, welch
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.parts import BURN_OUT_S, balanced_split, reported, split
-from asi_analysis.measures.quality import check_time
+from asi_analysis.measures.quality import check_size, check_time
 
 Array = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
@@ -170,6 +170,7 @@ def uniform(run: Run) -> tuple[float, dict[str, Array]]:
     if back.size:
         raise InputError(f'{run.source}: time does not rise at sample {int(back[0]) + 2}')
     check_time(time, run.source)
+    check_size(run)
     steps = round((time[-1] - time[0]) / run.period_s)
     period = float((time[-1] - time[0]) / steps)
     even = time[0] + period * np.arange(steps + 1)

@@ -138,7 +138,8 @@ def late(time: Array, command: Array, reference: Array, signal: Array) -> tuple[
             moved = np.append(values[lag:], np.full(lag, np.nan))
             pair = (reference, moved) if name == 'signal' else (moved, signal)
             found = answer(time, command, *pair)
-            if found and found.factor == 1.0 and abs(getattr(found, name)) > 0.0:
+            sure = found is not None and (name == 'signal' or found.factor == 1.0)
+            if found and sure and abs(getattr(found, name)) > 0.0:
                 return name, int(lag)
     return '', 0
 

@@ -4,8 +4,11 @@ import asyncio
 from typing import Any, Final
 
 import numpy as np
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
 
 from asi_actuator.model.effects import EFFECT
+from asi_analysis.errors import InputError
 from asi_analysis.experiments.running import free_directory
 from asi_analysis.viewing.link import Link
 from asi_analysis.viewing.processes import RUNS, NodeProcess
@@ -27,8 +30,17 @@ class Session:
     """
 
     def __init__(self, namespace: str = '', simulate: bool = False) -> None:
-        """Join the loop in a namespace; simulate: start its nodes first."""
+        """
+        Join the loop in a namespace; simulate: start its nodes first.
+
+        Raises InputError for a namespace that is none.
+        """
         self.namespace = f'/{namespace.strip("/")}' if namespace.strip('/') else ''
+        try:
+            validate_namespace(self.namespace or '/')
+        except InvalidNamespaceException as error:
+            reason = str(error).splitlines()[0].partition(': ')[2].rstrip(':')
+            raise InputError(f'namespace {namespace!r} is not allowed: {reason}') from None
         self.nodes = [NodeProcess(name, self.namespace, **parameters)
                       for name, parameters in SIMULATED.items()] if simulate else []
         self.link = Link(self.namespace)

@@ -11,7 +11,7 @@ from asi_analysis.gap.model.static import passes, rates, static_signals, zero_of
 from asi_analysis.gap.prepare import Array
 from asi_analysis.reporting.result import Table
 
-BINS: Final = 60        # over the range of the input
+BINS, PER_BIN = 60, 20   # over the range of the input, at most; samples of each
 FEWEST: Final = 3       # samples of a bin that count
 
 
@@ -32,18 +32,19 @@ def branches(group: Group) -> tuple[Array, Array, Array]:
     slowest = min(group.recordings, key=lambda r: float(np.median(rates(r))) if passes(r) else 0.0)
     x, y = np.asarray(slowest.command), np.asarray(slowest.valve_position)
     up = np.gradient(x) > 0.0
-    edges = np.linspace(x.min(), x.max(), BINS + 1)
-    place = np.clip(np.searchsorted(edges, x, 'right') - 1, 0, BINS - 1)
+    bins = int(np.clip(x.size // PER_BIN, FEWEST, BINS))
+    edges = np.linspace(x.min(), x.max(), bins + 1)
+    place = np.clip(np.searchsorted(edges, x, 'right') - 1, 0, bins - 1)
     means = []
     for way in (up, ~up):
-        count = np.bincount(place[way], minlength=BINS)
+        count = np.bincount(place[way], minlength=bins)
         # At the mean place of the samples, not of the bin: else a slope looks like a width.
-        within = np.bincount(place[way], x[way], BINS) / np.maximum(count, 1)
-        mean = np.bincount(place[way], y[way], BINS) / np.maximum(count, 1)
+        within = np.bincount(place[way], x[way], bins) / np.maximum(count, 1)
+        mean = np.bincount(place[way], y[way], bins) / np.maximum(count, 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
         there = count >= FEWEST
         means.append(np.interp(middle, within[there], mean[there], np.nan, np.nan)
-                     if there.any() else np.full(BINS, np.nan))
+                     if there.any() else np.full(bins, np.nan))
     return middle, means[0], means[1]
 
 
@@ -67,7 +68,8 @@ def characteristic(diagnosis: Diagnosis) -> dict[str, Any]:
     middle = 0.5 * (up + down)
     middle = np.where(np.isfinite(middle), middle, np.where(np.isfinite(up), up, down))
     there = np.isfinite(middle)
-    straight = np.polyval(np.polyfit(x[there], middle[there], 1), x[there])
+    line = np.polyfit(x[there], middle[there], 1) if there.sum() > 1 else np.zeros(2)
+    off = np.abs(middle[there] - np.polyval(line, x[there]))
 
     def limit(field: str) -> float | None:
         """Return a limit of the output, in its unit; None: there is none."""
@@ -84,7 +86,7 @@ def characteristic(diagnosis: Diagnosis) -> dict[str, Any]:
             100.0 * float(apart.max()) / abs(float(p['gain'])) / spans[0]),
         'hysteresis_percent': (200.0 * float(p['loop_width']) / spans[0]
                                if p['loop_width'] > 0.0 else None),
-        'linearity_percent': 100.0 * float(np.abs(middle[there] - straight).max()) / spans[1],
+        'linearity_percent': (100.0 * float(off.max()) / spans[1] if off.size > FEWEST else None),
         'threshold_percent': (200.0 * float(p['loop_width'] * (1.0 - p['loop_spread'])) / spans[0]
                               if p['loop_width'] > 0.0 and p['loop_share'] > 0.99 else None),
         'deadband_percent': (200.0 * float(p['command_deadband']) / spans[0]

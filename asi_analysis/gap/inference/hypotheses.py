@@ -63,6 +63,7 @@ AS_WELL = 0.003    # of the cost: what a further parameter of a form must save
 # keeps step with the input, or three effects that each change its shape.
 STRANGE = 0.4
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
+NOTHING = 1e-12    # of the error floor: what a perfect model leaves
 SUFFICIENT = 0.8   # times the error floor: below it no further effect is tried
 
 
@@ -253,7 +254,9 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     noise = {channel: level ** 2 for channel, level in group.noise.items()}
     propagated = {names: _propagated_noise(group, candidate.fitted)
                   for names, candidate in found.items()}
-    residual = {names: dict(candidate.fitted.held_out) for names, candidate in found.items()}
+    residual = {names: {channel: max(left, NOTHING * group.error_floor[channel])
+                        for channel, left in candidate.fitted.held_out.items()}
+                for names, candidate in found.items()}
     for channel, level in noise.items():
         more = {names: propagated[names][channel] - propagated[()][channel] for names in found}
         share = min(1.0, *(residual[names][channel] / (level + more[names] + 1e-300)
@@ -324,7 +327,9 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
             group = with_known_gain(group, weighed[0].candidates[best].fitted)
         null = fit_null(group)
-        if (quieter := with_lower_noise(group, null.held_out)) is not group:
+        # That of a characteristic is measured, or that of a perfect line, which leaves nothing.
+        if group.channels != ('static',) and (
+                quieter := with_lower_noise(group, null.held_out)) is not group:
             group, null = quieter, fit_null(quieter)
         group = with_parameter_errors(group, null)
         found = candidates_of(group, null, tick)

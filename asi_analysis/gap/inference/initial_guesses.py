@@ -147,6 +147,7 @@ def _wave(residual: Array, recording: Recording) -> Values:
     while power[found] > 0.0 and np.any(np.abs(harmonics - found) <= lowest / 2):
         power[max(found - lobe // 2, 0):found + lobe // 2 + 1] = 0.0
         found = int(np.argmax(power))
+    found = max(found, 1)   # of a residual of zeros
     turns = found / count * np.arange(residual.size)
     phase = np.angle(np.sum(residual * np.exp(-2j * np.pi * turns))) / (2.0 * np.pi) - 0.25
     if recording.motion is None:   # it adds to the output; a push on a load takes from it
@@ -212,7 +213,7 @@ def _pulse(residual: Array, judged: Array, known: Array, raw: Array, period: flo
     here, then = raw[start:end], raw[end:]
     if 20 * start < residual.size and then.size and abs(then.mean()) > abs(here.mean()):
         start, end = end, residual.size
-    return {'residual_start': max(start, 1) * period, 'residual_end': end * period}
+    return {'residual_start': max(start, 1) * period, 'residual_end': max(end, 1) * period}
 
 
 def _steps(fitted: Fitted, channel: str) -> Values:

@@ -31,7 +31,7 @@ from asi_analysis.gap.model.effects import (
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import for_recordings
 from asi_analysis.gap.parts import reported, split
-from asi_analysis.gap.prepare import Array, Mask, Recording, noise_of, recorded, uniform
+from asi_analysis.gap.prepare import SHARED, Array, Mask, Recording, noise_of, recorded, uniform
 from asi_common.parameter import Value
 
 CHANNEL: Final = 'static'
@@ -40,7 +40,7 @@ INPUTS: Final = ('command', 'reference', 'valve_position', 'position', 'force')
 OUTPUTS: Final = ('pressure', 'force', 'velocity', 'position', 'valve_position')
 GIVEN: Final = ('gain', 'offset')   # the nominal parameters
 MOST_SAMPLES: Final = 6000          # of all recordings; of more, means of neighbours are taken
-FEWEST: Final = 100
+FEWEST, FEWEST_OF_A_PART = 100, 30   # samples
 # Of the coarse search for a dead band and for two slopes: samples, half widths and centres.
 END: Final = 0.97    # of the range: where a dead band must have ended
 SEARCHED: Final = 400
@@ -62,6 +62,8 @@ BINS: Final = 6
 STRETCHES: Final = 12   # of a cycle, in which noise is measured
 HELD: Final = 0.5     # of the time: an input that rests for so long comes in steps itself
 CLEAR: Final = 2.0    # times its noise (rms) that the output must move
+RELATED: Final = 0.3   # of the output's power: what must follow from the input
+LEAST_NOISE: Final = 1e-6   # of the output (rms)
 FAINT: Final = 5e-4   # of its range: noise of a measured input that needs no smoothing
 SMOOTHED: Final = 0.01   # of a cycle: over which an input is smoothed at most
 
@@ -281,15 +283,33 @@ def _unrepeated(given: Array, got: Array, slope: float) -> float:
     return min(*halves, float(stretches))
 
 
+def _step(got: Array) -> float:
+    """Return the step in which a signal was recorded; 0: it took too many values to have one."""
+    levels = np.unique(got[np.isfinite(got)])
+    return float(np.median(np.diff(levels))) if 1 < levels.size < SHARED * got.size else 0.0
+
+
+def _shared(given: Array, got: Array) -> float:
+    """Return the share of an output's power that is a curve of the input and of its way."""
+    place = (given - given.mean()) / np.ptp(given)
+    way = np.sign(np.gradient(given))
+    curve = np.stack([place ** power for power in range(5)])
+    known = np.concatenate([curve, way * curve]).T
+    left = got - known @ np.linalg.lstsq(known, got, rcond=None)[0]
+    return 1.0 - float(np.var(left) / np.var(got))
+
+
 def _smooth(given: Array) -> tuple[Array, float]:
     """
     Return a measured input without its noise, and what noise is left (rms).
 
     A mean over so many samples that the noise is faint; over SMOOTHED of a pass at most.
     """
-    noise = noise_of(given)
+    # Of a staircase with short treads, fourth differences see the steps; first ones do not.
+    noise = min(noise_of(given),
+                float(np.median(np.abs(np.diff(given)))) / 0.6745 / math.sqrt(2.0))
     span = float(np.ptp(given))
-    if noise < FAINT * span or np.unique(given).size < 0.3 * given.size:
+    if noise < FAINT * span or _step(given) > 0.0:
         return given, 0.0
     turns = turning_points(given)
     most = SMOOTHED * float(np.median(np.diff(turns))) * 2.0 if len(turns) > 1 else 1.0
@@ -348,8 +368,9 @@ def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str,
         if x.size < FEWEST:
             raise InputError(f'{run.source}: {x.size} samples; a characteristic takes {FEWEST}')
         smooth, left = _smooth(x)
-        slope = float(np.polyfit(x - x.mean(), y, 1)[0])
+        slope = float(np.polyfit((x - x.mean()) / np.ptp(x), y, 1)[0]) / float(np.ptp(x))
         there = recorded(run, 'static', period, x.size)
+        raw = y
         if every > 1:
             smooth, y = _thinned(smooth, every), _thinned(y, every)
             there = _thinned(there.astype(float), every) > 0.99
@@ -359,7 +380,11 @@ def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str,
         if float(np.std(y)) < CLEAR * noise:
             raise InputError(f'{run.source}: {got} hardly moves: {np.std(y):.3g} with noise of '
                              f'{noise:.3g} (rms)')
-        noise = _unrepeated(smooth, y, slope) or math.hypot(noise, slope * left)
+        noise = max(_unrepeated(smooth, y, slope) or math.hypot(noise, slope * left),
+                    _step(raw) / math.sqrt(12.0 * every), LEAST_NOISE * float(np.std(y)))
+        if (shared := _shared(smooth, y)) < RELATED:
+            raise InputError(f'{run.source}: {got} does not follow from {given}: a curve of it '
+                             f'explains {100.0 * shared:.2g} %')
         fit, held = (mask & there for mask in _parts(smooth, period * every))
         report = np.zeros_like(fit) if whole else reported(held)
         held = held & ~report
@@ -371,9 +396,12 @@ def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str,
             force_judged=None, noise={'valve_position': noise}, fit=fit, held_out=held,
             report=report, taken=middle,
             number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
-    if not any(r.fit.any() for r in recordings) or not any(r.held_out.any() for r in recordings):
-        raise InputError(f'{", ".join(r.source for r in recordings)}: too few samples are left: '
-                         'the others are lost, or next to such ones')
+    few = min(sum(int(getattr(r, part).sum()) for r in recordings)
+              for part in ('fit', 'held_out', 'report'))
+    if few < FEWEST_OF_A_PART:
+        raise InputError(f'{", ".join(r.source for r in recordings)}: too few samples: {few} to '
+                         'fit, choose or judge on; the others are lost, at the ends, or next to '
+                         'such ones')
     return recordings
 
 
@@ -428,7 +456,8 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
                      for variant in effect.variants)) for effect in effects),
                  floor_measured=any(cycle(r.command) for r in recordings
                                     if r.command is not None),
-                 passes=max(sum(len(passes(r)) for r in recordings), 1)), notes_of(recordings)
+                 passes=max(sum(len(passes(r)) for r in recordings), 1)
+                 ), notes_of(runs, recordings)
 
 
 def _with_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
@@ -506,9 +535,11 @@ def as_limit(p: np.void) -> tuple[np.void, str]:
     return p, field
 
 
-def notes_of(recordings: Sequence[Recording]) -> list[str]:
+def notes_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[str]:
     """Return what recordings of a characteristic cannot tell."""
-    notes = []
+    notes = [f'{run.source}: {got} comes in steps of {step:.3g} {run.unit(got)}, which count as '
+             'noise' for run in runs for got in [static_signals(run)[1]]
+             if (step := _step(run.signal(got)))]
     if one_rate(recordings):
         notes.append('the input moves at one rate only: lag and delay cannot be told for certain '
                      'from hysteresis; the same input at another rate separates them')

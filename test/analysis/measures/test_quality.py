@@ -253,7 +253,7 @@ def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:
     assert doubt.startswith('mine: the force moves 1.01e+03 times')
 
 
-@pytest.mark.parametrize('analysis', [analyze, judge_once])
+@pytest.mark.parametrize('analysis', [analyze, judge_once, lambda run: prepare([run])])
 def test_numbers_that_overflow_are_refused(analysis: Callable[[Run], object]) -> None:
     with pytest.raises(InputError, match='the force reaches 1e.300 N, above'):
         analysis(with_force(a_run(), lambda f: put(f, 900, 1e300)))

@@ -25,6 +25,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.viewing import page as live
 from asi_analysis.viewing.recent import Recent, Taken, drawn
+from asi_analysis.viewing.session import Session
 from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
 from asi_common.node import messages as wire
 from asi_common.node.ros_parameters import descriptor
@@ -223,3 +224,9 @@ def test_a_port_in_use_and_a_missing_library_are_said(
     monkeypatch.setattr('sys.argv', ['asi', 'live'])
     assert main() == 2
     assert 'pip install "asi_actuator[live]"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('namespace', ['½', '/left/ right', '-1'])
+def test_a_namespace_that_is_none_is_refused(namespace: str) -> None:
+    with pytest.raises(InputError, match='is not allowed: namespace must not'):
+        Session(namespace, simulate=True)
