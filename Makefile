@@ -39,7 +39,8 @@ test-python test-oldest:
 	@$(OTHER)/bin/python test/oldest.py > $(OTHER)/oldest.txt
 	@$(OTHER)/bin/pip install -qq --disable-pip-version-check $(BOUNDS) . pytest pytest-timeout \
 	  pytest-xdist hypothesis control colcon-common-extensions
-	@$(OTHER)/bin/python -m pytest -q -p no:cacheprovider -n auto --maxprocesses 4 --dist loadfile $(PART)
+	@$(OTHER)/bin/python -m pytest -q -p no:cacheprovider -n auto --maxprocesses 4 \
+	  --dist loadfile -W ignore::DeprecationWarning $(PART)   # those of others, as of an old matplotlib
 
 torture: setup
 	@$(BIN)/python -m torture

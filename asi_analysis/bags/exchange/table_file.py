@@ -4,6 +4,7 @@ import csv
 import os
 import subprocess
 import sys
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +22,7 @@ MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
 # What the libraries raise for damaged files.
 BROKEN: Final = (OSError, ValueError, EOFError, NotImplementedError, TypeError, KeyError,
                  IndexError, MemoryError, OverflowError, RecursionError, csv.Error, zlib.error,
-                 zipfile.BadZipFile)
+                 zipfile.BadZipFile, SyntaxError, tokenize.TokenError)    # headers of numpy
 
 # column name → its values; a scalar of a MAT file is a column of one value
 Table = dict[str, npt.NDArray]

@@ -204,7 +204,8 @@ def _of_the_tolerances(diagnosis: Diagnosis) -> list[str]:
                 f'{len(diagnosis.healthy.runs)} healthy recordings, at most '
                 f'{percent(diagnosis.tolerance)}']
     return [', '.join((f'tolerance of its parameters: {percent(diagnosis.tolerance)}', *(
-        f'{DOTTED[field]} {percent(share)}' for field, share in diagnosis.tolerances.items())
+        f'{DOTTED.get(field, field)} {percent(share)}'
+        for field, share in diagnosis.tolerances.items())
         ))] if uncertain else []
 
 
@@ -255,6 +256,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
     if drive not in DRIVES:
         raise InputError(f'--drive {drive!r} is not allowed: force or position')
+    if drive is not None and plant == 'static':
+        raise InputError('--drive takes --plant joint')
     if signals != (None, None) and plant != 'static':
         raise InputError('--input and --output take --plant static')
     if plant == 'static':

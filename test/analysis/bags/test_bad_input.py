@@ -173,6 +173,21 @@ def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None
     assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
 
 
+@pytest.mark.parametrize('damage', [(b'(10,), }', b'(10,,   '), (b'(10,), }', b'(10, "\n  '),
+                                    (b"'shape'", b"'sha\n '")])
+def test_a_damaged_header_of_an_npz_is_refused(
+        damage: tuple[bytes, bytes], tmp_path: Path) -> None:
+    np.savez(tmp_path / 'a.npz', force=np.arange(10.0))
+    with zipfile.ZipFile(tmp_path / 'a.npz') as archive:
+        member = archive.read('force.npy')
+    assert damage[0] in member
+    with zipfile.ZipFile(tmp_path / 'a.npz', 'w') as archive:
+        archive.writestr('force.npy', member.replace(*damage))
+    with pytest.raises(InputError, match='a.npz cannot be read') as refusal:
+        import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)
+    assert '\n' not in str(refusal.value)
+
+
 def test_a_flipped_bit_of_an_exported_table_is_found(tmp_path: Path) -> None:
     export(a_run(), tmp_path / 'a.parquet')
     data = bytearray((tmp_path / 'a.parquet').read_bytes())

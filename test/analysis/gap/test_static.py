@@ -128,6 +128,8 @@ def test_one_rate_cannot_tell_a_lag_from_hysteresis_and_two_can():
 def test_gain_and_offset_may_be_given():
     recorded = run(RISING, RISING)   # 2e5 Pa/A, -3e5 Pa
     assert asked(recorded, settings=['gain=1.8e5']).verdict == 'no_gap'   # within 20 %
+    narrow = asked(recorded, settings=['gain=1.8e5'], tolerances={'gain': 0.05})
+    assert narrow.verdict == 'sensor_gain' and 'gain 5 %' in str(narrow)
     answer = asked(recorded, settings=['gain=1e5', 'offset=1e5'])
     assert answer.verdict == 'sensor_gain'
     assert size(answer, 'gain') == pytest.approx(2e5, rel=0.01)
@@ -151,6 +153,8 @@ def test_any_input_and_output():
 @pytest.mark.parametrize(('options', 'said'), [
     ({'settings': ['load.mass=3']}, 'load.mass is no parameter of a static characteristic'),
     ({'settings': ['gain=0']}, 'gain = 0 is not allowed'),
+    ({'drive': 'force'}, '--drive takes --plant joint'),
+    ({'tolerances': {'gain': 0.1}}, 'tolerance gain: no uncertain parameter of the nominal'),
     ({'baseline': [run(RISING, RISING)]}, '--baseline takes --plant actuator or joint')])
 def test_what_it_cannot_take_is_refused(options, said):
     with pytest.raises(InputError, match=said):
