@@ -123,6 +123,8 @@ class _Fit:
         """Fit candidates; store those that are better than the best so far of their kind."""
         positions = [_position(self.command, each, self.skip) for each in candidates]
         moving = [k for k, each in enumerate(positions) if np.ptp(each[self.skip:]) > 0.0]
+        if not moving:      # a command that rests moves no valve
+            return
         # The drift is removed before the lag, which would amplify it relative to the cycle.
         filtered = without_drift(np.array([positions[k] for k in moving]), self.cycle)
         for k, position in zip(moving, filtered, strict=True):

@@ -173,6 +173,8 @@ def _described(command: Array, output: Array, cycle: float, frequency: float) ->
 
 def _explained(f: dict[str, float], found: dict[str, Explanation]) -> None:
     """Set the features of the fitted valves."""
+    if 'linear' not in found:
+        raise InputError('the command rests in the oscillation: no valve to attribute it to')
     linear = found['linear']
     description = autoregression(linear.residual).description
     for kind in KINDS:
