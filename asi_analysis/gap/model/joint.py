@@ -315,8 +315,9 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
     leave about as little, it is the simplest.
     """
     turns, unknown = _turns(recordings, runs), stiffness is None
-    if any(run.position_m is None or r.force_judged is None or r.motion is None
-           for run, r in zip(runs, recordings, strict=True)):
+    if not any(r.held_out.any() for r in recordings) or any(
+            run.position_m is None or r.force_judged is None or r.motion is None
+            for run, r in zip(runs, recordings, strict=True)):
         return ByPosition(stiffness=stiffness or 0.0, given=not unknown)
     shapes = [_shapes(r, run, turns, stiffness or 0.0)
               for run, r in zip(runs, recordings, strict=True)]
@@ -326,7 +327,8 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
                           for each, r in zip(shapes, recordings, strict=True)])
 
     # A stiffness that was given may be a little off.
-    always = [*shapes[0].keys() - {'force', *GRAVITY_SHAPES, *SPRING * (not stiffness)}]
+    sought = {'force', *GRAVITY_SHAPES, *SPRING * (not stiffness)}
+    always = [name for name in shapes[0] if name not in sought]
 
     def fitted(more: tuple[str, ...]) -> tuple[float, dict[str, float]] | None:
         names = [*always, *more]
@@ -342,7 +344,7 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
             if alone.std() < INDEPENDENT * added.std():
                 return None
         force, columns = np.split(stacked('held_out', ['force', *names]), [1], axis=1)
-        left = float(np.mean((force[:, 0] - columns @ values) ** 2)) if len(force) else np.nan
+        left = float(np.mean((force[:, 0] - columns @ values) ** 2))
         return left, dict(zip(names, map(float, values), strict=True))
 
     # The simplest first: nothing, gravity, a spring, both.

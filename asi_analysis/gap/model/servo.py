@@ -178,14 +178,15 @@ def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
     """
     if servo is None:
         return recordings, []
+    note = (f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
+            f'ratio {servo.damping:.3g}')
+    if not servo.limited:
+        return recordings, [f'{note}, where the fit begins']
     at_once = servo._replace(delay=0.0)
     limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
         ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
         if math.isfinite(value)]
     # A command acts from its sample on: at the next one the ideal servo has it.
     moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
-    note = (f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
-            f'ratio {servo.damping:.3g}' + ''.join(f', {each}' for each in limits))
-    return [replace(r, command=each, taken=at_once._asdict())
-            for r, each in zip(recordings, moved, strict=True)] if servo.limited else (
-                recordings), [note]
+    return ([replace(r, command=each, taken=at_once._asdict())
+             for r, each in zip(recordings, moved, strict=True)], [', '.join((note, *limits))])
