@@ -353,6 +353,12 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
             starts.append(np.array([begin[other.field] for other in frees]))
     if not fresh:
         starts.append(np.array([warm[free.field] for free in frees]))
+    again = [number for number, free in enumerate(frees) if free.anew]
+    for start in list(starts) if again else ():
+        start = start.copy()
+        start[again] = [_share(_parameter(frees[number], group, group.nominal),
+                               float(group.nominal[frees[number].field])) for number in again]
+        starts.append(start)
     return Problem(group, tuple(frees), fixed), starts
 
 

@@ -21,7 +21,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
 from asi_analysis.gap.model.group import MODEL_ERROR, Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.servo import Servo, servo_of, with_servo
+from asi_analysis.gap.model.servo import LAG_SPLIT, Servo, servo_of, with_servo
 from asi_analysis.gap.prepare import Array, Recording, judged, prepare
 from asi_common.jit import FULL, jit
 from asi_common.parameter import Value
@@ -163,7 +163,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         nominal['valve_flexure_delay'] = 0.0
         nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
         nominal['valve_flexure_damping_ratio'] = servo.damping
-        dynamics = tuple(Free(f'valve_flexure_{name}', *OF_A_SERVO, (1.0,), 'nominal')
+        dynamics = tuple(Free(f'valve_flexure_{name}', *OF_A_SERVO, (1.0,), 'nominal', anew=True)
                          for name in ('natural_frequency', 'damping_ratio'))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
@@ -175,7 +175,8 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     effects = tuple(effect._replace(variants=(LOST_MOTION,))
                     if effect.name == 'backlash' and not proportional else
                     effect._replace(variants=tuple(
-        variant._replace(free=tuple(SLOW.get(free.field, free) for free in variant.free),
+        variant._replace(free=tuple(_near(SLOW.get(free.field, free), servo)
+                                    for free in variant.free),
                          needs=() if dynamics else variant.needs)
         for variant in effect.variants
         if not any(free.field.startswith('valve_flexure') for free in variant.free)))
@@ -187,6 +188,14 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     # No servo is exactly of second order: what is within the model error tells no effects apart.
     return replace(group, formulation={channel: floor - group.noise[channel] ** 2
                                        for channel, floor in group.error_floor.items()})
+
+
+def _near(free: Free, servo: Servo | None) -> Free:
+    """Return a free parameter that begins where a servo without limits was identified with it."""
+    near = {'command_delay': servo.delay, 'valve_lag': servo.lag, 'valve_lag_split': LAG_SPLIT
+            } if servo is not None and not servo.limited else {}
+    value = near.get(free.field, 0.0)
+    return free._replace(starts=(value, *free.starts)) if value else free
 
 
 def _gain(recordings: Sequence[Recording]) -> float:

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from asi_analysis.gap.prepare import Array, Recording
 from asi_common.jit import jit
@@ -31,15 +32,18 @@ DAMPING: Final = 0.8
 DAMPINGS: Final = (0.05, 3.0)
 LAG: Final = 20.0             # a damping ratio at which a servo is a lag of first order
 LONGEST_DELAY: Final = 1.0    # s
+LATE: Final = ('delay', 'lag')
+LAG_SPLIT: Final = 0.35       # share of the second pole of a lag
+FASTER: Final = (2.0, 4.0)    # times as fast as beside a delay is a servo beside a lag
 # Samples of all recordings that are used; of longer ones every second, third ...
 MOST_SAMPLES: Final = 20_000
 
 
 class Servo(NamedTuple):
     """
-    Natural frequency rad/s, damping ratio, largest rate and acceleration (inf: none), delay s.
+    Frequency rad/s, damping ratio, largest rate and acceleration (inf: none), delay and lag s.
 
-    Rate and acceleration in units of the reference over s and s2.
+    Rate and acceleration in units of the reference over s and s2. The lag has two poles.
     """
 
     pulsation: float
@@ -47,6 +51,7 @@ class Servo(NamedTuple):
     rate: float = math.inf
     acceleration: float = math.inf
     delay: float = 0.0
+    lag: float = 0.0
 
     @property
     def limited(self) -> bool:
@@ -73,6 +78,9 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
     """Return what a servo makes of a reference held for a period (s), from rest at `start`."""
     time = period * np.arange(reference.size)
     late = np.interp(time - servo.delay, time, reference) if servo.delay else reference
+    for share in (LAG_SPLIT, 1.0 - LAG_SPLIT) if servo.lag else ():
+        keep = math.exp(-period / (share * servo.lag))
+        late = lfilter([1.0 - keep], [1.0, -keep], late, zi=[keep * start])[0]
     steps = min(max(math.ceil(period * servo.pulsation / SUB_STEP), 1), MOST_SUB_STEPS)
     out = np.empty_like(reference)
     _follow(np.ascontiguousarray(late), start, period, steps, *servo[:4], out)
@@ -98,19 +106,20 @@ def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) 
     period = min(r.period_s for r in recordings)
     bounds = {'pulsation': (-20.0, -math.log(period)), 'rate': (-40.0, 40.0),
               'damping': tuple(map(math.log, DAMPINGS)), 'acceleration': (-40.0, 40.0),
-              'delay': (0.0, LONGEST_DELAY)}
+              'delay': (0.0, LONGEST_DELAY), 'lag': (0.0, LONGEST_DELAY)}
     if start.damping == LAG:    # of the time constant, 2 damping / pulsation
         bounds['pulsation'] = (-20.0, math.log(4.0 * LAG / period))
 
     def servo(x: Array) -> Servo:
-        return start._replace(**{name: float(value) if name == 'delay' else math.exp(value)
+        return start._replace(**{name: float(value) if name in LATE else math.exp(value)
                                  for name, value in zip(free, x, strict=True)})
 
     low, high = np.transpose([bounds[name] for name in free])
-    x0 = [start.delay if name == 'delay' else math.log(getattr(start, name)) for name in free]
+    x0 = [getattr(start, name) if name in LATE else math.log(getattr(start, name))
+          for name in free]
     found = least_squares(
         lambda x: _left(servo(x), recordings, 'fit'), np.clip(x0, low + 1e-9, high - 1e-9),
-        bounds=(low, high), x_scale=[2.0 * period if name == 'delay' else 0.3 for name in free],
+        bounds=(low, high), x_scale=[2.0 * period if name in LATE else 0.3 for name in free],
         diff_step=1e-3, max_nfev=40)
     return servo(found.x)
 
@@ -143,12 +152,17 @@ def servo_of(recordings: Sequence[Recording]) -> Servo | None:
     simple = min(at_once, _power(best(LAG, ('pulsation', 'delay')), recordings))
     if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
         return None
-    second = best(DAMPING, ('pulsation', 'damping', 'delay'))
-    speed = max(float(np.abs(np.diff(_response(second, r))).max()) / r.period_s
+    delayed = best(DAMPING, ('pulsation', 'damping', 'delay'))
+    # A faster servo behind a lag is much like a slower one with a delay.
+    lagging = [_fitted(delayed._replace(pulsation=faster * delayed.pulsation, delay=0.0,
+                                        lag=delayed.delay + 1.0 / delayed.pulsation),
+                       ('pulsation', 'damping', 'lag'), recordings) for faster in FASTER]
+    second = min((delayed, *lagging), key=lambda each: _power(each, recordings))
+    speed = max(float(np.abs(np.diff(_response(delayed, r))).max()) / r.period_s
                 for r in recordings)
-    limited = _fitted(second._replace(rate=0.7 * speed,
-                                      acceleration=0.5 * second.pulsation * speed),
-                      Servo._fields, recordings)
+    limited = _fitted(delayed._replace(rate=0.7 * speed,
+                                       acceleration=0.5 * delayed.pulsation * speed),
+                      [name for name in Servo._fields if name != 'lag'], recordings)
     unlimited = _power(second, recordings)
     found = limited if _power(limited, recordings) < LEFT_UNLIMITED * unlimited else second
     return found if _power(found, recordings) < LEFT_BY_LAG * simple else None
@@ -182,7 +196,7 @@ def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
             f'ratio {servo.damping:.3g}')
     if not servo.limited:
         return recordings, [f'{note}, where the fit begins']
-    at_once = servo._replace(delay=0.0)
+    at_once = servo._replace(delay=0.0, lag=0.0)
     limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
         ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
         if math.isfinite(value)]
