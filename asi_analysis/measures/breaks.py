@@ -127,6 +127,8 @@ def frozen(values: Array) -> list[tuple[int, int]]:
         return []
     lengths = np.diff(begins, append=len(values))
     changes = np.abs(np.diff(values[begins]))
+    if not len(changes):
+        return []
     stirred = changes > STIRRED * float(np.median(changes))
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
             for k in np.flatnonzero(lengths >= FROZEN) if stirred[max(k - FROZEN, 0):k].any()

@@ -146,7 +146,8 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
                                                             motion.velocity.size))
     made = predict(replace(recording, cache={}, **noisy), channel, p) - predict(
         recording, channel, p)
-    return float(np.mean(made[recording.held_out] ** 2))
+    used = recording.held_out if recording.held_out.any() else recording.valid
+    return float(np.mean(made[used] ** 2))
 
 
 def _cached(recording: Recording, fields: tuple[str, ...], p: np.void,
