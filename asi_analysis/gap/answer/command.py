@@ -63,18 +63,23 @@ def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Val
         warnings.warn(f'{path}: {name} is no parameter of the actuator, and left out'
                       + (f': did you mean {near[0]}?' if near else ''), InputWarning, stacklevel=2)
     values = {name: value for name, value in found.items() if name in known}
+    _check_ranges(values, plant, str(path))
+    return values
+
+
+def _check_ranges(values: Mapping[str, Value], plant: str, origin: str) -> None:
+    """Raise InputError for a parameter out of its range; origin: what it is from."""
     ranged = dict(values)
     for name in OF_ANY_SIZE & values.keys() if plant == 'joint' else ():
         value = ranged.pop(name)
         number = isinstance(value, int | float) and 0.0 <= value < math.inf
         if not number or (name == 'load.mass' and value == 0.0):
-            raise InputError(f'{path}: {name} = {value!r} is not allowed: it takes a number '
+            raise InputError(f'{origin}: {name} = {value!r} is not allowed: it takes a number '
                              + ('above 0' if name == 'load.mass' else 'from 0'))
     try:
         completed(ranged, ACTUATOR_PARAMETERS)
     except ParameterError as error:
-        raise InputError(f'{path}: {error}') from None
-    return values
+        raise InputError(f'{origin}: {error}') from None
 
 
 def read_static(path: Path) -> dict[str, Value]:
@@ -188,9 +193,10 @@ def _of_the_line(diagnosis: Diagnosis, values: Mapping[str, Value]) -> str:
     run, weighed = diagnosis.runs[0], diagnosis.groups[0]
     given, got = static_signals(run)
     line = line_of(weighed.group, diagnosis.best(weighed).fitted.record)
-    texts = [f'{name} {digits(line[name], unit_of(unit, "static", run, "static"))} '
+    texts = [f'{name} {digits(float(values.get(name, line[name])), in_unit)} '
              f'({"given" if name in values else "fitted"})'
-             for name, unit in (('gain', 'output/input'), ('offset', 'output'))]
+             for name, unit in (('gain', 'output/input'), ('offset', 'output'))
+             for in_unit in [unit_of(unit, 'static', run, 'static')]]
     return (f'nominal characteristic: {got.replace("_", " ")} over {given.replace("_", " ")}, '
             + ', '.join(texts))
 
@@ -276,11 +282,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
             continue
         _, name, value = parse_setting(f'actuator.{text}')
         values[name] = value
-    if settings and plant == 'actuator':
-        try:
-            completed(values, ACTUATOR_PARAMETERS)
-        except ParameterError as error:
-            raise InputError(f'--set: {error}') from None
+    if settings and plant != 'static':
+        _check_ranges(values, plant, '--set')
     notes = (_of_the_model([*baseline, *everything], values, model is not None)
              if plant == 'actuator' else [])
     for note in notes[1:]:   # now, for they may say why a recording is refused

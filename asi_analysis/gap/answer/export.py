@@ -20,7 +20,8 @@ from asi_common.parameter_file import write_parameters
 FORMATS: Final = {'.xml': 'MJCF', '.mjcf': 'MJCF', '.urdf': 'URDF', '.yaml': 'YAML',
                   '.yml': 'YAML'}
 NODE: Final = '/**/asi_actuator'
-PARAMETERS: Final = ('load_mass', 'load_damping', 'viscous')   # of a joint that --model takes
+# Of a joint, those that --model takes.
+PARAMETERS: Final = ('load_mass', 'load_damping', 'viscous', 'load_stiffness')
 
 
 def format_of(path: Path, plant: str) -> str:
@@ -63,8 +64,9 @@ def write_export(diagnosis: Diagnosis, model: Mapping[str, Value] | None, path: 
         if found.kp:
             raise InputError(f'--export {path}: the inertia behind a servo does not show, and '
                              'load.mass is that: write .xml or .urdf')
-        write_parameters(path, NODE, {'load.mass': found.inertia, 'load.damping': found.damping},
-                         [origin, *found.notes.values()])
+        spring = {'load.stiffness': found.stiffness} if found.stiffness else {}
+        write_parameters(path, NODE, {'load.mass': found.inertia, 'load.damping': found.damping,
+                                      **spring}, [origin, *found.notes.values()])
         row['unsaid'] += [text for field, text in found.notes.items() if field not in PARAMETERS]
         return row
     if kind == 'URDF':

@@ -178,7 +178,7 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
     worst, masked = -math.inf, 0.0
     slope = c.unknown_floor * (MEASURED if e.measured else 1.0)
     for channel, floor in e.error_floor.items():
-        masked = max(masked, c.masked * e.formulation[channel] / floor)
+        masked = max(masked, c.masked * min(e.formulation[channel] / floor, 1.0))
         residual, gap = e.residual[best][channel], e.residual[()][channel]
         over = residual - floor
         if over > 0.0:

@@ -181,13 +181,8 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         for variant in effect.variants
         if not any(free.field.startswith('valve_flexure') for free in variant.free)))
         for effect in EFFECTS)
-    group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
-                       effects=effects, model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
-    if not dynamics:
-        return group
-    # No servo is exactly of second order: what is within the model error tells no effects apart.
-    return replace(group, formulation={channel: floor - group.noise[channel] ** 2
-                                       for channel, floor in group.error_floor.items()})
+    return make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics), effects=effects,
+                      model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
 
 
 def _near(free: Free, servo: Servo | None) -> Free:

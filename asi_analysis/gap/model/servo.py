@@ -33,6 +33,7 @@ DAMPINGS: Final = (0.05, 3.0)
 LAG: Final = 20.0             # a damping ratio at which a servo is a lag of first order
 LONGEST_DELAY: Final = 1.0    # s
 LATE: Final = ('delay', 'lag')
+TOLERANCE: Final = 0.2        # of the gain
 LAG_SPLIT: Final = 0.35       # share of the second pole of a lag
 FASTER: Final = (2.0, 4.0)    # times as fast as beside a delay is a servo beside a lag
 # Samples of all recordings that are used; of longer ones every second, third ...
@@ -89,12 +90,20 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
 
 def _left(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
     """Return what a servo leaves of the output."""
-    rows = []
-    for r in recordings:
-        assert r.command is not None and r.valve_position is not None
-        found = follow(servo, r.command, float(r.valve_position[0]), r.period_s)
-        rows.append((r.valve_position - found)[getattr(r, part)])
-    return np.concatenate(rows)
+    return _left_by([_response(servo, r) for r in recordings], recordings, part)
+
+
+def _left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: str) -> Array:
+    """Return what responses leave, but for a gain near 1 and an offset, by the fitted parts."""
+    outputs = [r.valve_position for r in recordings if r.valve_position is not None]
+    x, y = (np.concatenate([each[r.fit] for each, r in zip(signals, recordings, strict=True)])
+            for signals in (responses, outputs))
+    power = float(np.var(x))
+    gain = float(np.mean((x - x.mean()) * (y - y.mean()))) / power if power > 0.0 else 1.0
+    gain = min(max(gain, 1.0 - TOLERANCE), 1.0 + TOLERANCE)
+    offset = float(np.mean(y - gain * x))
+    return np.concatenate([(output - gain * found - offset)[getattr(r, part)] for output, found, r
+                           in zip(outputs, responses, recordings, strict=True)])
 
 
 def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) -> Servo:
@@ -146,9 +155,8 @@ def servo_of(recordings: Sequence[Recording]) -> Servo | None:
                   for lates in ((0.0,), (4.0, 20.0))]
         return min((_fitted(each, free, recordings) for each in starts), key=power)
 
-    at_once = float(np.mean(np.concatenate([
-        (r.valve_position - r.command)[r.held_out] for r in recordings
-        if r.valve_position is not None and r.command is not None]) ** 2))
+    at_once = float(np.mean(_left_by([r.command for r in recordings if r.command is not None],
+                                     recordings, 'held_out') ** 2))
     simple = min(at_once, _power(best(LAG, ('pulsation', 'delay')), recordings))
     if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
         return None
