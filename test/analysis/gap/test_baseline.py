@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from documented import problems
-from test_gap_joint import PENDULUM, TIME_S, TWO_WAVES, joint
+from test_gap_joint import PENDULUM, TIME_S, TWO_WAVES, joint, servo
 from test_gap_real import cut, emps, needs_data
 from test_gap_simulator import recorded
 
@@ -76,6 +76,15 @@ def test_a_heavier_load_is_named_but_not_a_little_more():
     assert heavier.baseline['change'] == 'changed'
     # Between those of two healthy recordings.
     assert asked(rigid(0.0203, 3), rigid(0.02, 1), rigid(0.0208, 2)).verdict == 'no_gap'
+
+
+@pytest.mark.filterwarnings('ignore:the servo is of second order')
+def test_a_quicker_servo_is_named_and_the_same_one_has_not_changed():
+    same, quicker = asked(servo(), servo()), asked(servo(pulsation=60.0), servo())
+    assert same.verdict == 'no_gap' and same.baseline['change'] == 'none'
+    assert quicker.verdict == 'parameter:valve_flexure.natural_frequency'
+    assert quicker.which[0]['parameters']['valve_flexure_natural_frequency'] == pytest.approx(
+        30.0 / np.pi, rel=0.01)
 
 
 @pytest.mark.parametrize('healthy', [

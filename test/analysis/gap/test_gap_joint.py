@@ -235,14 +235,28 @@ def _servo(reference, pulsation, damping, rate, acceleration, out):
             position += step * speed
 
 
-def servo(late: int = 0, rate: float = 1e9, acceleration: float = 1e9) -> Run:
-    """Return 16 s of a servo of 40 rad/s, damping ratio 0.6, `late` samples of 5 ms late."""
+def servo(late: int = 0, rate: float = 1e9, acceleration: float = 1e9,
+          pulsation: float = 40.0) -> Run:
+    """Return 16 s of a servo with a damping ratio of 0.6, `late` samples of 5 ms late."""
     position = np.empty(STAIRS.size)
-    _servo(STAIRS, 40.0, 0.6, rate, acceleration, position)
+    _servo(STAIRS, pulsation, 0.6, rate, acceleration, position)
     noise = np.random.default_rng(2).normal(0.0, 1e-3, STAIRS.size)
     return Run(0.005 * np.arange(STAIRS.size), reference_n=STAIRS,
                position_m=np.roll(position, late) + noise, source='servo',
                information={'signals': {'reference': 'rad', 'position': 'rad'}})
+
+
+@pytest.mark.parametrize(('gain', 'offset', 'verdict'), [
+    (1.01, 0.0, 'no_gap'), (1.0, 0.05, 'valve_bias')])
+@pytest.mark.filterwarnings('ignore:the servo is of second order')
+def test_a_gain_or_an_offset_does_not_hide_the_second_order(gain, offset, verdict):
+    run = servo()
+    run = dataclasses.replace(run, position_m=gain * run.position_m + offset)
+    answer = document(diagnose([run], {}, 'joint'))
+    assert answer['verdict'] == verdict
+    found = answer['nuisance']['valve']
+    assert found['valve_flexure_natural_frequency'] == pytest.approx(20.0 / math.pi, rel=0.01)
+    assert found['valve_characteristic_gain'] == pytest.approx(gain, rel=1e-3)
 
 
 @pytest.mark.parametrize(('rate', 'acceleration', 'late', 'verdict'), [
