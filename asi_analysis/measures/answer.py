@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from asi_analysis.arrays import Array, Mask
 
 # Earlier samples that a command is computed from: the poles of the compensators of this package.
 ORDER: Final = 8

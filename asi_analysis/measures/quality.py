@@ -11,13 +11,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.breaks import is_continuous, spikes
 from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, Interval, name_of, place_of
 from asi_analysis.measures.relations import of_motion, of_reference
-
-Array = npt.NDArray[np.float64]
 
 # Samples further apart than this many periods have at least one missing between them.
 GAP_PERIODS: Final = 1.5

@@ -11,13 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.answer import Answer, answer, late
 from asi_analysis.measures.breaks import frozen, jumps, spikes
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
 from asi_analysis.measures.finding import DOUBTFUL, Finding, Interval, name_of, place_of
-
-Array = npt.NDArray[np.float64]
 
 # Ratio of the standard deviations of a controlled signal and its reference from which on (or below
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square

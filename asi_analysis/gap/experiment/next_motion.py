@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import chirp, sawtooth
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.experiment.next_experiment import pairs_of, separation, suggestion
 from asi_analysis.gap.inference.hypotheses import Weighed
@@ -21,7 +21,6 @@ from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.prepare import Recording, prepare
 
 DURATION_S, LEAST_SAMPLES = 20.0, 2000
-Array = npt.NDArray[np.float64]
 Course = Callable[[Array, float], Array]
 
 
