@@ -58,6 +58,7 @@ def _step(test: StepTest) -> Experiment:
 # The paper does not say on which loads and with which steps Table 1 was measured; these are the
 # conditions under which `asi reproduce` measures it.
 TABLE_1: Final = Conditions()
+PADDED: Final = 8   # times the samples: length of the transform of a spectrum
 RUNS: Final = (
     DemoRun('proportional', 'Proportional, Kp = 3', _step(TABLE_1.proportional),
             _row(40, 20, 180, ('6', 6.0))),
@@ -94,14 +95,15 @@ def limit_cycle(recorded: Recorded, frequency_hz: float) -> Cycle:
     harmonics = [(k * frequency_hz, abs(fit_sine(time, force, k * frequency_hz)[0]))
                  for k in range(1, 10)]
     window = np.hanning(time.size)
-    amplitude = 2.0 * np.abs(np.fft.rfft((force - force.mean()) * window)) / window.sum()
+    count = PADDED * time.size   # so that a line between two bins has its height
+    amplitude = 2.0 * np.abs(np.fft.rfft((force - force.mean()) * window, count)) / window.sum()
     fundamental = harmonics[0][1]
     full = float(recorded.experiment.actuator['valve_characteristic.full_opening'])
     return Cycle(frequency_hz, fundamental,
                  float(np.sqrt(sum(a * a for _, a in harmonics[1:]))) / fundamental,
                  float(np.abs(run.signal('valve_position')[steady]).max()) / full,
                  float(np.abs(run.signal('command')[steady]).max()), harmonics,
-                 (np.fft.rfftfreq(time.size, run.period_s), amplitude), steady)
+                 (np.fft.rfftfreq(count, run.period_s), amplitude), steady)
 
 
 class Loop(NamedTuple):

@@ -81,6 +81,8 @@ def test_cycle_and_loop_are_measured(demo):
     """A cycle near the paper's 90 Hz; a loop at least as wide as the play that makes it."""
     frequency = demo['limit_cycle'].analysis['oscillation']['frequency_hz']
     cycle = limit_cycle(demo['limit_cycle'], frequency)
+    # The drawn line is as high as the amplitude beside it.
+    assert max(cycle.spectrum[1]) == pytest.approx(cycle.amplitude_n, rel=0.02)
     assert 80.0 < frequency < 100.0
     assert cycle.distortion < 0.08
     loop = hysteresis_loop(demo['hysteresis'])
