@@ -49,6 +49,7 @@ QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot b
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
 # Gravity and spring: share of the power left without them, below which they are there.
 LEFT_WITHOUT = 0.7
+ONE_WAY = 0.02      # share of the time in which a joint may move the other way, for the noise
 INDEPENDENT = 0.1   # share of their force that nothing else can make
 # What friction may be made of beside them: full from this share of the usual speed on, larger
 # below it; elements that give way over these shares of the range of motion.
@@ -119,7 +120,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if turns:
         recordings = [replace(r, taken={**r.taken, 'middle': float(np.nanmean(
             run.signal('position')))}) for run, r in zip(runs, recordings, strict=True)]
-    notes = [*notes, *more]
+    notes = [*notes, *more, *_not_told(recordings, runs)]
     groups = []
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
@@ -127,6 +128,19 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     mechanics = _mechanics(recordings, given, tolerance, force_measured, turns and bool(healthy),
                            bool(found.stiffness) and not found.given)
     return [*groups, _without_hidden_compliance(mechanics)], notes
+
+
+def _not_told(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[str]:
+    """Return notes of what recordings of a joint cannot tell."""
+    notes = []
+    if any(run.position_m is None for run in runs):
+        notes.append('without the position neither gravity nor a spring is looked for')
+    ways = [np.sign(np.quantile(r.motion.velocity[_inner(r)], [ONE_WAY, 1.0 - ONE_WAY]))
+            for r in recordings if r.motion is not None]
+    if ways and (np.all(np.array(ways) > 0.0) or np.all(np.array(ways) < 0.0)):
+        notes.append('the joint moves one way only: its friction cannot be told from a constant '
+                     'load')
+    return notes
 
 
 def _without_hidden_compliance(group: Group) -> Group:

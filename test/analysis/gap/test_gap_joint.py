@@ -246,6 +246,21 @@ def servo(late: int = 0, rate: float = 1e9, acceleration: float = 1e9,
                information={'signals': {'reference': 'rad', 'position': 'rad'}})
 
 
+@pytest.mark.parametrize('missing', [False, True])
+def test_what_one_way_and_no_position_cannot_tell_is_said(missing):
+    run = joint(course=0.4 * TIME_S + 0.05 * np.sin(2.0 * np.pi * 0.7 * TIME_S), friction=0.15)
+    run = run.between(1.0, 15.0)
+    if missing:
+        run = dataclasses.replace(joint(), position_m=None, velocity_m_s=np.gradient(
+            joint().position_m, TIME_S), information={'signals': {
+                'velocity': 'rad/s', 'command': 'Nm'}})
+    with pytest.warns(InputWarning) as remarks:
+        diagnose([run], {}, 'joint')
+    said = ' '.join(str(each.message) for each in remarks)
+    assert ('neither gravity nor a spring is looked for' in said) == missing
+    assert ('cannot be told from a constant load' in said) != missing
+
+
 @pytest.mark.parametrize(('gain', 'offset', 'verdict'), [
     (1.01, 0.0, 'no_gap'), (1.0, 0.05, 'valve_bias')])
 @pytest.mark.filterwarnings('ignore:the servo is of second order')
