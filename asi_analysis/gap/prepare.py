@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ MOST_MISSING = 0.05     # share of missing samples that is still bridged
 LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
 JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
 MOST_JUMPED = 0.5       # share of a recording that is left out for that
-PAD_S = 0.3             # mirrored on at both ends before a Fourier transform
+PAD_S = 0.6             # mirrored on at both ends before a Fourier transform; half of it fades
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
 # than this multiple of the noise's: friction and backlash act on all of the motion that there is.
 SMOOTHING, OUTSTANDING = 2.5, 4.0
@@ -215,11 +215,20 @@ def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
     return careful if careful.mean() > 1.0 - MOST_JUMPED else plain
 
 
-def _extended(values: Array, pad: int) -> Array:
-    """Return the values with `pad` mirrored ones at both ends: value and slope go on."""
-    head = 2.0 * values[0] - values[pad:0:-1]
-    tail = 2.0 * values[-1] - values[-2:-pad - 2:-1]
-    return np.concatenate([head, values, tail])
+def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'odd') -> Array:
+    """
+    Return the values with `pad` mirrored ones at both ends, without a jump where these wrap round.
+
+    odd: value and slope go on. The outer half of both ends fades to the same value: a jump there
+    rings in all derivatives.
+    """
+    longer = np.pad(values, pad, 'reflect', reflect_type=reflect_type)
+    fade = np.ones(longer.size)
+    outer = pad // 2
+    fade[:outer] = 0.5 - 0.5 * np.cos(np.pi * np.arange(outer) / max(outer, 1))
+    fade *= fade[::-1]
+    middle = 0.5 * (values[0] + values[-1])
+    return np.asarray(middle + fade * (longer - middle))
 
 
 def low_pass(frequency: Array, corner: float) -> Array:
@@ -291,20 +300,20 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
         assert position is not None
         # If the ends differ, the extended signal jumps where it wraps round, which rings.
         line = np.linspace(position[0], position[-1], position.size)
-        v = 1j * omega * np.fft.rfft(_extended(position - line, pad))
+        v = 1j * omega * np.fft.rfft(extended(position - line, pad))
         v[0] = count * (line[1] - line[0]) / period
         noise = (omega * noise_of(position)) ** 2
     else:
-        v = np.fft.rfft(np.pad(velocity, pad, 'reflect'))
+        v = np.fft.rfft(extended(velocity, pad, 'even'))
         noise = np.full_like(omega, noise_of(velocity) ** 2)
         if position is not None:
             # Each by its noise: slow motion from the position, fast motion from the velocity.
             slow = noise / ((omega * noise_of(position)) ** 2 + noise + 1e-300)
-            v += slow * np.fft.rfft(np.pad(np.gradient(position, period) - velocity, pad,
-                                           'reflect'))
+            v += slow * np.fft.rfft(extended(np.gradient(position, period) - velocity, pad,
+                                             'even'))
             noise = (1.0 - slow) * noise
     # The mean velocity is a line, extended at both ends as the force of a spring is.
-    x = np.fft.rfft(_extended(v[0].real / count * period * np.arange(source.size), pad))
+    x = np.fft.rfft(extended(v[0].real / count * period * np.arange(source.size), pad))
     x[1:] += v[1:] / (1j * omega[1:])
     found = np.fft.irfft(v, count)[pad:-pad]
     if position is not None:
@@ -323,7 +332,7 @@ def _motion(position: Array | None, velocity: Array | None, band: float,
 
 def judged(values: Array, motion: Motion) -> Array:
     """Return a recorded signal within the band of the motion that is judged."""
-    spectrum = np.fft.rfft(_extended(values, motion.pad)) * motion.judge
+    spectrum = np.fft.rfft(extended(values, motion.pad)) * motion.judge
     count = values.size + 2 * motion.pad
     return np.fft.irfft(spectrum, count)[motion.pad:motion.pad + values.size]
 

@@ -154,7 +154,7 @@ def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
         cosine, bias=-constant, delay_s=delay, lag_s=float(p['drive_lag']),
         period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
         seen_push=pushed,
-        seen_speed=_most(motion.velocity), notes=notes, unit=force,
+        seen_speed=_most(motion.velocity[motion.pad:-motion.pad]), notes=notes, unit=force,
         loads=tuple(loads),
         unsaid=tuple(f'constant load of recording {number}, {digits(each, force)} more'
                      for number, each in enumerate(loads, 1) if abs(each) > RIGID_ERROR * pushed))

@@ -153,7 +153,7 @@ def _without_hidden_compliance(group: Group) -> Group:
     for recording in group.recordings:
         motion, force = recording.motion, recording.force_judged
         assert motion is not None and force is not None
-        moved = np.gradient(motion.velocity, recording.period_s)
+        moved = np.gradient(motion.velocity[_inner(recording)], recording.period_s)
         if mass * float(moved.std()) > QUASI_STATIC * float(force.std()):
             return group
     return replace(group, effects=tuple(effect for effect in group.effects
@@ -248,7 +248,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     # A held command acts half a sample late, and its stamp may be off by as much; a force may be
     # sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
-    travel = max(float(np.ptp(r.motion.position)) for r in recordings if r.motion)
+    travel = max(float(np.ptp(r.motion.position[_inner(r)])) for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured)
     effects += (GRAVITY,) * weighs
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,

@@ -28,7 +28,7 @@ from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
 from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_start
 from asi_analysis.gap.parts import BURN_IN_S
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Array, Recording, extended
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 
@@ -273,7 +273,7 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     measured = motion.velocity[inner] if recording.raw_velocity is None else recording.raw_velocity
 
     def spectrum(values: Array) -> Any:
-        return np.fft.rfft(np.pad(values, motion.pad, 'reflect'))
+        return np.fft.rfft(extended(values, motion.pad, 'even'))
 
     s = 1j * np.maximum(motion.omega, motion.omega[1])
     mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
