@@ -28,6 +28,7 @@ PAD_S = 0.6             # mirrored on at both ends before a Fourier transform; h
 SMOOTHING, OUTSTANDING = 2.5, 4.0
 COHERENT = 0.95         # share of the power that motion and force have in common
 LOWEST_BAND_HZ = 20.0
+LEAST_BAND_HZ = 5.0     # of a joint whose motion hardly stands out of its noise
 # A position that is an integral is judged above this, so gently that it does not ring for longer
 # at the ends; nor for more than a share of a short recording.
 LOWEST_INTEGRATED_HZ, RINGING_S, RINGING = 0.5, 1.0, 0.2
@@ -251,6 +252,19 @@ def _band(motion: Array, force: Array, period: float) -> float:
     return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
 
 
+def _told(motion: Array, period: float) -> float:
+    """
+    Return the frequency (Hz) up to which a measured motion of a joint stands out of its noise.
+
+    Beyond, a controller makes the force of that noise: both are coherent, but the joint has not
+    moved so.
+    """
+    frequency, power = welch(motion, 1.0 / period, nperseg=min(motion.size // 4, 2048))
+    level = 2.0 * period * noise_of(motion) ** 2
+    above = frequency[power > OUTSTANDING * level]
+    return max(float(above[-1]) if above.size else 0.0, LEAST_BAND_HZ)
+
+
 def _clear(velocity: Array, omega: Array, noise: Array, period: float) -> float:
     """
     Return the frequency (Hz) up to which a velocity (m/s) stands out of its noise.
@@ -443,17 +457,18 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
     read = [_signals(run, drive) for run in runs]
-    bands = [_band(moving['velocity' if 'velocity' in moving else 'position'], moving['force'],
-                   period)
+    moved = [(moving['velocity' if 'velocity' in moving else 'position'], moving['force'], period)
              for period, moving, _ in read
              if 'force' in moving and ('velocity' in moving or 'position' in moving)]
+    bands = [_band(motion, force, period) for motion, force, period in moved]
+    if drive == 'force':
+        bands += [RIGID_BAND_HZ, *(_told(motion, period) for motion, _, period in moved)]
     recordings: list[Recording] = []
     whole = held_out if held_out is not None and any(held_out) else None
     for number, (run, (period, moving, origin)) in enumerate(zip(runs, read, strict=True)):
         motion, velocity = None, moving.get('velocity')
-        if bands and 'force' in moving:
-            band = min([*bands, RIGID_BAND_HZ] if drive == 'force' else bands)
-            motion, velocity = _motion(moving.get('position'), velocity, band, period)
+        if moved and 'force' in moving:
+            motion, velocity = _motion(moving.get('position'), velocity, min(bands), period)
         force = moving.get('force')
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else

@@ -47,6 +47,7 @@ BIASED = 0.5        # of the standard deviation of a force: a larger mean is rem
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
+MOST = 10.0         # times what was identified: a load behind a spring is hardly seen
 # Gravity and spring: share of the power left without them, below which they are there.
 LEFT_WITHOUT = 0.7
 ONE_WAY = 0.02      # share of the time in which a joint may move the other way, for the noise
@@ -238,7 +239,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
             # Identified without friction; the true value may be far off.
             value = identified[field]
             nominal[field] = value
-            nuisance.append(Free(field, 0.0, 3.0 * max(value, TYPICAL * typical[field]), (value,)))
+            nuisance.append(Free(field, 0.0, MOST * max(value, TYPICAL * typical[field]), (value,)))
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
     # At a constant speed the damping explains the mean force, which may have been removed.
