@@ -29,6 +29,7 @@ LEAST_PROBABILITY: Final = 0.01   # of an effect that is looked for in the healt
 # Of one recording, but of the machine: the others are of its course or its beginning.
 CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance')
 OF_PREDICTIONS: Final = frozenset(('maximum_substep',))
+TAKEN_OFF: Final = frozenset(('gravity_sine', 'gravity_cosine'))   # the recordings, beforehand
 
 
 class Spread(NamedTuple):
@@ -81,7 +82,7 @@ def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
     found: dict[str, list[float]] = {}
     for free in fitted.free:
         field = free.field.partition('@')[0]
-        if field in CONSTANT or field not in OF_A_RECORDING:
+        if field not in TAKEN_OFF and (field in CONSTANT or field not in OF_A_RECORDING):
             found.setdefault(field, []).extend((
                 *interval(fitted, known, free.field),
                 *(values[free.field] for values in alone if free.field in values)))
@@ -159,7 +160,7 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         field = name.partition('@')[0]
         if field in healthy.spread:
             nominal[name] = healthy.spread[field].value
-        elif (field not in OF_A_RECORDING and field not in OF_PREDICTIONS
+        elif (field not in OF_A_RECORDING and field not in OF_PREDICTIONS | TAKEN_OFF
               and field in (healthy.fitted.record.dtype.names or ())):
             nominal[name] = healthy.fitted.record[field]
     simulated = isinstance(healthy.fitted.problem, Posterior)

@@ -164,11 +164,12 @@ def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, toleran
     simulated: list[Group] = []
     before = healthy.runs if healthy else []
     if plant == 'joint':
-        known = dict(model)
+        known, weight = dict(model), (0.0, 0.0)
         for record in _records(healthy)[-1:] if healthy else ():
             known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
+            weight = float(record['gravity_sine']), float(record['gravity_cosine'])
         groups, notes = joint_groups(runs, known, tolerance, held_out,
-                                     drive or drive_of(before or runs), before)
+                                     drive or drive_of(before or runs), before, weight)
     elif plant == 'static':
         group, notes = static_group(runs, model, tolerance, held_out, before)
         groups = [group]

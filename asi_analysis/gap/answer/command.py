@@ -10,6 +10,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
@@ -24,6 +26,7 @@ from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_analysis.gap.model.model_file import DIRECT
 from asi_analysis.gap.model.simulator import of_simulator
 from asi_analysis.gap.model.static import GIVEN, static_signals
+from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
@@ -176,7 +179,7 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                 f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, "joint"))} '
                 f'({origin if DOTTED[field] in values or diagnosis.healthy else "identified"})'
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
-                ) + ', and a constant force')
+                ) + _gravity(weighed.group.recordings[0], p, run) + ', and a constant force')
         else:
             p = diagnosis.best(weighed).fitted.record
             how = 'at once' if p['valve_flexure_model'] != FULL else (
@@ -186,6 +189,17 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                          + (f'reference {how}' if run.command_n is None else
                             'command at once, in proportion'))
     return notes
+
+
+def _gravity(recording: Recording, p: np.void, run: Run) -> str:
+    """Return the words for the gravity of a joint; '' if it has none."""
+    sine, cosine = (recording.taken.get(name, 0.0) + float(p[name])
+                    for name in ('gravity_sine', 'gravity_cosine'))
+    if not sine and not cosine:
+        return ''
+    return (f', gravity {digits(math.hypot(sine, cosine), unit_of("N", "load", run, "joint"))} '
+            'times the sine of the position less '
+            f'{math.degrees(math.atan2(-cosine, sine)):.3g} degrees (identified)')
 
 
 def _of_the_line(diagnosis: Diagnosis, values: Mapping[str, Value]) -> str:

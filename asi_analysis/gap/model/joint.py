@@ -95,12 +95,13 @@ def drive_of(runs: Sequence[Run]) -> str:
 
 
 def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
-                 held_out: Sequence[bool], drive: str, healthy: Sequence[Run] = ()
-                 ) -> tuple[list[Group], list[str]]:
+                 held_out: Sequence[bool], drive: str, healthy: Sequence[Run] = (),
+                 weight: tuple[float, float] = (0.0, 0.0)) -> tuple[list[Group], list[str]]:
     """
     Return the groups of channels that a joint has, and notes.
 
-    healthy: recordings that servo, gravity, spring and mean force are identified on; none: `runs`.
+    healthy: recordings that servo, gravity, spring and mean force are identified on; none: `runs`;
+    weight: what their fit adds to that gravity, N m of sin q and of cos q.
     """
     recordings = prepare(runs, drive, held_out)
     of = prepare(healthy, drive) if healthy else recordings
@@ -113,6 +114,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     turns = _turns(recordings, runs)
     stiffness = given.get('load.stiffness')
     found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness))
+    found = found._replace(sine=found.sine + weight[0], cosine=found.cosine + weight[1])
     recordings, notes = without_gravity(recordings, runs, found)
     of = without_gravity(of, healthy, found)[0] if healthy else recordings
     recordings, of = (_from_one_origin(each, which, found.stiffness)
@@ -126,7 +128,8 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
-    mechanics = _mechanics(recordings, given, tolerance, force_measured, turns and bool(healthy),
+    weighs = turns and (bool(healthy) or bool(found.sine or found.cosine))
+    mechanics = _mechanics(recordings, given, tolerance, force_measured, weighs, bool(healthy),
                            bool(found.stiffness) and not found.given)
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
@@ -217,11 +220,12 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
-               force_measured: bool, weighs: bool, springs: bool) -> Group:
+               force_measured: bool, weighs: bool, healthy: bool, springs: bool) -> Group:
     """
     Return the group that compares the force with what the motion takes.
 
-    weighs: its gravity may have changed; springs: it has a spring whose stiffness is not given.
+    weighs: it has gravity, which each fit adjusts, or which, with healthy recordings, may have
+    changed; springs: it has a spring whose stiffness is not given.
     """
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
@@ -239,19 +243,23 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
             # Identified without friction; the true value may be far off.
             value = identified[field]
             nominal[field] = value
-            nuisance.append(Free(field, 0.0, MOST * max(value, TYPICAL * typical[field]), (value,)))
+            most = MOST * max(value, TYPICAL * typical[field])
+            nuisance.append(Free(field, 0.0, most, (value,)))
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
     # At a constant speed the damping explains the mean force, which may have been removed.
-    most = max(1.0, 2.0 * abs(start))
-    nuisance.append(Free('load_offset', -most, most, (start,), 'force'))
+    largest = max(1.0, 2.0 * abs(start))
+    nuisance.append(Free('load_offset', -largest, largest, (start,), 'force'))
     period = max(recording.period_s for recording in recordings)
     # A held command acts half a sample late, and its stamp may be off by as much; a force may be
     # sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position[_inner(r)])) for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured)
-    effects += (GRAVITY,) * weighs
+    if weighs and healthy:
+        effects += (GRAVITY,)
+    elif weighs:   # it was identified without the effects
+        nuisance += [free._replace(starts=(0.0,)) for free in GRAVITY.variants[0].free]
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
                       model_error=RIGID_ERROR)
 
@@ -402,10 +410,7 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByP
                              force_judged=r.force_judged - judged(torque, r.motion),
                              taken={'gravity_sine': found.sine,
                                     'gravity_cosine': found.cosine}))
-    zero = np.degrees(np.arctan2(-found.cosine, found.sine))
-    size = np.hypot(found.sine, found.cosine)
-    return taken, [f'gravity is taken off: {size:.4g} Nm times the sine of the position less '
-                   f'{zero:.3g} degrees; it {leaves}'
+    return taken, [f'the joint has gravity: it {leaves}'
                    + ('; a spring in its place would leave about as little' if found.alike
                       and not found.stiffness else ''), *notes]
 
