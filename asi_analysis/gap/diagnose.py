@@ -17,6 +17,7 @@ from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_course import choose_course
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.inference import localisation, plausibility
+from asi_analysis.gap.inference.edges import PLACED, placed
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.one_rate import at_one_rate
@@ -259,6 +260,9 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
+    as_fitted, weighed = weighed, [placed(each) for each in weighed]
+    if any(each is not old for each, old in zip(weighed, as_fitted, strict=True)):
+        notes.append(PLACED)
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None, healthy, machine)
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
