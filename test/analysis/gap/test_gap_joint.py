@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer import report
+from asi_analysis.gap.answer.command import diagnose as asked
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
@@ -25,9 +26,13 @@ PENDULUM = {'signals': {'position': 'rad', 'command': 'Nm'}}
 
 
 @numba.njit(cache=True)
-def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, offset, bristle_rad,
+def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, load, bristle_rad,
            out):
-    """Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n)."""
+    """
+    Put command (N m) and position (rad) of a joint under a PD loop into out (2 x n).
+
+    load: N m, n samples.
+    """
     step = 1.0 / RATE_HZ / SUB_STEPS
     angle, speed, bristle, before, rate = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(reference.size):
@@ -46,7 +51,7 @@ def _joint(reference, friction, breakaway, uneven, late, gravity, teeth, offset,
                 bristle += step * slope
             friction_torque = friction / bristle_rad * bristle + 0.02 * slope * (friction > 0.0)
             speed += step / INERTIA * (torque - DAMPING * speed - friction_torque
-                                       - gravity * np.sin(teeth * angle) - offset)
+                                       - gravity * np.sin(teeth * angle) - load[k])
             angle += step * speed
 
 
@@ -57,12 +62,13 @@ TWO_WAVES = 0.6 * np.sin(2.0 * np.pi * 0.4 * TIME_S) + 0.2 * np.sin(2.0 * np.pi 
 
 
 def joint(friction: float = 0.0, breakaway: float = 1.0, late_s: float = 0.0,
-          gravity: float = 0.0, teeth: float = 1.0, uneven: float = 0.0, offset: float = 0.0,
-          course: np.ndarray = WITH_RESTS, bristle_rad: float = 1e-3) -> Run:
+          gravity: float = 0.0, teeth: float = 1.0, uneven: float = 0.0,
+          offset: float | np.ndarray = 0.0, course: np.ndarray = WITH_RESTS,
+          bristle_rad: float = 1e-3) -> Run:
     """Return 16 s of the joint on a smooth course, read by a 14 bit encoder."""
     out = np.empty((2, course.size))
     _joint(course, friction, breakaway, uneven, round(late_s * RATE_HZ * SUB_STEPS), gravity,
-           teeth, offset, bristle_rad, out)
+           teeth, offset + np.zeros(course.size), bristle_rad, out)
     count = 2.0 * np.pi / 2 ** 14
     return Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
                source='joint', information=PENDULUM)
@@ -123,16 +129,38 @@ def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(frictio
     run = joint(gravity=1.0, friction=friction)
     if turned:    # the encoder's zero is anywhere
         run = dataclasses.replace(run, position_m=run.position_m + turned)
-    with pytest.warns(InputWarning, match='gravity is taken off') as remarks:
-        answer = document(diagnose([run], {}, 'joint'))
-    text = next(str(each.message) for each in remarks if 'gravity' in str(each.message))
-    size, zero = (float(each) for each in re.findall(r'off: (\S+) Nm .* less (\S+) deg', text)[0])
+    with pytest.warns(InputWarning, match='the joint has gravity'):
+        answer = asked([run], plant='joint').to_dict()
+    text = next(note for note in answer['notes'] if 'nominal joint' in note)
+    size, zero = (float(each) for each in re.findall(
+        r'gravity (\S+) Nm .* less (\S+) deg', text)[0])
     assert size == pytest.approx(1.0, rel=0.01)
     assert zero == pytest.approx(math.degrees(turned), abs=1.0)
     assert answer['verdict'] == ('coulomb_friction' if friction else 'no_gap')
     assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
     if friction:
         assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
+
+
+def test_a_pulse_begins_and_ends_when_it_does():
+    """Wherever that is: also among the samples that are kept for the report."""
+    for start, end in ((4.1, 9.0), (5.3, 8.0)):
+        pulse = np.where((start <= TIME_S) & (end > TIME_S), 0.4, 0.0)
+        answer = document(diagnose([joint(offset=pulse, course=TWO_WAVES)], {}, 'joint'))
+        found = answer['which'][0]
+        assert answer['verdict'] == 'disturbance_force'
+        assert found['parameters']['disturbance_start'] == pytest.approx(start, abs=0.02)
+        assert found['parameters']['disturbance_end'] == pytest.approx(end, abs=0.02)
+
+
+def test_a_pulse_at_steps_is_no_gravity():
+    rng = np.random.default_rng(5)
+    levels = np.repeat(rng.uniform(-0.8, 0.8, 16), TIME_S.size // 16)
+    course = lfilter([0.03], [1.0, -0.97], lfilter([0.03], [1.0, -0.97], levels))
+    pulse = np.where((5.0 <= TIME_S) & (TIME_S < 10.0), 0.4, 0.0)
+    answer = asked([joint(offset=pulse, course=course)], plant='joint').to_dict()
+    assert answer['verdict'] == 'disturbance_force'
+    assert answer['which'][0]['parameters']['disturbance_pulse'] == pytest.approx(-0.4, rel=0.05)
 
 
 @pytest.mark.parametrize('changed', [{}, {'friction': 0.15, 'uneven': 0.3}, {'late_s': 0.012}])
