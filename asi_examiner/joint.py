@@ -343,3 +343,54 @@ def _run(servo: bool, turns: bool, rate: float, recorded: Array, size: float,
     time = 1.0 + np.arange(position.size) / rate
     return Run(time, position_m=position, information={'signals': units}, **{
         'reference_n' if servo else 'command_n': driving})
+
+
+class Machine(NamedTuple):
+    """
+    A joint that turns under a PD loop, without any effect, and what it may do.
+
+    values: its parameters; size: half of its travel, rad; speed: its largest, rad/s; torque: what
+    a usual motion takes (rms), Nm; stiffness: of the loop, Nm/rad.
+    """
+
+    values: Values
+    size: float
+    speed: float
+    torque: float
+    stiffness: float
+    rate_hz: float = 250.0
+
+
+def draw_machine(seed: int) -> Machine:
+    """Return the machine of a seed, without gravity and spring."""
+    rng = np.random.default_rng([seed, 22])
+    size, inertia = _log(rng, 0.3, 1.5), _log(rng, 0.01, 3.0)
+    speed = 2.0 * math.pi * size * _log(rng, 0.5, 1.2)
+    damping = inertia * _log(rng, 0.3, 3.0)
+    torque = math.hypot(inertia * speed ** 2 / size, damping * speed) / math.sqrt(2.0)
+    return Machine({'inertia': inertia, 'damping': damping, 'stribeck': 1.0, 'bristle': 1.0},
+                   size, speed, torque, inertia * _log(rng, 40.0, 90.0) ** 2)
+
+
+def with_suspect(machine: Machine, name: str, rng: np.random.Generator) -> Values:
+    """Return the parameters of a machine with a suspect, whose size is drawn."""
+    own = machine.values
+    sign = 1.0 if rng.random() < 0.5 else -1.0
+    also: dict[str, Values] = {
+        'viscous_friction': {'damping': own['damping'] + _log(rng, 0.2, 0.6) * machine.torque
+                             / machine.speed},
+        'gravity': {'gravity': _log(rng, 0.3, 3.0) * machine.torque,
+                    'gravity_zero': rng.uniform(-3.1, 3.1)},
+        'spring': {'spring': _log(rng, 0.3, 2.0) * machine.torque / machine.size},
+        'mass': {'inertia': own['inertia'] * (1.0 + sign * rng.uniform(0.35, 0.5))}}
+    return own | (also[name] if name in also else _effect(
+        name, rng, False, machine.size, machine.speed, machine.torque, own['inertia']))
+
+
+def moved(machine: Machine, values: Values, course: Array, rng: np.random.Generator) -> Run | None:
+    """Return the recording of a joint that follows a course (rad); None if it is unstable."""
+    substeps = round(1.0 / machine.rate_hz / STEP_S)
+    recorded = _simulated(False, _record(values), course, machine.stiffness, substeps)
+    if not np.abs(recorded[1]).max() < 2.0 * np.abs(course).max():
+        return None
+    return _run(False, True, machine.rate_hz, recorded, machine.size, rng)

@@ -8,6 +8,7 @@ nothing says that anything is wrong. `make test` tries a few hundred, `make tort
 import contextlib
 import functools
 import gzip
+import json
 import math
 import shutil
 import time
@@ -18,6 +19,8 @@ from random import Random
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+from pyarrow.parquet import write_table
 from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -41,6 +44,8 @@ from torture.rig import Rig, Tally
 FILES: Final = 10_000
 SAMPLES: Final = 1500
 MAP: Final = ['time=time_s', 'force=force_n', 'reference=reference_n']
+DATASET_MAP: Final = ['time=timestamp', 'force=observation.state.force[N]',
+                      'reference=action.force[N]']
 ROS_1_MAP: Final = ['force=/force_n/data', 'reference=/reference_n/data']
 # What someone may find in a text instead of a number.
 WORDS: Final = (b'', b'nan', b'1e400', b'-', b'"', b'1,5', b'-19m', b'12:00 PM', b'\xff', b'\x00',
@@ -97,6 +102,12 @@ def corpus(folder: Path) -> list[Path]:
     (folder / 'comma.txt').write_text(text.replace(',', ';').replace('.', ','))
     (folder / 'blank.dat').write_text('# a remark\n# ' + text.replace(',', ' '))
     (folder / 'good.csv.gz').write_bytes(gzip.compress(text.encode()))
+    (folder / 'good.json').write_text(json.dumps({name: values.tolist() for name, values
+                                                  in columns.items()}))
+    (folder / 'good.jsonl').write_text(''.join(
+        json.dumps(dict(zip(columns, row, strict=True))) + '\n'
+        for row in zip(*(values.tolist() for values in columns.values()), strict=True)))
+    dataset = _as_dataset(run, folder / 'dataset')
     np.savez_compressed(folder / 'good.npz', **columns)  # type: ignore[arg-type]
     write_bag(run, folder / 'bag')
     as_sqlite(folder / 'bag', folder / 'sqlite')
@@ -107,7 +118,7 @@ def corpus(folder: Path) -> list[Path]:
         'asi_actuator:\n  ros__parameters:\n    load:\n      type: spring\n      mass: 5e-1\n')
     return [path for path in sorted(folder.iterdir()) if path.is_file() and path.suffix != '.mat'
             ] + [next((folder / 'bag').glob('*.mcap')), folder / 'bag/metadata.yaml',
-                 folder / 'good.mat']
+                 *dataset, folder / 'good.mat']
 
 
 def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE
@@ -122,6 +133,33 @@ def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE
                   for each in reader.connections}
             for connection, time_ns, data in reader.messages():
                 writer.write(to[connection.topic], time_ns, data)
+
+
+def _as_dataset(run: Run, out: Path) -> list[Path]:
+    """Write reference and force as a dataset of LeRobot (v3); return what may be damaged of it."""
+    info, data = out / 'meta/info.json', out / 'data/chunk-000/file-000.parquet'
+    info.parent.mkdir(parents=True)
+    data.parent.mkdir(parents=True)
+    of_force = {'dtype': 'float32', 'shape': [1], 'names': ['force']}
+    of_place = {'dtype': 'int64', 'shape': [1], 'names': None}
+    info.write_text(json.dumps({
+        'codebase_version': 'v3.0', 'fps': 1000, 'total_episodes': 1, 'chunks_size': 1000,
+        'data_path': 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet', 'features': {
+            'observation.state': of_force | {'shape': [2], 'names': ['force', 'same']},
+            'action': of_force | {'shape': [2], 'names': ['force', 'same']},
+            'timestamp': of_force | {'names': None}, 'episode_index': of_place}}))
+    write_table(pa.table({
+        **{name: pa.array(np.column_stack(2 * [run.signal(signal)]).tolist(),
+                          pa.list_(pa.float32()))
+           for name, signal in (('observation.state', 'force'), ('action', 'reference'))},
+        'timestamp': pa.array(run.time_s, pa.float32()),
+        'episode_index': pa.array(np.zeros(len(run), int))}), data, write_page_checksum=True)
+    return [info, data]
+
+
+def dataset_of(path: Path) -> Path | None:
+    """Return the dataset that a file is part of."""
+    return next((each for each in path.parents if each.name == 'dataset'), None)
 
 
 def _as_ros_1(run: Run, out: Path) -> None:
@@ -170,12 +208,16 @@ def read(path: Path) -> Answer | None:
     if path.suffix == '.yaml' and path.name != 'metadata.yaml':
         read_parameters(path, 'actuator')
         return None
+    dataset = dataset_of(path)
+    if dataset is not None:
+        path = dataset
     if path.suffix not in ('.mcap', '.db3', '.yaml'):
         with contextlib.suppress(InputError):
             str(preview(path))
     run = (read_bag(path.parent if path.name == 'metadata.yaml' else path)
            if path.suffix in ('.mcap', '.db3') or path.name == 'metadata.yaml'
-           else import_recording(path, ROS_1_MAP if path.suffix == '.bag' else MAP))
+           else import_recording(path, DATASET_MAP if dataset else
+                                 ROS_1_MAP if path.suffix == '.bag' else MAP))
     return of_step(run) if len(run) > 1 else None
 
 
@@ -185,7 +227,10 @@ def file_problem(good: Path, folder: Path, random: Random) -> str:
     folder.mkdir(parents=True)
     if good.name == 'metadata.yaml':
         shutil.copy(next(good.parent.glob('*.mcap')), folder)
-    path = folder / good.name
+    path, dataset = folder / good.name, dataset_of(good)
+    if dataset is not None:
+        shutil.copytree(dataset, folder / dataset.name)
+        path = folder / good.relative_to(dataset.parent)
     path.write_bytes(damaged(good.read_bytes(), random))
     try:
         with warnings.catch_warnings(record=True) as noted:

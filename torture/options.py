@@ -45,6 +45,8 @@ TEXTS: Final = {'steps': ('{}', '100,{}'), 'rates': ('{}', '5000,{}'),
                 'springs': ('{}', '1e5,{}'),
                 'over': ('controller.gain={}', 'controller.gain=1:{}:3', 'load.mass=1:2:{}'),
                 'tolerance': ('{}', 'load.mass={}'),
+                'limit': ('position={}:1[rad]', 'velocity={}[rad/s]', 'command={}[Nm]'),
+                'noise': ('position={}[rad]',),
                 'front': ('load.mass={}', 'load.mass=0.5,{}'),
                 'map_': ('reference=force_n*{}', 'reference=force_n+{}', 'reference=force_n[{}]')}
 # What a call needs to be complete, and soon over where a value is accepted.
@@ -54,7 +56,10 @@ NEEDED: Final = {
     'limit-cycle': ['--check', '1'],
     'quench': ['--out', 'new'], 'demo': ['--out', 'new'], 'calibrate': ['--out', 'new'],
     'ensemble': ['--out', 'new', '--pictures', 'new'], 'gap of': ['bag'],
-    'gap check': ['--out', 'new'], 'live': ['--no-browser'], 'compare': ['lead4'],
+    'gap check': ['--out', 'new'],
+    'gap plan': ['joint.yaml', '--limit', 'position=-1:1[rad]', '--limit',
+                 'velocity=3[rad/s]'],
+    'live': ['--no-browser'], 'compare': ['lead4'],
     'sweep': ['--over', 'controller.feedforward=1']}
 FILES: Final = ('bag:', 'table.csv')   # what a refusal may name instead of an option
 # One call of so many computes.
@@ -126,6 +131,7 @@ def material(folder: Path, duration_s: float) -> None:
         'reference.shape': 'multisine', 'reference.amplitude': 50.0}, duration_s))
     write_bag(run, folder / 'bag')
     export(run, folder / 'table.csv')
+    (folder / 'joint.yaml').write_text('/**:\n  ros__parameters:\n    load.mass: 0.05\n')
 
 
 def outcome(arguments: Sequence[str]) -> Outcome:

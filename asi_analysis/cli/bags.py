@@ -119,8 +119,9 @@ def analyze(
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
 def import_(
     files: Annotated[list[Path], typer.Argument(
-        help='.csv, .tsv, .txt, .dat (or .gz), .mat, .npz, .parquet, a rosbag2 or ROS 1 .bag; or '
-             'several tables, each with its time, of which the first gives the samples')],
+        help='.csv, .tsv, .txt, .dat, .json, .jsonl (or .gz), .mat, .npz, .parquet, the folder of '
+             'a LeRobot dataset, a rosbag2 or ROS 1 .bag; or several tables, each with its time, '
+             'of which the first gives the samples')],
     out: Annotated[Path | None, typer.Option(
         help='The bag to write; without it and without --map: a preview')] = None,
     map_: Annotated[list[str] | None, typer.Option(
@@ -135,6 +136,8 @@ def import_(
         help='Column names, separated by commas, of a file without a header')] = None,
     zero: Annotated[float, typer.Option(
         help='Subtract from each signal its mean over this time from the start, s')] = 0.0,
+    episode: Annotated[int | None, typer.Option(
+        help='Of a LeRobot dataset; needed if it has several', min=0, max=10**9)] = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -150,7 +153,8 @@ def import_(
     from asi_analysis.bags.exchange.preview import preview
     from asi_analysis.bags.exchange.summary import Imported, ImportedJoints, Previews
     reading: dict[str, Any] = {'skip_lines': skip_lines, 'delimiter': delimiter,
-                               'columns': columns.split(',') if columns else None}
+                               'columns': columns.split(',') if columns else None,
+                               'episode': episode}
     if out is None and map_:
         raise InputError('--map goes with --out BAG, the bag to write')
     with bar() as progress:

@@ -23,9 +23,11 @@ from asi_analysis.terminal import bar
 
 
 class GapCommands(typer.core.TyperGroup):
-    """Parses `asi gap BAG...` as `asi gap of BAG...`."""
+    """Parses `asi gap BAG...` as `asi gap of BAG...`, `asi gap --plan FILE` as `... plan FILE`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0].split('=')[0] == '--plan':
+            args = ['plan', *args[0].split('=', 1)[1:], *args[1:]]
         if args and args[0] not in {*self.commands, '-h', '--help'}:
             args = ['of', *args]
         return super().parse_args(ctx, args)
@@ -33,7 +35,9 @@ class GapCommands(typer.core.TyperGroup):
 
 gap_app = typer.Typer(cls=GapCommands, help='The sim-to-real gap: where, which effect, how '
                       'far it shrinks, what to record next.\n\n`asi gap BAG...` diagnoses '
-                      'recordings; its options: `asi gap of --help`.', no_args_is_help=True,
+                      'recordings; its options: `asi gap of --help`.\n\n'
+                      '`asi gap --plan MODEL` says what to record; its options: `asi gap plan '
+                      '--help`.', no_args_is_help=True,
                       context_settings=HELP)
 app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --model m.yaml`')
 
@@ -42,6 +46,9 @@ app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --mod
          '`asi gap arm --plant joint --export arm.xml', gap_app)
 def gap(
     bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
+    plan: Annotated[Path | None, typer.Option(
+        metavar='MODEL', help='Without recordings: what to record; its options: `asi gap plan '
+        '--help`')] = None,
     model: Annotated[Path | None, typer.Option(
         help='Nominal parameters: a ROS parameter file; default: those in the bag')] = None,
     set_: Annotated[list[str] | None, typer.Option(
@@ -90,6 +97,9 @@ def gap(
     for path in export or []:   # before the diagnosis, which takes long
         format_of(path, plant)
         new_file(path)
+    if plan is not None:
+        raise InputError(f'--plan {plan} is of what to record, and goes first and without '
+                         f'recordings: asi gap --plan {plan}')
     usual, own = parse_tolerances(tolerance or [])
     if joint is not None:
         if plant != 'joint':
@@ -126,6 +136,58 @@ def gap(
     show(result, as_json)
     if refused:
         raise refused
+
+
+@command('plan', 'asi gap --plan joint.yaml --limit position=-45:45[deg] '
+         '--limit velocity=90[deg/s] --limit command=5[Nm] --out reference.csv', gap_app)
+def gap_plan(
+    model: Annotated[Path, typer.Argument(
+        help='Nominal parameters of the joint, as --model of asi gap takes them; limit.position '
+        'and others of asi_gap may be in it')],
+    limit: Annotated[list[str] | None, typer.Option(
+        metavar='SIGNAL=VALUE[UNIT]', help='What the joint may do: position=LOW:HIGH[deg], '
+        'velocity=90[deg/s], command=5[Nm]; may be repeated')] = None,
+    sensors: Annotated[str, typer.Option(
+        help='Signals that can be recorded, separated by commas: command (of a torque or force), '
+        'force, position, velocity; or reference,position of a servo')] = 'command,position',
+    noise: Annotated[list[str] | None, typer.Option(
+        metavar='SIGNAL=VALUE[UNIT]', help='Standard deviation of what is recorded, as '
+        'position=0.01[deg]; may be repeated')] = None,
+    rate: Annotated[float, typer.Option(
+        help='Sampling rate of the recording and of the reference, Hz, 50 to 1000')] = 250.0,
+    tolerance: Annotated[float, typer.Option(
+        help='Tolerance of the nominal parameters, as a share')] = 0.2,
+    plant: Annotated[Literal['actuator', 'joint'], typer.Option(
+        help='Only of a joint')] = 'joint',
+    out: Annotated[Path | None, typer.Option(
+        callback=new_file, metavar='FILE.csv', help='The reference to play: time, position')
+    ] = None,
+    report: Annotated[Path | None, typer.Option(
+        callback=directory, help='Directory for an HTML report with a picture of the reference')
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """
+    Plan what to record of a joint, so that its usual suspects are told apart: before recording.
+
+    Friction, backlash, compliance, delay, lag, gravity, a spring or a wrong inertia: which courses
+    separate them, how often, with which sensors, within the limits of the joint. The same as
+    `asi gap --plan MODEL`.
+    """
+    from asi_analysis.gap.answer.command import parse_tolerances
+    from asi_analysis.gap.answer.planned import plan_recording
+    if plant != 'joint':
+        raise InputError('--plant actuator: a plan is of a joint; of the actuator `asi gap BAG` '
+                         'says what to record next, with the `asi run` that records it')
+    if out is not None and out.suffix != '.csv':
+        raise InputError(f'--out {out}: expected a .csv file')
+    usual, _ = parse_tolerances([f'{tolerance!r}'])
+    with bar() as progress:
+        plan = plan_recording(model, [name.strip() for name in sensors.split(',')], limit or [],
+                              noise or [], rate, usual, out, progress)
+        if report:
+            plan.write_report(report)
+    show(plan, as_json)
 
 
 @command('check', 'asi gap check --cases 60 --seed 20000', gap_app)

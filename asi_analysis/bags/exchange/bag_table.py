@@ -13,14 +13,15 @@ from asi_analysis.bags import cdr
 from asi_analysis.bags.bag import Series, align, decode, time_base
 from asi_analysis.bags.bag_file import BROKEN, Topic, read_contents, with_a_file_as_metadata
 from asi_analysis.bags.bag_writer import typestore
+from asi_analysis.bags.exchange.lerobot import is_dataset
 from asi_analysis.bags.exchange.ros1_bag import read_ros1_table
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a path is that of a bag, by its name."""
-    return path.is_dir() or path.suffix in ('.mcap', '.db3', '.bag')
+    """Tell whether a path is that of a bag, by its name; a dataset of LeRobot is a folder too."""
+    return (path.is_dir() and not is_dataset(path)) or path.suffix in ('.mcap', '.db3', '.bag')
 
 
 def read_bag_table(path: Path, columns: Sequence[str]) -> Table:

@@ -17,6 +17,7 @@ from asi_analysis.bags.exchange.column_mapping import (
     parse_mapping,
 )
 from asi_analysis.bags.exchange.joints import JOINT, bags_in, folder_name, joints_of
+from asi_analysis.bags.exchange.lerobot import is_dataset, refuse_episode, refuse_visual
 from asi_analysis.bags.exchange.preview import message_types
 from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
@@ -32,16 +33,17 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
                      rate_hz: float | None = None, *,
                      skip_lines: int = 0, delimiter: str | None = None,
                      columns: Sequence[str] | None = None, zero_s: float = 0.0,
-                     out: str | Path | None = None) -> Run:
+                     episode: int | None = None, out: str | Path | None = None) -> Run:
     r"""
     Return a recording of another system as a run; also written as the bag `out`, if given.
 
-    path: .csv, .tsv, .txt, .dat (also .gz), .mat, .npz, .parquet, a rosbag2, or a .bag of ROS 1;
-    or several tables, each with its time, of which the first gives the samples; mapping: texts
-    `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for a file of `asi export`; rate_hz: sampling
-    rate, if no column is mapped to time (a bag has its own times); skip_lines: lines before the
-    header; columns: names for a file without a header; zero_s: subtract from each signal its mean
-    over this time from the start, s. Raises InputError.
+    path: .csv, .tsv, .txt, .dat, .json, .jsonl (also .gz), .mat, .npz, .parquet, the folder of a
+    LeRobot dataset, a rosbag2, or a .bag of ROS 1; or several tables, each with its time, of which
+    the first gives the samples; mapping: texts `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for
+    a file of `asi export`; rate_hz: sampling rate, if no column is mapped to time (a bag has its
+    own times); skip_lines: lines before the header; columns: names for a file without a header;
+    zero_s: subtract from each signal its mean over this time from the start, s; episode: of a
+    LeRobot dataset with several. Raises InputError.
 
     >>> import pathlib, tempfile
     >>> import asi_analysis as asi
@@ -54,13 +56,13 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
     texts = list(mapping)
     if len(paths) > 1:
-        if rate_hz is not None or any(is_bag(each) for each in paths):
-            raise InputError('several files are tables with a time each: import bags, and files '
-                             'with a rate, one by one')
-        signals = read_several({each: read_table(each, skip_lines, delimiter, columns)
+        if rate_hz is not None or any(is_bag(each) or is_dataset(each) for each in paths):
+            raise InputError('several files are tables with a time each: import bags, datasets, '
+                             'and files with a rate, one by one')
+        signals = read_several({each: read_table(each, skip_lines, delimiter, columns, episode)
                                 for each in paths}, texts)
     else:
-        texts, table = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns)
+        texts, table = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns, episode)
         signals = _evaluated([parse_mapping(text) for text in texts], table, paths[0])
     run = _run(signals, texts, paths, rate_hz, zero_s)
     if out is not None:
@@ -71,7 +73,7 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
 def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
                   skip_lines: int = 0, delimiter: str | None = None,
                   columns: Sequence[str] | None = None, zero_s: float = 0.0,
-                  out: str | Path | None = None) -> dict[str, Run]:
+                  episode: int | None = None, out: str | Path | None = None) -> dict[str, Run]:
     """
     Return a recording of several joints, by the name of the joint; their times are the same.
 
@@ -79,7 +81,7 @@ def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | Non
     out: a folder for a bag of each joint. The rest is as of `import_recording`.
     """
     path = Path(path)
-    texts, table = _read(path, list(mapping), rate_hz, skip_lines, delimiter, columns)
+    texts, table = _read(path, list(mapping), rate_hz, skip_lines, delimiter, columns, episode)
     runs = {joint: _run(_evaluated([parse_mapping(text) for text in own], table, path), own,
                         [path], rate_hz, zero_s)
             for joint, own in joints_of(texts, table, path).items()}
@@ -130,11 +132,15 @@ def _joints_in(path: Path) -> dict[str, Run]:
 
 
 def _read(path: Path, texts: list[str], rate_hz: float | None, skip_lines: int,
-          delimiter: str | None, columns: Sequence[str] | None) -> tuple[list[str], Table]:
+          delimiter: str | None, columns: Sequence[str] | None, episode: int | None
+          ) -> tuple[list[str], Table]:
     """Return the mapping, completed by the file or bag itself, and its columns."""
     if not is_bag(path):
-        table = read_table(path, skip_lines, delimiter, columns)
+        if is_dataset(path):
+            refuse_visual(path, [parse_mapping(text).term for text in texts])
+        table = read_table(path, skip_lines, delimiter, columns, episode)
         return texts or own_mapping(table), table
+    refuse_episode(path, episode)
     texts = texts + ['time=time'] * (rate_hz is None and not any(
         parse_mapping(text).signal == 'time' for text in texts))
     terms = [each.term for each in map(parse_mapping, texts) if each.signal != 'time']

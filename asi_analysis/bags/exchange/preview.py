@@ -13,6 +13,7 @@ from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
 from asi_analysis.bags.exchange.dates import since_first
+from asi_analysis.bags.exchange.lerobot import is_dataset, notes_of, refuse_episode
 from asi_analysis.bags.exchange.ros1_bag import opened
 from asi_analysis.bags.exchange.several_files import GAP
 from asi_analysis.bags.exchange.table_file import Table, read_table
@@ -25,7 +26,7 @@ from asi_analysis.reporting.result import Table as Printed
 WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for signal, words in {
     'time': 't time timestamp stamp clock sec secs seconds zeit elapsed ms',
     'reference': 'ref reference des desired set setpoint sp target goal soll wanted commanded '
-                 'demand',
+                 'demand action',
     'command': 'command cmd commands u control voltage volt volts current pwm duty op drive',
     'force': 'force torque load effort tau f fx loadcell moment thrust',
     'velocity': 'vel velocity speed dq qd qdot omega rpm',
@@ -37,6 +38,8 @@ ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'v
                   'pressure': 'Pa', 'position': 'm'}
 # Signals that may be controlled.
 OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
+# What a LeRobot dataset calls the positions of the joints, unless their names say otherwise.
+STATE: Final = 'observation.state'
 # Units that are the whole name of a column.
 WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
 # Words that speak for a joint that turns.
@@ -75,7 +78,8 @@ class Preview(Result):
 
 
 def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int = 0,
-            delimiter: str | None = None, columns: Sequence[str] | None = None) -> Preview:
+            delimiter: str | None = None, columns: Sequence[str] | None = None,
+            episode: int | None = None) -> Preview:
     r"""
     Return what a file holds, and a guess of its mapping with the reasons; nothing is imported.
 
@@ -90,9 +94,12 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
     ['time=time_ms[ms]', 'position=angle_deg[deg]']
     """
     path = Path(path)
+    if not is_dataset(path):
+        refuse_episode(path, episode)
     table = (_bag_columns(path) if is_bag(path) else
-             read_table(path, skip_lines, delimiter, columns))
-    notes: list[str] = []
+             read_table(path, skip_lines, delimiter, columns, episode, guess=True))
+    dataset = is_dataset(path)
+    notes: list[str] = notes_of(path, episode) if dataset else []
     values = _values(table, path, notes)
     if not values:
         raise InputError(f'{path} has no column of numbers; '
@@ -119,7 +126,8 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
         notes.append('no name speaks for a signal: say which column is what')
         mapping.append(f'SIGNAL={others[0]}[UNIT]')
     options = {'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
-               'skip-lines': skip_lines, 'columns': ','.join(columns or ())}
+               'skip-lines': skip_lines, 'columns': ','.join(columns or ()),
+               'episode': str(episode or 0) if dataset else None}
     return Preview({
         'file': str(path), 'samples': longest,
         'columns': [_column(name, column, guesses.get(name), name in chosen)
@@ -170,6 +178,8 @@ def _guess(name: str) -> _Guess | None:
         unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
     words = _words(name.rpartition('/')[2] if _of_joint(name) else name)
     told = [signal for signal, known in WORDS.items() if known & set(words)]
+    if not told and name.startswith(STATE):
+        told, words = ['position'], ['state', *words]
     motion = [signal for signal in told if signal in ('position', 'velocity', 'pressure')]
     if 'command' in told and motion:          # a commanded motion is a reference
         told = ['reference', *motion]
@@ -248,7 +258,8 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
         notes.append('a joint state has no units: those of a joint that turns are assumed')
     kinds = [(conversion(each.unit) or ('',))[0] for each in chosen.values() if each.unit]
     rotary = bool({'rad', 'rad/s', 'Nm'} & set(kinds)) or (
-        not {'m', 'm/s', 'N'} & set(kinds) and any(TURNS & set(_words(name)) for name in chosen))
+        not {'m', 'm/s', 'N'} & set(kinds) and any(
+            TURNS & set(_words(name)) or name.startswith(STATE) for name in chosen))
     for name, guess in chosen.items():
         if guess.unit or guess.signal == 'time':
             continue

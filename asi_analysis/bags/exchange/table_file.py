@@ -1,4 +1,4 @@
-"""Read a table of another system (CSV, TSV, MAT, NPZ, Parquet) as columns by name."""
+"""Read a table of another system (CSV, JSON, MAT, NPZ, Parquet, LeRobot) as columns by name."""
 
 import csv
 import os
@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.bags.exchange.json_file import LINES, read_json
+from asi_analysis.bags.exchange.lerobot import is_dataset, read_dataset, refuse_episode
 from asi_analysis.bags.exchange.text_file import read_text, unpacked_limit
 from asi_analysis.errors import InputError
 
@@ -29,12 +31,24 @@ Table = dict[str, npt.NDArray]
 
 
 def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
-               columns: Sequence[str] | None = None) -> Table:
-    """Return the columns of a file by name. Raises InputError."""
+               columns: Sequence[str] | None = None, episode: int | None = None,
+               guess: bool = False) -> Table:
+    """
+    Return the columns of a file by name. Raises InputError.
+
+    episode: of a LeRobot dataset; guess: its first, if none is told.
+    """
     kind = Path(path.stem).suffix if path.suffix == '.gz' else path.suffix
-    if path.exists() and not path.is_file():
+    dataset = is_dataset(path)
+    if not dataset:
+        refuse_episode(path, episode)
+    if not dataset and path.exists() and not path.is_file():
         raise InputError(f'{path} is not a file')
     try:
+        if dataset:
+            return read_dataset(path, episode, guess)
+        if kind in ('.json', *LINES):
+            return read_json(path)
         if kind == '.mat':
             return _read_mat(path)
         if kind == '.npz':
@@ -50,8 +64,8 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
         raise InputError(f'{path} cannot be read: '
                          + (why or ' '.join(str(error).split()) or type(error).__name__)
                          ) from None
-    raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat (also .gz), .mat, .npz or '
-                     '.parquet file')
+    raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat, .json, .jsonl (also '
+                     '.gz), .mat, .npz or .parquet file, or the folder of a LeRobot dataset')
 
 
 def _refuse_large(path: Path, size: int) -> None:

@@ -52,7 +52,7 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
     with gzip.open(path) if path.suffix == '.gz' else path.open('rb') as raw:
-        lines = (line for line in islice(_lines(raw, path), skip_lines, None) if line.strip())
+        lines = (line for line in islice(lines_of(raw, path), skip_lines, None) if line.strip())
         head = list(islice(lines, HEAD_LINES))
         if not head:
             raise InputError(f'{path} is empty'
@@ -85,7 +85,7 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def _lines(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str]:
+def lines_of(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str]:
     """Yield the lines of a text in UTF-8, UTF-16 or, as older programs write it, Windows-1252."""
     marks = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     wide = raw.read(2) in marks

@@ -79,13 +79,22 @@ def _duration(group: Group) -> float:
     return max(DURATION_S, LEAST_SAMPLES * group.recordings[0].period_s)
 
 
-def _rounded(position: Array, known: Array) -> Array:
-    """Return a course whose corners are no sharper than those of a known one."""
-    bend, sharpest = (float(np.quantile(np.abs(np.diff(course, 2)), 0.999))
-                      for course in (position, known))
+def rounded(position: Array, sharpest: float) -> Array:
+    """Return a course whose corners are rounded to second differences of about `sharpest`."""
+    bend = bend_of(position)
     # A corner that is spread over n samples is a mean of n: n times less sharp.
     spread = int(np.clip(np.ceil(bend / max(sharpest, 1e-300)), 1, position.size // 20))
     return np.asarray(uniform_filter1d(position, spread, mode='nearest'))
+
+
+def bend_of(position: Array) -> float:
+    """Return the largest second difference of a course, rare peaks left out."""
+    return float(np.quantile(np.abs(np.diff(position, 2)), 0.999))
+
+
+def steepest(course: Course, time: Array) -> float:
+    """Return the largest slope of a course of size 1 at 1 Hz, 1/s, over these times (s)."""
+    return float(np.abs(np.gradient(course(time, 1.0), time[1] - time[0])).max())
 
 
 def simulated(group: Group, name: str) -> tuple[Recording, float, float]:
@@ -98,9 +107,8 @@ def simulated(group: Group, name: str) -> tuple[Recording, float, float]:
     fastest = float(np.quantile(np.abs(np.gradient(moved, known.period_s)), 0.999))
     time: Array = np.arange(round(_duration(group) / known.period_s)) * np.float64(known.period_s)
     # So that the course, whatever its form, is nowhere faster.
-    slope = float(np.abs(np.gradient(course(time, 1.0), known.period_s)).max())
-    frequency = speed * fastest / (size * slope)
-    position = _rounded(size * course(time, frequency), moved)
+    frequency = speed * fastest / (size * steepest(course, time))
+    position = rounded(size * course(time, frequency), bend_of(moved))
     if follows:
         run = Run(time, reference_n=position, force_n=position, source=name)
         return prepare([run], 'position')[0], size, frequency

@@ -325,6 +325,16 @@ def _start(free: Free, group: Group, index: int = 0) -> float:
     return free.starts[index] * _unit(free, group, group.nominal)
 
 
+def at_start(group: Group, variant: Variant, index: int = 0) -> np.void:
+    """Return the nominal record with an effect, each parameter at that start, or its last."""
+    p = group.nominal.copy()
+    for name, value in variant.fixed:
+        p[name] = value
+    for free in variant.free:
+        p[free.field] = _start(free, group, min(index, len(free.starts) - 1))
+    return p
+
+
 def _added(group: Group, base: Fitted, variants: Sequence[Variant]
            ) -> tuple[Problem, list[Array]]:
     """Return the problem of a fit with the parameters of variants added, and its starts."""

@@ -1,0 +1,192 @@
+"""
+What a motion would tell of a joint: the expected probability of each of its usual suspects.
+
+Each suspect in turn is put into the nominal joint, and the others are fitted to what it would
+record, as in a diagnosis (`LinearScreen`). The probabilities are those of the diagnosis.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from asi_analysis.gap.experiment.next_experiment import separation
+from asi_analysis.gap.inference.fit import LinearScreen, at_start, fit_null, fit_variants, polish
+from asi_analysis.gap.inference.probability import Evidence, Names, probabilities
+from asi_analysis.gap.model.effects import (
+    GRAVITY,
+    MECHANICS,
+    PARAMETER,
+    Effect,
+    Free,
+    Variant,
+    parameter_error,
+)
+from asi_analysis.gap.model.group import Group, Values
+from asi_analysis.gap.model.predict import predict
+from asi_analysis.gap.prepare import Recording
+
+# Of a joint that a force moves, and of one that follows a reference.
+MOVED: Final = ('coulomb_friction', 'stiction', 'friction_asymmetry', 'viscous_friction',
+                'backlash', 'load_compliance', 'transport_delay', 'valve_lag', 'gravity',
+                f'{PARAMETER}load.stiffness', f'{PARAMETER}load.mass')
+FOLLOWS: Final = ('transport_delay', 'valve_lag', 'backlash')
+SIZES: Final = 2     # of a suspect: the smallest of the starts of its fit
+FITTED: Final = 3    # of the others are fitted, not only linearly: those that leave least
+SPRING: Final = Effect(f'{PARAMETER}load.stiffness', MECHANICS, 'the joint is held by a spring', (
+    Variant((Free('load_stiffness', 0.0, 2.0, (0.05, 0.3), 'stiffness', 'N/m'),), ('load',)),),
+    exact=True)
+
+
+class Suspect(NamedTuple):
+    """An effect of a group of channels, its assumed form, and the start that is its size."""
+
+    name: str
+    group: int
+    variant: Variant
+    size: int = 0
+
+
+class Told(NamedTuple):
+    """
+    What a motion tells of a suspect.
+
+    left: mean square difference of the best fit of each other explanation, in error floors, by
+    its names; evidence: without its probabilities.
+    """
+
+    left: dict[Names, float]
+    evidence: Evidence
+
+    def expected(self, runs: int = 1) -> dict[Names, float]:
+        """Return the expected probabilities of the explanations after so many runs."""
+        e = self.evidence
+        return probabilities(e._replace(
+            held_out_s=runs * e.held_out_s,
+            independent={channel: runs * count for channel, count in e.independent.items()}))
+
+
+def with_suspects(groups: Sequence[Group], given: Mapping[str, object], tolerance: float,
+                  turns: bool) -> list[Group]:
+    """Return the groups of a joint with gravity, a spring and a wrong mass as effects."""
+    found = []
+    for group in groups:
+        effects = [effect for effect in group.effects
+                   if not any(free.scale.startswith('residual_') for variant in effect.variants
+                              for free in variant.free)]
+        if group.channels == ('load',):
+            scale = group.scale
+            group = replace(group, scale=scale | {
+                'stiffness': scale['force'] / scale['position']})
+            effects += [GRAVITY] * turns
+            if 'load.stiffness' not in given:
+                effects.append(SPRING)
+            effects.append(parameter_error('load.mass', 'load_mass', 'high', (
+                1.0 - tolerance, 1.0 + tolerance), ('load',)))
+        found.append(replace(group, effects=tuple(effects)))
+    return found
+
+
+def suspects_of(groups: Sequence[Group]) -> list[Suspect]:
+    """Return the usual suspects that show in groups, each in the first, of each of its sizes."""
+    found: dict[str, Suspect] = {}
+    for number, group in enumerate(groups):
+        for effect in group.effects:
+            usual = MOVED if group.channels == ('load',) or len(groups) > 1 else FOLLOWS
+            variants = _variants(effect, group)
+            if effect.name in usual and variants:
+                found.setdefault(effect.name, Suspect(effect.name, number, variants[0]))
+    return [found[name]._replace(size=size) for name in dict.fromkeys((*MOVED, *FOLLOWS))
+            if name in found for size in _sizes(found[name].variant)]
+
+
+def _sizes(variant: Variant) -> list[int]:
+    """Return which starts of a form are its smallest sizes."""
+    starts = variant.free[0].starts
+    first = {abs(start): number for number, start in reversed(list(enumerate(starts)))}
+    return [first[size] for size in sorted(first)[:SIZES]]
+
+
+def _variants(effect: Effect, group: Group) -> list[Variant]:
+    """Return the forms of an effect that may be alone in a group and need no guess."""
+    return [variant for variant in effect.variants
+            if not variant.joined and set(variant.channels) & set(group.channels)
+            and all(group.nominal[name] != 0.0 for name in variant.needs)
+            and all(free.scale in group.scale or free.scale in ('nominal', '')
+                    or free.scale in (group.nominal.dtype.names or ())
+                    for free in variant.free)]
+
+
+def size_of(suspect: Suspect, groups: Sequence[Group]) -> np.void:
+    """Return the record of a joint with a suspect of its assumed size."""
+    return at_start(groups[suspect.group], suspect.variant, suspect.size)
+
+
+def _recorded(group: Group, p: np.void) -> Group:
+    """Return a group whose recordings hold what a record predicts, without noise."""
+    def recorded(r: Recording) -> Recording:
+        made = predict(r, group.channels[0], p)
+        return replace(r, force_judged=made) if group.channels == ('load',) else replace(
+            r, valve_position=made)
+
+    return replace(group, recordings=[recorded(r) for r in group.recordings])
+
+
+def _beside_position(group: Group, suspect: Suspect) -> Group:
+    """
+    Return a group in which a force by position may always be there too, but for that suspect.
+
+    A diagnosis looks for gravity and a spring first: a motion in which they look like something
+    else tells neither.
+    """
+    by_position = [effect for effect in group.effects
+                   if effect.name in (GRAVITY.name, SPRING.name)]
+    if suspect.name in [effect.name for effect in by_position]:
+        return group
+    free = tuple(each._replace(low=-2.0, high=2.0, starts=(0.0,)) for effect in by_position
+                 for each in effect.variants[0].free)
+    return replace(group, nuisance=(*group.nuisance, *free), effects=tuple(
+        effect for effect in group.effects if effect not in by_position))
+
+
+def told(suspect: Suspect, group: Group, p: np.void, fitted: int = 0) -> Told:
+    """
+    Return what the recordings of a group tell of a suspect that is there.
+
+    p: record with the suspect; fitted: so many of the other explanations are fitted, not only
+    linearly, and compared by `separation`.
+    """
+    group = _recorded(_beside_position(group, suspect), p)
+    null = fit_null(group)
+    screen, count = LinearScreen(null), sum(int(r.fit.sum()) for r in group.recordings)
+    forms: dict[Names, list[Variant]] = {
+        (effect.name,): variants for effect in group.effects
+        if (variants := _variants(effect, group))}
+    left: dict[Names, float] = {(): 2.0 * null.cost / count}
+    left |= {
+        names: max(2.0 * min(screen.cost(group, (each,)) for each in variants) / count, 0.0)
+        for names, variants in forms.items() if names != (suspect.name,)}
+    for names in sorted(left, key=lambda names: left[names])[:fitted]:
+        left[names] = min(
+            separation(group, group.recordings[0], p, polish(group, each).record
+                       if each is not null else each.record) ** 2
+            for each in ([fit_variants(group, screen, (form,)) for form in forms[names]]
+                         if names else [null]))
+    return Told(left, _evidence(group, suspect, left, forms))
+
+
+def _evidence(group: Group, suspect: Suspect, left: Mapping[Names, float],
+              forms: Mapping[Names, Sequence[Variant]]) -> Evidence:
+    """Return the expected evidence, by noise and error floor of the group."""
+    channel = group.channels[0]
+    floor, noise = group.error_floor[channel], group.noise[channel] ** 2
+    held_out = sum(int((r.held_out | r.report).sum()) for r in group.recordings)
+    motion = group.recordings[0].motion
+    share = 1.0 if motion is None else float(np.mean(motion.judge ** 2))
+    residual: dict[Names, Values] = {names: {channel: noise + floor * max(each, 0.0)}
+                                     for names, each in left.items()}
+    residual[suspect.name,] = {channel: noise}
+    return Evidence({channel: noise}, {channel: floor}, {channel: group.formulation[channel]},
+                    {channel: max(share * held_out, 1.0)}, group.held_out_s, residual,
+                    {names: len(forms[names][0].free) if names else 0 for names in residual})
