@@ -5,6 +5,7 @@ The uncertain nominal parameters are bounded by their tolerance: without bounds 
 effect. Fits are compared on another part of the data.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -351,7 +352,7 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
                                float(base.record[free.field]))
             for free in frees if free.field in known}
     fresh = [free for free in new.values() if free.field not in known]
-    starts = []
+    starts: list[Array] = []
     for count, free in enumerate(fresh):
         for index in range(len(free.starts)):
             if index == 0 and count > 0:
@@ -364,10 +365,12 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
     if not fresh:
         starts.append(np.array([warm[free.field] for free in frees]))
     again = [number for number, free in enumerate(frees) if free.anew]
-    for start in list(starts) if again else ():
+    places = [[_share(_parameter(frees[number], group, group.nominal),
+                      _start(frees[number], group, index)) for number in again]
+              for index in range(len(frees[again[0]].starts) if again else 0)]
+    for start, place in itertools.product(list(starts), places):
         start = start.copy()
-        start[again] = [_share(_parameter(frees[number], group, group.nominal),
-                               float(group.nominal[frees[number].field])) for number in again]
+        start[again] = place
         starts.append(start)
     return Problem(group, tuple(frees), fixed), starts
 
@@ -388,6 +391,12 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
     starts that are fitted.
     """
     problem, starts = _added(group, screen.base, variants)
+    places = max((len(free.starts) for free in problem.free if free.anew), default=0)
+    if places:   # far from each other: the best start at each is fitted
+        count, followed = len(starts) // (places + 1), places + 1
+        groups = [starts[:count]] + [starts[count + n::places] for n in range(places)]
+        starts = [min(each, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
+                  for each in groups]
     # The derivative by the share of a parameter with other bounds differs.
     own = {free.field for variant in variants for free in variant.free}
     known = {name: column for name, column in screen.derivatives.items() if name not in own}

@@ -678,18 +678,30 @@ def impedance(omega: Array, p: np.void) -> Complex:
     return mass * 1j * omega + damping
 
 
-def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void
-           ) -> Complex:
+def transmitted(omega: Array, p: np.void, slope: float = 0.0) -> Complex:
+    """
+    Return the share of a force on a load behind a compliance that the piston takes.
+
+    slope: of the load's weight over its position, N/m.
+    """
+    _, damping, stiffness = load_constants(p)
+    s = 1j * omega
+    rest = p['load_mass'] * (1.0 - p['piston_share'])
+    soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
+    return 1.0 / (1.0 + soft * (rest * s * s + damping * s + stiffness + slope))
+
+
+def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,
+           slope: float = 0.0) -> Complex:
     """
     Return the spectrum of the force that a load behind a backlash and a compliance takes.
 
-    velocity, position: spectra of the piston's motion; slack: of how far the load is behind it.
+    velocity, position: spectra of the piston's motion; slack: of how far the load is behind it;
+    slope: of the load's weight over its position, N/m; the weight itself is left out.
     """
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega
     before = mass * p['piston_share']
     rest = p['load_mass'] * (1.0 - p['piston_share'])
-    soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
-    left = 1.0 / (1.0 + soft * (rest * s * s + damping * s + stiffness))
-    return before * s * velocity + left * (
+    return before * s * velocity + transmitted(omega, p, slope) * (
         (rest * s + damping) * (velocity - s * slack) + stiffness * (position - slack))

@@ -32,7 +32,7 @@ class Free(NamedTuple):
     scale: str = ''
     unit: str = ''
     prior: float = math.inf   # standard deviation about the nominal value, in units of `scale`
-    anew: bool = False        # fits of effects begin at its nominal value, too
+    anew: bool = False        # fits of effects begin at all of its starts, too
 
 
 # Channels of a motion that the simulator predicts; as it was measured.

@@ -47,7 +47,7 @@ BIASED = 0.5        # of the standard deviation of a force: a larger mean is rem
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
-MOST = 10.0         # times what was identified: a load behind a spring is hardly seen
+MOST = 3.0          # times what was identified: a load behind a spring is hardly seen
 # Gravity and spring: share of the power left without them, below which they are there.
 LEFT_WITHOUT = 0.7
 ONE_WAY = 0.02      # share of the time in which a joint may move the other way, for the noise
@@ -106,9 +106,10 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     recordings = prepare(runs, drive, held_out)
     of = prepare(healthy, drive) if healthy else recordings
     if drive == 'position':
-        servo = servo_of(of)
-        followed, notes = with_servo(recordings, runs[0].unit('reference'), servo)
-        return [_servo(followed, tolerance, False, servo)], notes
+        servos = servo_of(of)
+        followed, notes = with_servo(recordings, runs[0].unit('reference'),
+                                     servos[0] if servos else None)
+        return [_servo(followed, tolerance, False, servos)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
     turns = _turns(recordings, runs)
@@ -165,24 +166,27 @@ def _without_hidden_compliance(group: Group) -> Group:
 
 
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
-           servo: Servo | None = None) -> Group:
+           servos: Sequence[Servo] = ()) -> Group:
     """
     Return the group of a drive that should follow its command at once, or as a servo does.
 
-    proportional: by a gain that is identified, not by one. servo: without limits it is the block
-    that is a flexure in the actuator: its frequency and damping are free in every fit, since a lag
-    or a delay beside them looks much like another servo.
+    proportional: by a gain that is identified, not by one. servos: without limits the first is the
+    block that is a flexure in the actuator: its frequency and damping are free in every fit, since
+    a lag or a delay beside them looks much like another servo; fits of effects begin at all.
     """
     nominal = plant_record(IDEAL)
     dynamics: tuple[Free, ...] = ()
-    if servo is not None and not servo.limited:
+    if servos and not servos[0].limited:
+        servo = servos[0]
         nominal['valve_flexure_model'] = FULL
         nominal['valve_flexure_coil_frequency'] = AT_ONCE_HZ
         nominal['valve_flexure_delay'] = 0.0
         nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
         nominal['valve_flexure_damping_ratio'] = servo.damping
-        dynamics = tuple(Free(f'valve_flexure_{name}', *OF_A_SERVO, (1.0,), 'nominal', anew=True)
-                         for name in ('natural_frequency', 'damping_ratio'))
+        dynamics = tuple(
+            Free(f'valve_flexure_{name}', *OF_A_SERVO, tuple(
+                getattr(each, own) / getattr(servo, own) for each in servos), 'nominal', anew=True)
+            for name, own in (('natural_frequency', 'pulsation'), ('damping_ratio', 'damping')))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:
@@ -193,7 +197,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     effects = tuple(effect._replace(variants=(LOST_MOTION,))
                     if effect.name == 'backlash' and not proportional else
                     effect._replace(variants=tuple(
-        variant._replace(free=tuple(_near(SLOW.get(free.field, free), servo)
+        variant._replace(free=tuple(_near(SLOW.get(free.field, free), servos)
                                     for free in variant.free),
                          needs=() if dynamics else variant.needs)
         for variant in effect.variants
@@ -203,12 +207,13 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
                       model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
 
 
-def _near(free: Free, servo: Servo | None) -> Free:
-    """Return a free parameter that begins where a servo without limits was identified with it."""
-    near = {'command_delay': servo.delay, 'valve_lag': servo.lag, 'valve_lag_split': LAG_SPLIT
-            } if servo is not None and not servo.limited else {}
-    value = near.get(free.field, 0.0)
-    return free._replace(starts=(value, *free.starts)) if value else free
+def _near(free: Free, servos: Sequence[Servo]) -> Free:
+    """Return a free parameter that begins where servos without limits were identified with it."""
+    own = {'command_delay': 'delay', 'valve_lag': 'lag'}.get(free.field, '')
+    near = [getattr(each, own) for each in servos if own and not each.limited]
+    if free.field == 'valve_lag_split' and any(each.lag for each in servos):
+        near = [LAG_SPLIT]
+    return free._replace(starts=(*filter(None, near), *free.starts))
 
 
 def _gain(recordings: Sequence[Recording]) -> float:

@@ -1,5 +1,6 @@
 """Predict a channel of a recording from its measured inputs and a record of the plant."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -220,9 +221,8 @@ def _load(recording: Recording, p: np.void) -> Array:
     extra, slack = np.zeros((2, motion.velocity.size))
     blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
                           recording.period_s, -motion.pad * recording.period_s, extra, slack)
-    if p['gravity_sine'] != 0.0 or p['gravity_cosine'] != 0.0:
-        angle = motion.position + recording.taken['middle']
-        extra += p['gravity_sine'] * np.sin(angle) + p['gravity_cosine'] * np.cos(angle)
+    weight, taken, slope = _weight(recording, p)
+    passed = np.fft.rfft(weight)
     if p['backlash_floating'] > 0.0:
         mass = float(p['load_mass'] * p['piston_share'])
         carried = np.empty_like(extra)
@@ -234,8 +234,11 @@ def _load(recording: Recording, p: np.void) -> Array:
                   * motion.velocity_spectrum * _read(motion.omega, p))
     else:
         linear = _linear(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
-                         np.fft.rfft(slack), p)
-    total = motion.judge * (linear + np.fft.rfft(extra) * _read(motion.omega, p))
+                         np.fft.rfft(slack), p, slope)
+        if p['compliance'] > 0.0:   # the weight is beyond it
+            passed *= blocks.transmitted(motion.omega, p, slope)
+    total = motion.judge * (linear + (np.fft.rfft(extra) + passed) * _read(motion.omega, p)
+                            - np.fft.rfft(taken))
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
     if not motion.measured:   # the offset is outside the band
@@ -245,16 +248,37 @@ def _load(recording: Recording, p: np.void) -> Array:
         time, blocks.parts(p)[1])
 
 
+def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:
+    """
+    Return the gravity of a joint (N m), what of it was taken off the force, and its slope (N m).
+
+    Both along the motion, the slope over the position at its middle.
+    """
+    motion, taken = recording.motion, recording.taken
+    assert motion is not None
+    before = [taken.get(f'gravity_{part}', 0.0) for part in ('sine', 'cosine')]
+    now = [own + float(p[f'gravity_{part}']) for own, part in zip(before, ('sine', 'cosine'),
+                                                                  strict=True)]
+    none = np.zeros_like(motion.position)
+    if not any(before) and not any(now):
+        return none, none, 0.0
+    middle = taken['middle']
+    shapes = np.sin(motion.position + middle), np.cos(motion.position + middle)
+    made, off = (sum((size * shape for size, shape in zip(each, shapes, strict=True)), none)
+                 for each in (now, before))
+    return made, off, now[0] * math.cos(middle) - now[1] * math.sin(middle)
+
+
 def _read(omega: Array, p: np.void) -> Complex:
     """Return the response from the force on the load to the reading, or to the command."""
     return blocks.sensor_response(omega, p) * blocks.drive_inverse(omega, p)
 
 
-def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void
-            ) -> Complex:
+def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,
+            slope: float = 0.0) -> Complex:
     """Return the spectrum of the force of the linear load for a motion, as read."""
     if p['compliance'] > 0.0 or p['backlash'] > 0.0:
-        return blocks.behind(omega, velocity, position, slack, p) * _read(omega, p)
+        return blocks.behind(omega, velocity, position, slack, p, slope) * _read(omega, p)
     _, _, stiffness = blocks.load_constants(p)
     return (blocks.impedance(omega, p) * velocity + stiffness * position) * _read(omega, p)
 

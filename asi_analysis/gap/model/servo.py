@@ -7,7 +7,7 @@ It is the nominal model where it leaves far less than what a delay and a lag of 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -137,10 +137,14 @@ def _power(servo: Servo, recordings: Sequence[Recording], part: str = 'held_out'
     return float(np.mean(_left(servo, recordings, part) ** 2))
 
 
-def servo_of(recordings: Sequence[Recording]) -> Servo | None:
-    """Return the servo of second order that recordings need; None if a lag and a delay do."""
+def servo_of(recordings: Sequence[Recording]) -> list[Servo]:
+    """
+    Return servos of second order: the one that recordings need, and others much like it.
+
+    Some have a delay and some a lag; none if these alone leave about as little.
+    """
     if not any(r.held_out.any() for r in recordings) or not any(r.fit.any() for r in recordings):
-        return None
+        return []
     every = math.ceil(sum(r.fit.size for r in recordings) / MOST_SAMPLES)
     recordings = [_thinned(r, every) for r in recordings]
     period = max(r.period_s for r in recordings)
@@ -159,21 +163,33 @@ def servo_of(recordings: Sequence[Recording]) -> Servo | None:
                                      recordings, 'held_out') ** 2))
     simple = min(at_once, _power(best(LAG, ('pulsation', 'delay')), recordings))
     if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
-        return None
+        return []
     delayed = best(DAMPING, ('pulsation', 'damping', 'delay'))
-    # A faster servo behind a lag is much like a slower one with a delay.
-    lagging = [_fitted(delayed._replace(pulsation=faster * delayed.pulsation, delay=0.0,
-                                        lag=delayed.delay + 1.0 / delayed.pulsation),
-                       ('pulsation', 'damping', 'lag'), recordings) for faster in FASTER]
-    second = min((delayed, *lagging), key=lambda each: _power(each, recordings))
+    lagging = [_fitted(each, ('pulsation', 'damping', 'lag'), recordings)
+               for each in _with_lag(delayed)]
+    behind = min(lagging, key=lambda each: _power(each, recordings))
+    second, other = sorted((delayed, behind), key=lambda each: _power(each, recordings))
     speed = max(float(np.abs(np.diff(_response(delayed, r))).max()) / r.period_s
                 for r in recordings)
     limited = _fitted(delayed._replace(rate=0.7 * speed,
                                        acceleration=0.5 * delayed.pulsation * speed),
                       [name for name in Servo._fields if name != 'lag'], recordings)
     unlimited = _power(second, recordings)
-    found = limited if _power(limited, recordings) < LEFT_UNLIMITED * unlimited else second
-    return found if _power(found, recordings) < LEFT_BY_LAG * simple else None
+    found = ([limited] if _power(limited, recordings) < LEFT_UNLIMITED * unlimited else
+             [second, other, *_with_lag(delayed)])
+    return found if _power(found[0], recordings) < LEFT_BY_LAG * simple else []
+
+
+def _with_lag(delayed: Servo) -> Iterator[Servo]:
+    """Yield servos with a lag that are much like one with a delay."""
+    for faster in FASTER:
+        yield delayed._replace(pulsation=faster * delayed.pulsation, delay=0.0,
+                               lag=delayed.delay + 1.0 / delayed.pulsation)
+    if delayed.damping > 1.0:   # its slow pole is the lag; the other and the delay are the servo
+        root = math.sqrt(delayed.damping ** 2 - 1.0)
+        slow, fast = ((delayed.damping + way * root) / delayed.pulsation for way in (1.0, -1.0))
+        yield delayed._replace(pulsation=2.0 * DAMPING / (fast + delayed.delay), damping=DAMPING,
+                               delay=0.0, lag=slow)
 
 
 def _thinned(r: Recording, every: int) -> Recording:
