@@ -86,7 +86,10 @@ EFFECT_FIELDS = (
     'backlash_floating',        # 1: it goes on by its own inertia, until it touches
     'compliance',               # m/N
     'compliance_damping',       # s
+    'swing_cosine',             # N, with which the load still swings when a recording begins
+    'swing_sine',               # N, the same a quarter of a wave later
     'piston_share',             # share of the mass before the compliance
+    'damping_share',            # share of the load's damping before the compliance
     'disturbance',              # N
     'disturbance_wave',         # N
     'disturbance_frequency',    # Hz
@@ -685,10 +688,27 @@ def transmitted(omega: Array, p: np.void, slope: float = 0.0) -> Complex:
     slope: of the load's weight over its position, N/m.
     """
     _, damping, stiffness = load_constants(p)
+    damping *= 1.0 - float(p['damping_share'])
     s = 1j * omega
     rest = p['load_mass'] * (1.0 - p['piston_share'])
     soft = p['compliance'] / (1.0 + s * p['compliance_damping'])
     return 1.0 / (1.0 + soft * (rest * s * s + damping * s + stiffness + slope))
+
+
+def swing(time: Array, p: np.void, slope: float = 0.0) -> Array:
+    """
+    Return the force (N) of a load that swings freely behind a compliance, at times (s) from 0.
+
+    slope: of the load's weight over its position, N/m.
+    """
+    _, damping, stiffness = load_constants(p)
+    rest = p['load_mass'] * (1.0 - p['piston_share'])
+    decay = 0.5 * ((1.0 - p['damping_share']) * damping
+                   + p['compliance_damping'] / p['compliance']) / rest
+    square = (stiffness + slope + 1.0 / p['compliance']) / rest - decay * decay
+    turns = math.sqrt(max(square, 0.0)) * time
+    return np.asarray(np.exp(-decay * time) * (p['swing_cosine'] * np.cos(turns)
+                                               + p['swing_sine'] * np.sin(turns)))
 
 
 def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,
@@ -701,7 +721,8 @@ def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p
     """
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega
-    before = mass * p['piston_share']
+    before = mass * p['piston_share'] * s + p['damping_share'] * damping
+    damping *= 1.0 - float(p['damping_share'])
     rest = p['load_mass'] * (1.0 - p['piston_share'])
-    return before * s * velocity + transmitted(omega, p, slope) * (
+    return before * velocity + transmitted(omega, p, slope) * (
         (rest * s + damping) * (velocity - s * slack) + stiffness * (position - slack))

@@ -378,6 +378,8 @@ def _channels_by_field() -> dict[str, set[str]]:
     acts_on: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
                                   'drive_delay': {'load'}, 'drive_lag': {'load'},
                                   'gravity_sine': {'load'}, 'gravity_cosine': {'load'},
+                                  'swing_cosine': {'load'}, 'swing_sine': {'load'},
+                                  'damping_share': {'load'},
                                   'corner': {'valve', 'force'}}
     for channel, names in UNCERTAIN.items():
         for name in names:

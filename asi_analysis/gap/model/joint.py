@@ -47,7 +47,7 @@ BIASED = 0.5        # of the standard deviation of a force: a larger mean is rem
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
-MOST = 3.0          # times what was identified: a load behind a spring is hardly seen
+MOST = 10.0         # times what was identified: a load behind a spring is hardly seen
 # Gravity and spring: share of the power left without them, below which they are there.
 LEFT_WITHOUT = 0.7
 ONE_WAY = 0.02      # share of the time in which a joint may move the other way, for the noise
@@ -58,6 +58,9 @@ CREEP = 0.05
 SLIPS = (0.002, 0.02, 0.1)
 GRAVITY_SHAPES, SPRING = ('sine', 'cosine'), ('spring',)
 SIGNED = ('rate', 'constant', *GRAVITY_SHAPES)   # the others push against the motion
+# A load behind a compliance may swing when a recording begins; friction may be before it.
+BEHIND = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
+          Free('damping_share', 0.0, 1.0, (0.5,)))
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play in series.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
@@ -253,7 +256,8 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
     # At a constant speed the damping explains the mean force, which may have been removed.
-    largest = max(1.0, 2.0 * abs(start))
+    # So may gravity, of which that of the middle was a constant force.
+    largest = max(1.0, 2.0 * abs(start)) + 2.0 * (weighs and not healthy)
     nuisance.append(Free('load_offset', -largest, largest, (start,), 'force'))
     period = max(recording.period_s for recording in recordings)
     # A held command acts half a sample late, and its stamp may be off by as much; a force may be
@@ -300,7 +304,8 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
                      if free.field in wider else free for free in variant.free
                      if free.field != 'friction_asymmetry' or not variant.joined)
         uneven = any(each.field == 'friction_asymmetry' for each in free)
-        return variant._replace(free=(*free, NO_OFFSET) if uneven else free)
+        behind = any(each.field == 'compliance' for each in free) and not variant.fixed
+        return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *BEHIND * behind))
 
     effects = [effect._replace(variants=variants) for effect in EFFECTS
                if (variants := tuple(scaled(v) for v in effect.variants if applies(v)))]

@@ -14,7 +14,7 @@ from asi_analysis.gap.model.blocks import Complex
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Array, Recording, judged
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 
@@ -241,6 +241,8 @@ def _load(recording: Recording, p: np.void) -> Array:
                             - np.fft.rfft(taken))
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
+    if p['compliance'] > 0.0 and (p['swing_cosine'] != 0.0 or p['swing_sine'] != 0.0):
+        inner = inner + judged(blocks.swing(recording.time_s, p, slope), motion)
     if not motion.measured:   # the offset is outside the band
         return inner
     time = recording.time_s
