@@ -50,7 +50,7 @@ KNOWN: Final = ('reference', 'command', 'force', 'position', 'velocity')
 LIMITED: Final = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'), 'command': ('Nm', 'N')}
 RATES_HZ: Final = (50.0, 1000.0)
 STILL: Final = 0.01   # of the largest speed of a course: below it the joint rests
-SHORTEST_REST_S: Final = 0.05
+SHORTEST_REST_S: Final = 0.2
 _NUMBER: Final = r'[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _LIMIT: Final = re.compile(
     rf'\s*(?:(?P<low>{_NUMBER})\s*:\s*)?(?P<high>{_NUMBER})\s*\[(?P<unit>[^\[\]]+)\]\s*')
