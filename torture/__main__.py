@@ -1,14 +1,17 @@
 """Run the scenarios for TORTURE_MINUTES (10) and print the number of faults and losses."""
 
+import contextlib
 import os
 import random
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from torture.bags import bags
@@ -32,6 +35,9 @@ SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
 }
 # The same seed for a scenario breaks the same things in the same order.
 SEED = int(os.environ.get('TORTURE_SEED', '1'))
+# Seconds between two lines without a terminal, and between two states of the bar.
+LINE_S = 30.0
+BAR_S = 0.5
 
 
 def main() -> int:
@@ -49,10 +55,10 @@ def main() -> int:
             tally = Tally(scenario.__name__)
             tallies.append(tally)
             rig = Rig(Path(folder) / tally.name, random.Random(SEED))
-            with console.status(f'{tally.name} ...'):
-                begin = time.monotonic()
+            begin, lasts_s = time.monotonic(), 60.0 * minutes * (1.0 if names else share)
+            with _shown(console, tally, lasts_s):
                 try:
-                    scenario(rig, tally, begin + 60.0 * minutes * (1.0 if names else share))
+                    scenario(rig, tally, begin + lasts_s)
                 except NotThere as error:
                     tally.count('scenario', f'{error}: {rig.last_words()}')
                 finally:
@@ -61,6 +67,38 @@ def main() -> int:
                           f'{time.monotonic() - begin:.0f} s')
     _print(tallies)
     return 1 if any(tally.failures for tally in tallies) else 0
+
+
+@contextlib.contextmanager
+def _shown(console: Console, tally: Tally, lasts_s: float) -> Iterator[None]:
+    """Show the progress of a scenario: a bar in a terminal, else a line from time to time."""
+    over = threading.Event()
+    begin = time.monotonic()
+
+    def passed() -> tuple[float, str]:
+        failed = f', {len(tally.failures)} not survived' if tally.failures else ''
+        return time.monotonic() - begin, f'{tally.name}: {tally.tried} tried{failed}'
+
+    def lines() -> None:
+        while not over.wait(LINE_S):
+            console.print('{1}, {0:.0f} s'.format(*passed()))
+
+    def moving(bars: Progress) -> None:
+        task = bars.add_task('', total=lasts_s)
+        while not over.wait(BAR_S):
+            bars.update(task, completed=passed()[0], description=passed()[1])
+
+    bars = Progress(TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn(),
+                    console=console, transient=True)
+    with bars if console.is_terminal else contextlib.nullcontext():
+        follower = threading.Thread(target=moving if console.is_terminal else lines,
+                                    args=(bars,) if console.is_terminal else (), daemon=True)
+        follower.start()
+        try:
+            yield
+        finally:
+            over.set()
+            follower.join()
 
 
 def _print(tallies: list[Tally]) -> None:

@@ -180,3 +180,11 @@ def test_motion_that_answers_its_reference_has_no_cause_to_find():
     with pytest.raises(InputError, match='no oscillation of its own'):
         attribute_cycle(Run(t, reference_n=reference, command_n=2.0 * reference + noise[0],
                           force_n=np.roll(reference, 3) + noise[1]))
+
+
+def test_a_command_that_rests_after_the_first_cycle_is_refused_in_one_line():
+    """It moved, but no sample of it that a valve is fitted to; once an array without columns."""
+    time_s = np.arange(2000) / 1000.0
+    swing = 100.0 * np.sin(2.0 * np.pi * 10.0 * time_s)
+    with pytest.raises(InputError, match='the command rests in the oscillation'):
+        shape(time_s, np.where(time_s < 0.03, swing, 5.0), swing)
