@@ -10,7 +10,7 @@ import numpy.typing as npt
 import yaml
 
 from asi_actuator.model.actuator import Measurement
-from asi_common.files import write_text
+from asi_common.files import read_text, write_text
 from asi_common.parameter import ParameterError
 
 # Time for which the actuator must have been at rest, s, and the largest changes at rest: of the
@@ -42,8 +42,8 @@ def load(path: str) -> Calibration:
         return Calibration()
     where = f'calibration_file = {path!r}'
     try:
-        content = yaml.safe_load(Path(path).expanduser().read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = yaml.safe_load(read_text(Path(path).expanduser()))
+    except (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError) as error:
         raise ParameterError(f'{where} cannot be read: {" ".join(str(error).split())}') from error
     if not isinstance(content, dict) or set(content) != set(Calibration._fields):
         raise ParameterError(f'{where} must hold the numbers {" and ".join(Calibration._fields)}, '

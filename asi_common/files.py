@@ -1,9 +1,14 @@
-"""Atomic writing of files: complete, or not at all."""
+"""Atomic writing of files: complete, or not at all. Reading of small ones, with a limit."""
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
+
+# Largest file of parameters or settings: YAML of so many bytes takes half a minute to parse.
+MOST_SETTINGS: Final = 2**20
 
 
 @contextmanager
@@ -33,3 +38,25 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text in UTF-8 to a file, completely or not at all. Raises OSError."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding='utf-8', errors='backslashreplace')
+
+
+def read_text(path: str | Path, most_bytes: int = MOST_SETTINGS) -> str:
+    """
+    Return the text of a file in UTF-8, of at most so many bytes.
+
+    Raises UnicodeDecodeError, and OSError, also for a larger file, a pipe or a device, which may
+    have no end.
+    """
+    return read_bytes(path, most_bytes).decode()
+
+
+def read_bytes(path: str | Path, most_bytes: int = MOST_SETTINGS) -> bytes:
+    """Return the bytes of a file. Raises OSError as `read_text` does."""
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, 'is not a file', str(path))
+    with path.open('rb') as file:
+        found = file.read(most_bytes + 1)
+    if len(found) > most_bytes:
+        raise OSError(errno.EFBIG, f'is larger than {most_bytes} bytes', str(path))
+    return found

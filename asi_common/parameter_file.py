@@ -13,7 +13,7 @@ from typing import Final
 
 import yaml
 
-from asi_common.files import write_text
+from asi_common.files import read_text, write_text
 from asi_common.parameter import ParameterError, Value
 
 TRUE: Final = frozenset('Y y yes Yes YES true True TRUE on On ON'.split())
@@ -47,13 +47,13 @@ def read_parameters(path: Path, node: str) -> dict[str, Value]:
     Raises ParameterError if the file cannot be read or has nothing for the node.
     """
     try:
-        text = path.read_text(encoding='utf-8')
+        text = read_text(path)
+        root = yaml.compose(text)   # first: it refuses deep nesting, which takes the parser hours
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
             raise ParameterError(f'{path}: ROS parameter files have no aliases (*name)')
-        root = yaml.compose(text)
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ParameterError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
     sections = [section for name in ('/**', f'/**/{node}', f'/{node}', node)
                 for key, section in _entries(root) if key == name]

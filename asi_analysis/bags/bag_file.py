@@ -42,7 +42,7 @@ BATCH_BYTES: Final = 2**20
 # Limits: of the unpacked chunks of a file (bytes; times its size), and of metadata.yaml (bytes).
 MOST_UNPACKED: Final = 256_000_000
 MOST_RATIO: Final = 30
-MOST_METADATA: Final = 2**24
+MOST_METADATA: Final = 2**20
 TOO_MUCH: Final = ('it unpacks to more than is allowed for a file of this size; write it '
                    'uncompressed if that is meant')
 
@@ -221,6 +221,14 @@ def with_a_file_as_metadata(path: Path) -> Path:
                                   and metadata.stat().st_size <= MOST_METADATA):
         raise ValueError(f'{metadata} is not a file of at most {MOST_METADATA} bytes')
     return path
+
+
+def with_files_only(path: Path) -> Path:
+    """Return the path of a bag, if it has no pipes nor devices for files; else ValueError."""
+    for each in path.iterdir() if path.is_dir() else ():
+        if each.exists() and not (each.is_file() or each.is_dir()):
+            raise ValueError(f'{each} is not a file')
+    return with_a_file_as_metadata(path)
 
 
 def _number(file: Path) -> tuple[int, str]:
@@ -446,7 +454,7 @@ def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Conten
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
             left -= len(_unzipped(packed, left))
-    with Reader(with_a_file_as_metadata(path)) as reader:
+    with Reader(with_files_only(path)) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
             topic = contents.topics.setdefault(connection.topic,

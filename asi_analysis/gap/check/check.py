@@ -42,8 +42,10 @@ from asi_analysis.parallel import each
 from asi_analysis.reporting import figures
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress
-from asi_common.files import write_text
+from asi_common.files import read_bytes, read_text, write_text
 
+# Largest list of cases, and largest answers, bytes.
+MOST_CASES: Final = 2**24
 CONFIDENT = 0.9
 VISIBLE = 2.0   # times the noise (rms)
 BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.97, 1.0001)
@@ -97,18 +99,20 @@ def run_cases(folder: Path, progress: Progress) -> list[Row]:
     Each result is appended to rows.jsonl, so that an interrupted check can be continued.
     """
     try:
-        index = json.loads((folder / 'cases.json').read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f'{folder / "cases.json"} cannot be read: {_reason(error)}') from None
-    path = folder / 'rows.jsonl'
-    lines = path.read_text().splitlines(keepends=True) if path.exists() else []
-    whole = [line for line in lines if line.endswith('\n')]   # the last may be incomplete
-    rows = [json.loads(line) for line in whole]
-    done = {row['bag'] for row in rows}
+        reading = folder / 'cases.json'
+        index = json.loads(read_text(reading, MOST_CASES))
+        reading = path = folder / 'rows.jsonl'
+        lines = read_text(path, MOST_CASES).splitlines(keepends=True) if path.exists() else []
+        whole = [line for line in lines if line.endswith('\n')]   # the last may be incomplete
+        rows = [json.loads(line) for line in whole]
+        done = {row['bag'] for row in rows}
+        left = [entry for entry in index if entry['bag'] not in done]
+    except (OSError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise InputError(f'{reading} cannot be read: {_reason(error)}') from None
     with path.open('w') as file:
         file.writelines(whole)
         file.flush()
-        for row in each(examine, ((folder, entry) for entry in index if entry['bag'] not in done)):
+        for row in each(examine, ((folder, entry) for entry in left)):
             rows.append(row)
             file.write(json.dumps(rows[-1]) + '\n')
             file.flush()
@@ -235,9 +239,10 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
 def unseal(path: Path) -> dict[str, Any]:
     """Return the answers of a directory of cases: sealed (base 85 of zlib) or plain JSON."""
     try:
-        raw = path.read_bytes()
-        return json.loads(raw if raw[:1] == b'{' else zlib.decompress(base64.b85decode(raw)))
-    except (OSError, ValueError, zlib.error) as error:
+        raw = read_bytes(path, MOST_CASES)
+        return json.loads(raw if raw[:1] == b'{' else zlib.decompressobj().decompress(
+            base64.b85decode(raw), MOST_CASES))
+    except (OSError, ValueError, RecursionError, zlib.error) as error:
         raise InputError(f'{path} cannot be read as answers: {_reason(error)}') from None
 
 

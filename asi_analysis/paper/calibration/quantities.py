@@ -10,7 +10,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.loop.bench import Values
 from asi_analysis.paper.facts.conditions import LOCKED, SPRING, Conditions, StepTest
-from asi_common.files import write_text
+from asi_common.files import read_text, write_text
 from asi_common.parameter import Value, completed, defaults
 from asi_controller.compensator import OWN_GAIN
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
@@ -163,9 +163,9 @@ def read_best(path: Path) -> Candidate:
     Raises InputError if the file has none, or one with several loads or steps in Table 1.
     """
     try:
-        document = json.loads(path.read_text())
+        document = json.loads(read_text(path))
         tests = {name: StepTest(**document['table_1'][name]) for name in TESTS}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f'{path} holds no result of a calibration: {error}') from None
     first = tests['proportional']
     if any(test.amplitude_n != first.amplitude_n or test.load != first.load

@@ -249,7 +249,7 @@ def load(path: Path) -> Search:
     """Return a saved search. Raises InputError if the file has none."""
     try:
         found = pickle.loads(path.read_bytes())
-    except (OSError, pickle.UnpicklingError, EOFError, ImportError, AttributeError) as error:
+    except Exception as error:  # noqa: B902 - damaged bytes raise anything
         raise InputError(f'{path} holds no state of a calibration: {error}') from None
     if not isinstance(found, Search):
         raise InputError(f'{path} holds no state of a calibration')

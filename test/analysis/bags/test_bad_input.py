@@ -166,6 +166,47 @@ def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
         assert preview(tmp_path / 'bag').samples == 300
 
 
+@pytest.mark.parametrize('as_written', [True, False])
+def test_a_pipe_for_the_messages_does_not_hang(as_written: bool, tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'written')
+    bag = tmp_path / 'written'
+    if not as_written:
+        bag = tmp_path / 'sqlite'
+        as_sqlite(tmp_path / 'written', bag)
+    file = next(path for path in bag.iterdir() if path.suffix != '.yaml')
+    file.unlink()
+    os.mkfifo(file)
+    for read in (read_bag, preview):
+        with pytest.raises(InputError), warnings.catch_warnings():
+            warnings.simplefilter('ignore', InputWarning)
+            read(bag)
+
+
+@pytest.mark.parametrize('file', ['/dev/zero', '{pipe}', '{large}', '{deep}', '{list}'])
+@pytest.mark.parametrize('words', [
+    ['compare'], ['gap', 'of', '{bag}', '--model'], ['calibrate', '--out', '{new}', '--start'],
+    ['reproduce', '--candidate'], ['gap', 'check']])
+def test_settings_that_are_no_small_file_are_refused(
+        words: list[str], file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    """They waited for ever, took all of the memory, or ended in a traceback."""
+    write_bag(a_run(), tmp_path / 'bag')
+    places = {name: tmp_path / f'{name}.yaml' for name in ('pipe', 'large', 'deep', 'list')}
+    places |= {'bag': tmp_path / 'bag', 'new': tmp_path / 'new'}
+    os.mkfifo(places['pipe'])
+    places['large'].write_text('# ' + 10_000_000 * 'x')
+    places['deep'].write_text(20_000 * '[')
+    places['list'].write_text('[1]')
+    named = file.format(**places)
+    if words == ['gap', 'check']:
+        (tmp_path / 'cases').mkdir()
+        (tmp_path / 'cases/cases.json').symlink_to(named)
+        named = str(tmp_path / 'cases')
+    status, err = asi(monkeypatch, capsys, *(word.format(**places) for word in words), named)
+    assert status == 2
+    assert named in err and err.count('\n') == 1
+
+
 def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None:
     np.savez(tmp_path / 'a.npz', force=np.arange(10.0))
     with zipfile.ZipFile(tmp_path / 'a.npz', 'a') as archive:
