@@ -225,7 +225,7 @@ def with_a_file_as_metadata(path: Path) -> Path:
 
 def with_files_only(path: Path) -> Path:
     """Return the path of a bag, if it has no pipes nor devices for files; else ValueError."""
-    for each in path.iterdir() if path.is_dir() else ():
+    for each in (path, *(path.iterdir() if path.is_dir() else ())):
         if each.exists() and not (each.is_file() or each.is_dir()):
             raise ValueError(f'{each} is not a file')
     return with_a_file_as_metadata(path)
@@ -450,11 +450,11 @@ def _extract(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
 
 def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Contents) -> None:
     """Read sqlite3 and compressed files, which have no times of publication."""
-    left = most_unpacked(path)
+    left = most_unpacked(with_files_only(path))
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
             left -= len(_unzipped(packed, left))
-    with Reader(with_files_only(path)) as reader:
+    with Reader(path) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
             topic = contents.topics.setdefault(connection.topic,

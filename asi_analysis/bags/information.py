@@ -32,7 +32,7 @@ def _are_units(value: object) -> bool:
 
 FORMS: Final[dict[str, Callable[[object], bool]]] = {
     'experiment': _is_experiment, 'actuator': _are_parameters, 'controller': _is_mapping,
-    'imported': _is_mapping, 'signals': _are_units}
+    'versions': _is_mapping, 'imported': _is_mapping, 'signals': _are_units}
 
 
 def checked(information: Mapping[str, Any], problems: list[str], source: str) -> dict[str, Any]:

@@ -238,7 +238,7 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
 
     choose_log_folder()
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
+    rclpy.init(args=[], context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
                signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
                              start_parameter_services=False)

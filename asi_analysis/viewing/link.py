@@ -56,7 +56,7 @@ class Link:
         self.diagnostics: dict[str, tuple[int, str, float]] = {}
         choose_log_folder()
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = node = rclpy.create_node(
             NAME, context=self._context, namespace=namespace, start_parameter_services=False)
         self._clients: dict[str, Any] = {}

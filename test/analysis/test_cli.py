@@ -127,6 +127,13 @@ def test_bad_domain_is_told_in_one_line(monkeypatch, tmp_path):
     assert 'ROS_DOMAIN_ID' in result.stderr and len(result.stderr.splitlines()) == 1
 
 
+def test_arguments_that_are_no_text_do_not_concern_ros(monkeypatch):
+    """Of `asi run --out` or `asi demo --out` with a file name in Latin-1."""
+    monkeypatch.setattr(sys, 'argv', ['asi', 'run', '--out', os.fsdecode(b'n\xff')])
+    with running._environment() as environment, running._watched(environment) as status:
+        assert status().ticks == 0
+
+
 def test_two_runs_never_share_a_domain(monkeypatch):
     """The one's controller would answer the other's actuator, and neither would notice."""
     monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
@@ -354,3 +361,13 @@ def test_ctrl_c_ends_a_compilation(tmp_path):
     assert process.communicate(timeout=PATIENCE_S)[1] == 'asi: interrupted\n'
     assert process.returncode == 130
     assert not list(tmp_path.rglob('*_close_block*')), 'it went on to compile'
+
+
+def test_ctrl_c_names_no_bag_that_does_not_exist(tmp_path, monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('asi_analysis.loop.in_process.run_in_process', interrupted)
+    monkeypatch.setattr(sys, 'argv', ['asi', 'run', '--in-process', '--out', str(tmp_path / 'a')])
+    assert cli.main() == 130
+    assert capsys.readouterr().err == 'asi: interrupted\n'

@@ -166,13 +166,14 @@ def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
         assert preview(tmp_path / 'bag').samples == 300
 
 
-@pytest.mark.parametrize('as_written', [True, False])
-def test_a_pipe_for_the_messages_does_not_hang(as_written: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize('mode', [None, CompressionMode.NONE, CompressionMode.FILE])
+def test_a_pipe_for_the_messages_does_not_hang(mode: CompressionMode | None, tmp_path: Path
+                                               ) -> None:
     write_bag(a_run(), tmp_path / 'written')
     bag = tmp_path / 'written'
-    if not as_written:
+    if mode is not None:
         bag = tmp_path / 'sqlite'
-        as_sqlite(tmp_path / 'written', bag)
+        as_sqlite(tmp_path / 'written', bag, mode)
     file = next(path for path in bag.iterdir() if path.suffix != '.yaml')
     file.unlink()
     os.mkfifo(file)

@@ -188,3 +188,12 @@ def test_a_command_that_rests_after_the_first_cycle_is_refused_in_one_line():
     swing = 100.0 * np.sin(2.0 * np.pi * 10.0 * time_s)
     with pytest.raises(InputError, match='the command rests in the oscillation'):
         shape(time_s, np.where(time_s < 0.03, swing, 5.0), swing)
+
+
+@pytest.mark.parametrize('swing', [0.0, 1e-12])
+def test_a_quiet_run_has_no_oscillation_to_attribute(swing):
+    """It was one of nan Hz and nan N."""
+    time_s = np.arange(1000) / 1000.0
+    force = 100.0 + swing * np.random.default_rng(1).normal(size=1000)
+    with pytest.raises(InputError, match='oscillation|move'):
+        attribute_cycle(Run(time_s, np.full(1000, 100.0), np.full(1000, 100.0), force))
