@@ -298,6 +298,19 @@ def compensate(c, reference, measured, velocity):
     return c.command
 
 
+@jit
+def commands(c, reference, measured, velocity):
+    """
+    Return the valve commands (N) to n samples in succession; updates `c` in place.
+
+    reference, measured: desired and measured force, N; velocity: of the piston, m/s.
+    """
+    found = np.empty(reference.size)
+    for k in range(reference.size):
+        found[k] = compensate(c, reference[k], measured[k], velocity[k])
+    return found
+
+
 def frequency_response(c: np.void, frequencies_hz: npt.ArrayLike, rate_hz: float
                        ) -> npt.NDArray[np.complex128]:
     """

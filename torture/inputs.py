@@ -24,8 +24,10 @@ from pyarrow.parquet import write_table
 from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from scipy import ndimage
 from scipy.io import savemat
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.exporting import export
@@ -37,6 +39,7 @@ from asi_analysis.experiments.experiment import read_parameters
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
 from asi_common.parameter import ParameterError
 from torture.rig import Rig, Tally
@@ -90,6 +93,13 @@ def with_a_gap() -> Run:
     return Run(*simulate_loop({'load.type': 'spring', 'load.mass': 0.6}, {
         'compensator': 'lead_lag', 'reference.shape': 'multisine',
         'reference.amplitude': 150.0}, 1.5, 1000.0))
+
+
+def with_command() -> Run:
+    """Return a run of the simulator that holds its command and controller, as `asi run` writes."""
+    return simulate({'load.type': 'spring', 'force_sensor.noise': 0.3}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
+        'gain_schedule.velocity': 0.5}, 0.6, 1000.0)
 
 
 def corpus(folder: Path) -> list[Path]:
@@ -259,7 +269,8 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
     kind = random.choice(('rows lost', 'cells empty', 'every nth empty', 'clipped', 'spike',
                           'early', 'unit', 'rows twice', 'clock set', 'quantised', 'sign',
                           'sign of a part', 'unit from there', 'frozen', 'cell cut',
-                          'spike of the reference'))
+                          'spike of the reference',
+                          *(OF_COMMAND if run.command_n is not None else ())))
     if kind == 'rows lost':
         kept[part] = False
     elif kind == 'cells empty':
@@ -288,14 +299,48 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
         force[place:] *= 1000.0
     elif kind == 'frozen':
         force[part] = force[place]
+    elif kind in OF_COMMAND:
+        force, reference = OF_COMMAND[kind](force, reference, random)
     elif kind == 'cell cut':
         force[-1] = force[-1] // 10.0
     else:
         reference[place] = random.choice((-1e4, 500.0, 1e9))
     signals: dict[str, Any] = {signal.field: getattr(run, signal.field) for signal in SIGNALS}
     signals |= {'force_n': force, 'reference_n': reference}
-    return kind, Run(time_s[kept], **{name: values if values is None else values[kept]
-                                      for name, values in signals.items()})
+    return kind, Run(time_s[kept], information=run.information, **{
+        name: values if values is None else values[kept] for name, values in signals.items()})
+
+
+def _without_a_bit(force: Array, random: Random) -> Array:
+    span = float(np.ptp(force))
+    counts = np.round(4095.0 * (force - force.min()) / span).astype(int)
+    return np.asarray(force.min() + (counts & ~(1 << random.randint(5, 9))) * span / 4095.0)
+
+
+def _noise(force: Array, random: Random, size: float) -> Array:
+    return np.random.default_rng(random.getrandbits(32)).normal(0.0, size, len(force))
+
+
+# What only the command shows: force and reference -> others.
+OF_COMMAND: Final[dict[str, Callable[[Array, Array, Random], tuple[Array, Array]]]] = {
+    'scale of the reference': lambda force, reference, random: (
+        force, random.choice((0.5, 2.0, 3.0)) * reference),
+    'scale of the force': lambda force, reference, random: (
+        random.uniform(1.05, 1.5) * force, reference),
+    'offset': lambda force, reference, random: (force + random.uniform(1.0, 50.0), reference),
+    'low pass': lambda force, reference, random: (
+        ndimage.gaussian_filter1d(force, random.uniform(1.0, 10.0)), reference),
+    'drifting clock': lambda force, reference, random: (
+        np.interp(np.arange(len(force)) * random.choice((0.97, 0.99)), np.arange(len(force)),
+                  force), reference),
+    'saturated converter': lambda force, reference, random: (
+        np.minimum(force, 0.8 * force.max()) + _noise(force, random, 0.2), reference),
+    'missing bit': lambda force, reference, random: (_without_a_bit(force, random), reference),
+    'held': lambda force, reference, random: (
+        np.repeat(force[::2], 2)[:len(force)], reference),
+    'another run': lambda force, reference, random: (
+        force + _noise(force, random, 0.5), reference),
+}
 
 
 def of_step(run: Run) -> Answer:
@@ -360,7 +405,8 @@ def inputs(rig: Rig, tally: Tally, end: float) -> None:
     folder.mkdir()
     files = corpus(folder)
     # After so many files, samples of a recording: a limit cycle and a gap take longer.
-    analyses = ((4, recording(), of_step), (100, cycle(), of_cycle), (500, with_a_gap(), of_gap))
+    analyses = ((4, recording(), of_step), (5, with_command(), of_step),
+                (100, cycle(), of_cycle), (500, with_a_gap(), of_gap))
     for number in range(FILES):
         if time.monotonic() > end:
             return

@@ -45,6 +45,12 @@ DETERMINED: Final = 1e-6
 FACTORS: Final = (1.0, -1.0, 1e3, 1e-3, 4.4482216, 1.0 / 4.4482216, 9.80665, 1.0 / 9.80665)
 FEEDFORWARD: Final = (1.0, 0.0)
 FEW: Final = 500
+# Least difference of a factor from 1 that is another scale (a disturbance observer has one too),
+# and largest condition of its fit.
+OTHER_SCALE: Final = 0.3
+CONDITION: Final = 1e4
+# Largest condition of the samples themselves: of few sines without noise any relation is exact.
+EXCITED: Final = 1e5
 # Samples by which a signal may be recorded late; lags that are tried.
 LATEST: Final = 400
 TRIED: Final = 4
@@ -114,6 +120,8 @@ def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answ
     if not abs(direct[1]) * float(np.nanstd(signal)) > LEAST * span:
         direct = [np.nan, np.nan]
     factor = _factor(rows, obeys, span)
+    if factor is None:
+        factor = _scale(rows, obeys, span, factors, known)
     breaks = _breaks(rows, factors, residual, span)
     if factor is None or len(_lost(breaks)) > MOST_LOST:    # of few sines any relation is exact
         breaks = [each for each in breaks if each not in _lost(breaks)]
@@ -262,6 +270,34 @@ def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
     return possible[0] if len(set(possible)) == 1 else None
 
 
+def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -> float | None:
+    """
+    Return the factor of another scale of signal or reference, 1 if they have the same.
+
+    The relation of a controller that answers factor * reference - signal, and passes on any share
+    of the reference beside that, tells both if the controller has a memory.
+    """
+    before, _, own = np.split(factors, [rows.order, 2 * rows.order + 1])
+    if not (known[:rows.order].all() and known[2 * rows.order + 1:].all()):
+        return None
+    earlier, references, signals = (each[obeys] for each in rows.groups())
+    excited = np.hstack([earlier, signals])
+    if np.linalg.cond(excited / _sizes(excited)) > EXCITED:
+        return None
+    beyond = rows.command[obeys] - earlier @ before - signals @ own
+    table = np.stack([-references @ own, references @ np.append(1.0, -before)], axis=1)
+    sizes = np.linalg.norm(table, axis=0)
+    if not sizes.all() or np.linalg.cond(table / sizes) > CONDITION:
+        return None
+    found = np.linalg.lstsq(table / sizes, beyond, rcond=None)[0] / sizes
+    if np.abs(beyond - table @ found).max() > EXACT * span or not found[0] > 0.0:
+        return None
+    if abs(found[0] - 1.0) < BREAK:
+        return 1.0
+    # Nearer to 1 it may be what is left of poles and of a controller that is not linear.
+    return float(found[0]) if abs(found[0] - 1.0) > OTHER_SCALE else None
+
+
 def _breaks(rows: _Rows, factors: Array, residual: Array, span: float) -> list[Break]:
     """Return the parts that break a relation because samples were altered, lost or repeated."""
     broken = np.flatnonzero(np.abs(residual) > 10.0 * EXACT * span)
@@ -318,7 +354,8 @@ def _explained(residual: Array, own: Array) -> bool:
     are earlier samples in the relation. What a nonlinear controller does has not that form.
     """
     altered = len(residual) - len(own) + 1
-    if not 0 < altered <= LONGEST:
+    # Without a memory any residuals have that form.
+    if len(own) == 1 or not 0 < altered <= LONGEST:
         return False
     table = linalg.toeplitz(np.append(own, np.zeros(altered - 1)),
                             np.append(own[0], np.zeros(altered - 1)))

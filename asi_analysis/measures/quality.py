@@ -16,7 +16,8 @@ from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.breaks import is_continuous, spikes
 from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, Interval, name_of, place_of
-from asi_analysis.measures.relations import of_motion, of_reference
+from asi_analysis.measures.recomputed import of_controller
+from asi_analysis.measures.relations import moved_by, of_motion, of_reference
 
 # Samples further apart than this many periods have at least one missing between them.
 GAP_PERIODS: Final = 1.5
@@ -35,8 +36,14 @@ FEWEST_LEVELS: Final = 25
 FEWEST_CHANGES: Final = 4
 # Samples of an even grid for each recorded one, beyond which a run comes in bursts.
 MOST_FILLED: Final = 10.0
+# Share of the changes of a signal that are a multiple of so many samples apart, and number of
+# them, for which it is held between them.
+HELD: Final = 0.99
+FEWEST_HELD: Final = 50
 LARGEST: Final = 1e100   # number in a signal: squares and sums of more overflow
 LOSSES: Final = frozenset(('gap', 'missing'))
+# Findings that say why the command is not the controller's.
+EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion'))
 
 
 def findings(run: Run) -> list[Finding]:
@@ -46,8 +53,11 @@ def findings(run: Run) -> list[Finding]:
     found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
-    found += of_reference(run)
+    known = of_controller(run)
+    found += of_reference(run, as_recorded=known.agrees)
     found += of_motion(run)
+    if not EXPLAINED & {each.kind for each in found}:
+        found += known.findings
     return sorted(found, key=lambda each: each.severity != DOUBTFUL)
 
 
@@ -185,6 +195,10 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
             yield Finding('clipping', name, DOUBTFUL, where,
                           f'the {name_of(name)} stays at its {word} value {limit:.4g} {unit} '
                           f'{place_of(where)}: it is clipped, or against a stop')
+    if (held := _held(values)) > 1:
+        yield Finding('held', name, NOTE, ((float(time[0]), float(time[-1])),),
+                      f'the {name_of(name)} changes at every {held}. sample only: it was measured '
+                      f'at {run.rate_hz / held:.4g} Hz')
     level = np.unique(values)
     levels, changes = len(level), np.count_nonzero(np.diff(values))
     step = float(np.diff(level).min(initial=np.inf))
@@ -211,7 +225,10 @@ def _spikes(run: Run, name: str, present: npt.NDArray[np.intp]) -> npt.NDArray[n
         return np.isnan(without_spikes(values))
     cause = run.command_n if run.reference_n is None else run.reference_n
     controlled = run.reference_n is not None and name == CONTROLLED.get(run.unit('reference'))
-    return spikes(values, None if cause is None else np.nan_to_num(cause[present]), controlled)
+    found = spikes(values, None if cause is None else np.nan_to_num(cause[present]), controlled)
+    if name == 'velocity' and found.any():
+        found &= ~moved_by(run, present)
+    return found
 
 
 def _ends(values: Array) -> tuple[float, float]:
@@ -247,6 +264,16 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
                     clipped[begin:begin + length] = True
         found.append(clipped)
     return found
+
+
+def _held(values: Array) -> int:
+    """Return by how many samples the changes of a signal are apart, 1 if not regularly."""
+    begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    apart = np.diff(begins)
+    if len(apart) < FEWEST_HELD or not is_continuous(values[begins]):
+        return 1
+    usual = int(np.median(apart))
+    return usual if np.mean(apart % usual == 0) > HELD else 1
 
 
 def _intervals(time: Array, steps: npt.NDArray[np.bool_]) -> tuple[Interval, ...]:

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.arrays import Array
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.answer import Answer, answer, late
 from asi_analysis.measures.breaks import frozen, jumps, spikes
@@ -49,8 +49,12 @@ USUAL_GAIN: Final = (0.05, 100.0)
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
 
-def of_reference(run: Run) -> Iterator[Finding]:
-    """Compare the controlled signal with its reference: unit, and order in time."""
+def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
+    """
+    Compare the controlled signal with its reference: unit, and order in time.
+
+    as_recorded: the command is known to be the controller's answer to both.
+    """
     if run.reference_n is None or run.unit('reference') not in CONTROLLED:
         return
     name = run.controlled()
@@ -63,7 +67,8 @@ def of_reference(run: Run) -> Iterator[Finding]:
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
     whole = ((float(time[0]), float(time[-1])),)
     ratio, strange = _ratio(run, reference, values, both)
-    by_command = _of_command(run, name, ratio, _correlation(reference, values))
+    by_command = (_ByCommand([], True, True, True) if as_recorded else
+                  _of_command(run, name, ratio, _correlation(reference, values)))
     yield from by_command.findings
     if any(each.kind in WHOLE for each in by_command.findings):
         return
@@ -211,7 +216,7 @@ def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
         return None
     if factor not in (None, 1.0, -1.0):
         return 'unit', (f'the command answers 1/{factor:.4g} of the {words} as it answers the '
-                        'reference: is its unit right?')
+                        'reference: is the unit of each right?')
     if factor == -1.0 or factor is None and found.signal > 0.0 and (
             found.reference > 0.0 or correlation < 0.0):
         return 'sign', f'the command rises with the {words}: is its sign right?'
@@ -257,6 +262,23 @@ def of_motion(run: Run) -> Iterator[Finding]:
         yield Finding('motion', 'time', DOUBTFUL, where,
                       f'the position changes by {wrong[0][0]:.3g} times the integral of the '
                       f'velocity {place_of(where)}: is the time right, and both units and signs?')
+
+
+def moved_by(run: Run, present: npt.NDArray[np.intp]) -> Mask:
+    """Return at which of these samples the position moves as the velocity says, with its peaks."""
+    moved = np.zeros(len(present), bool)
+    if run.position_m is None or run.velocity_m_s is None or len(present) < 5 or (
+            run.unit('velocity') != f'{run.unit("position")}/s'):
+        return moved
+    time, position, velocity = (each[present] for each in (
+        run.time_s, run.position_m, run.velocity_m_s))
+    way = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)))
+    around = 2      # a peak takes up to two samples
+    step, expected = (each[2 * around:] - each[:-2 * around] for each in (position, way))
+    without = 0.5 * (velocity[2 * around:] + velocity[:-2 * around]) * (
+        time[2 * around:] - time[:-2 * around])
+    moved[around:-around] = np.abs(step - expected) < 0.5 * np.abs(expected - without)
+    return moved
 
 
 def _alike(ratio: float) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torture.inputs import corpus, figure_problem, file_problem, recording
+from torture.inputs import corpus, figure_problem, file_problem, recording, with_command
 
 few = settings(derandomize=True, deadline=None, database=None,
                suppress_health_check=list(HealthCheck))
@@ -34,3 +34,9 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(files: list[Path], seed: 
 @given(seed=seeds)
 def test_no_figure_of_spoilt_samples_differs_silently(seed: int) -> None:
     assert not figure_problem(recording(), Random(seed))
+
+
+@settings(few, max_examples=25)
+@given(seed=seeds)
+def test_no_figure_of_a_run_with_a_command_differs_silently(seed: int) -> None:
+    assert not figure_problem(with_command(), Random(seed))

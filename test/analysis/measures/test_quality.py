@@ -276,3 +276,9 @@ def test_a_clock_that_is_set_by_decades_takes_no_memory() -> None:
     run = a_run()
     late = replace(run, reference_n=None, time_s=run.time_s + 1.7e9 * (run.time_s > 0.5))
     assert analyze(late).oscillation['sustained'] is None
+
+
+def test_a_signal_that_is_held_for_some_samples_is_marked() -> None:
+    found, = findings(with_force(a_run(), lambda f: np.repeat(f[::2], 2)))
+    assert (found.kind, found.severity) == ('held', 'note')
+    assert 'measured at 500 Hz' in found.text

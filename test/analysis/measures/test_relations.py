@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 from test_quality import a_run, put, with_force
 
+import asi_analysis as asi
 from asi_actuator.model.actuator import STATE_DTYPE, advance, measure, prepare
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.loop.closed_loop import records, simulate_loop
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.answer import answer
 from asi_analysis.measures.quality import findings
+from asi_analysis.measures.recomputed import recomputed
 from asi_controller.compensator import compensate, compensator
 from asi_controller.reference import reference_force
 
@@ -150,3 +153,96 @@ def test_a_wrong_sign_that_ends_soon_after_the_step_is_a_jump(last: int) -> None
     """Without a command, and the only step is no longer the explanation."""
     run = with_force(a_run(), lambda f: put(f, slice(470, 500 + last), -f[470:500 + last]))
     assert {each.kind for each in findings(run)} & {'jump', 'sign'}
+
+
+def a_recorded_run(**controller: float | str) -> Run:
+    """Return a run that holds its controller, as those of `asi run` do."""
+    return asi.simulate({'load.type': 'spring', **NOISY}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
+        **controller}, 0.5, RATE_HZ)
+
+
+def low_pass(values: np.ndarray) -> np.ndarray:
+    return np.asarray(signal.lfilter([0.4], [1.0, -0.6], values))
+
+
+def without_a_bit(values: np.ndarray) -> np.ndarray:
+    span = float(np.ptp(values))
+    counts = np.round(4095.0 * (values - values.min()) / span).astype(int)
+    return np.asarray(values.min() + (counts & ~64) * span / 4095.0)
+
+
+def converted(values: np.ndarray) -> np.ndarray:
+    """Return a signal of a converter that is saturated, with noise behind it."""
+    noise = np.random.default_rng(3).normal(size=len(values))
+    return np.asarray(np.minimum(values, 0.8 * values.max()) + 0.2 * noise)
+
+
+# What no relation of the signals alone tells, as another controller would do the same.
+REPLACED: dict[str, Callable[[Run], Run]] = {
+    'reference in another scale': lambda run: replace(
+        run, reference_n=2.0 * run.signal('reference')),
+    'low pass': lambda run: with_force(run, low_pass),
+    'drifting clock': lambda run: with_force(
+        run, lambda f: np.interp(run.time_s / 1.03, run.time_s, f)),
+    'saturated converter': lambda run: with_force(run, converted),
+    'missing bit': lambda run: with_force(run, without_a_bit),
+    'held': lambda run: with_force(run, lambda f: np.repeat(f[::2], 2)),
+    'of another run': lambda run: with_force(run, lambda f: f + np.random.default_rng(9).normal(
+        0.0, 0.5, len(f))),
+    'exchanged': lambda run: replace(
+        run, force_n=run.signal('command'), command_n=run.signal('force')),
+    'offset': lambda run: with_force(run, lambda f: 20.0 + f),
+}
+
+
+@pytest.mark.parametrize('addition', [{}, {'hysteresis_inverse.size': 20.0},
+                                      {'gain_schedule.velocity': 0.1}, {'saturation': 110.0}])
+@pytest.mark.parametrize('how', REPLACED)
+def test_a_command_that_its_controller_does_not_compute_is_found(
+        how: str, addition: dict[str, float]) -> None:
+    run = a_recorded_run(**addition)
+    assert findings(run) == []
+    again = recomputed(run)
+    assert again is not None and (again == run.signal('command')).all()
+    document = analyze(REPLACED[how](run))
+    assert {each['kind'] for each in document['quality']} & {'answer', 'unit', 'clipping', 'sign'}
+    assert document.rise_time_s is None
+
+
+def test_a_run_of_which_rows_are_left_out_is_marked() -> None:
+    run = a_recorded_run()
+    assert [each.kind for each in findings(run[::2])] == ['rate']
+    assert findings(run[:300]) == []
+    late = replace(run, time_s=1.2 * run.time_s)
+    assert [each.kind for each in findings(late)] == ['rate']
+
+
+@pytest.mark.parametrize('information', [
+    {}, {'controller': {}}, {'versions': {'asi_actuator': '0.0.1'}},
+    {'experiment': {'mode': 'realtime', 'rate_hz': RATE_HZ}}, {'experiment': {'mode': 'lockstep'}},
+    {'controller': {'compensator': 'of another'}}, {'controller': {'gain': 'much'}}])
+def test_without_its_controller_a_run_is_not_accused(information: dict[str, dict]) -> None:
+    run = a_recorded_run()
+    other = replace(run, information={**run.information, **information} if information else {})
+    assert recomputed(other) is None
+    assert findings(other) == []
+
+
+def test_a_reference_in_another_scale_is_found_without_the_controller() -> None:
+    """By a controller with a memory; the answer of a proportional one may be a feed-forward."""
+    for name, found in (('lead4', ['unit']), ('proportional', [])):
+        run = a_loop('step', compensator=name, feedforward=0.5)
+        assert findings(run) == []
+        other = replace(run, reference_n=2.0 * run.signal('reference'))
+        assert [each.kind for each in findings(other)] == found
+
+
+def test_a_peak_of_the_velocity_that_moves_the_position_is_no_spike() -> None:
+    """As when a piston breaks loose."""
+    run = asi.simulate({'load.type': 'locked', 'force_sensor.noise': 0.5}, {
+        'compensator': 'lead2', 'reference.shape': 'ramp', 'reference.amplitude': 30.0}, 2.0,
+        RATE_HZ)
+    assert findings(run) == []
+    spoilt = put(run.signal('velocity').copy(), 1000, 1.0)
+    assert [each.kind for each in findings(replace(run, velocity_m_s=spoilt))] == ['spike']
