@@ -33,7 +33,6 @@ def main() -> int:
     0: answered; 1: a check or a run failed; 2: wrong input or call (InputError, or a file that
     cannot be read or written), with one line on stderr; 130: Ctrl-C.
     """
-    end_while_compiling()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):    # a file name may be no text
             stream.reconfigure(errors='backslashreplace')
@@ -43,6 +42,7 @@ def main() -> int:
     # Typer brings its own copy of click; this is its ClickException.
     click_exception: Any = typer.BadParameter.__mro__[2]
     try:
+        end_while_compiling()
         status = app(prog_name='asi', standalone_mode=False) or 0
         return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
     except InputError as error:

@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Reader
 
 from asi_analysis import cli
 from asi_analysis.bags.run import Run
+from asi_analysis.cli import interrupt
 from asi_analysis.errors import InputError
 from asi_analysis.experiments import running
 from asi_analysis.loop.closed_loop import simulate_loop
@@ -361,6 +362,17 @@ def test_ctrl_c_ends_a_compilation(tmp_path):
     assert process.communicate(timeout=PATIENCE_S)[1] == 'asi: interrupted\n'
     assert process.returncode == 130
     assert not list(tmp_path.rglob('*_close_block*')), 'it went on to compile'
+
+
+def test_too_many_open_files_are_told_in_one_line(monkeypatch, capsys):
+    def full():
+        raise OSError(24, 'Too many open files')
+
+    interrupt.end_while_compiling.cache_clear()
+    monkeypatch.setattr(os, 'pipe', full)
+    monkeypatch.setattr(sys, 'argv', ['asi', '--help'])
+    assert cli.main() == 2
+    assert capsys.readouterr().err == 'asi: [Errno 24] Too many open files\n'
 
 
 def test_ctrl_c_names_no_bag_that_does_not_exist(tmp_path, monkeypatch, capsys):

@@ -1,6 +1,7 @@
 """Read a table of another system (CSV, JSON, MAT, NPZ, Parquet, LeRobot) as columns by name."""
 
 import csv
+import lzma
 import os
 import subprocess
 import sys
@@ -24,7 +25,8 @@ MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
 # What the libraries raise for damaged files.
 BROKEN: Final = (OSError, ValueError, EOFError, NotImplementedError, TypeError, KeyError,
                  IndexError, MemoryError, OverflowError, RecursionError, csv.Error, zlib.error,
-                 zipfile.BadZipFile, SyntaxError, tokenize.TokenError)    # headers of numpy
+                 lzma.LZMAError, zipfile.BadZipFile,
+                 SyntaxError, tokenize.TokenError)    # headers of numpy
 
 # column name → its values; a scalar of a MAT file is a column of one value
 Table = dict[str, npt.NDArray]

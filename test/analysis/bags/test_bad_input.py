@@ -215,6 +215,18 @@ def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None
     assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
 
 
+def test_a_damaged_member_of_an_npz_in_lzma_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / 'force.npy', np.arange(1000.0))
+    with zipfile.ZipFile(tmp_path / 'a.npz', 'w', zipfile.ZIP_LZMA) as archive:
+        archive.write(tmp_path / 'force.npy', 'force.npy')
+    data = bytearray((tmp_path / 'a.npz').read_bytes())
+    for place in range(80, len(data) - 120, 7):
+        data[place] ^= 0xff
+    (tmp_path / 'a.npz').write_bytes(data)
+    with pytest.raises(InputError, match='cannot be read'):
+        import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)
+
+
 @pytest.mark.parametrize('damage', [(b'(10,), }', b'(10,,   '), (b'(10,), }', b'(10, "\n  '),
                                     (b"'shape'", b"'sha\n '")])
 def test_a_damaged_header_of_an_npz_is_refused(
