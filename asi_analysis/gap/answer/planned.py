@@ -215,6 +215,8 @@ def plan_recording(model: str | Path, sensors: Sequence[str] = SENSORS,
     if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
         raise InputError(f'--rate {rate_hz:g} is not allowed: from {RATES_HZ[0]:g} to '
                          f'{RATES_HZ[1]:g} Hz')
+    if out is not None and Path(out).exists():   # before minutes of computing
+        raise InputError(f'{out} exists already: give another file')
     given, bounds = _nominal(path), limits_of(path, limits, noise)
     names = _sensors(sensors, given, path)
     period = 1.0 / rate_hz

@@ -92,6 +92,11 @@ def test_what_cannot_be_planned_is_said_in_one_line(
     assert words in capsys.readouterr().err.strip().splitlines()[-1]
 
 
+def test_a_reference_that_exists_is_refused_first(model: Path) -> None:
+    with pytest.raises(InputError, match='exists already'):
+        plan_recording(model, out=model)
+
+
 def test_what_a_model_lacks_is_asked_for(tmp_path: Path) -> None:
     path = tmp_path / 'joint.yaml'
     path.write_text(MODEL)
