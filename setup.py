@@ -14,7 +14,8 @@ setup(
     packages=find_packages(include=['asi_common*', 'asi_actuator*', 'asi_controller*',
                                     'asi_analysis*', 'asi_examiner*']),
     package_data={'asi_common': ['py.typed', 'node/fastdds.xml', 'node/fastdds_localhost.xml'],
-                  'asi_analysis': ['reporting/templates/*', '*/*/*.json', 'py.typed'],
+                  'asi_analysis': ['reporting/templates/*', '*/*/*.json', 'viewing/*.js',
+                                   'py.typed'],
                   'asi_actuator': ['py.typed'],
                   'asi_controller': ['py.typed']},
     data_files=[

@@ -1,7 +1,10 @@
-"""Signal handling of the executables while their modules are imported."""
+"""Signals while modules are imported, and while numba compiles: a process ends at once."""
 
 import os
 import signal
+import sys
+import threading
+from collections.abc import Callable, Collection
 
 
 def end_quietly_while_importing() -> None:
@@ -12,3 +15,32 @@ def end_quietly_while_importing() -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
+
+
+def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
+                        ) -> Callable[[], None]:
+    """
+    Let signals end this process while numba compiles, with a status and `said` on stderr.
+
+    LLVM takes up to a minute, in which no handler of Python runs. Nothing is lost: numba writes
+    its cache under a temporary name. At other times the handlers of Python are called as usual.
+    Only for the main thread; the function that is returned ends it.
+    """
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def watch() -> None:
+        while came := os.read(reading, 100):
+            jit = sys.modules.get('asi_common.jit')
+            if set(came) & set(numbers) and jit is not None and jit.compiling():
+                os.write(2, said)
+                os._exit(status)
+        os.close(reading)
+
+    def end() -> None:
+        signal.set_wakeup_fd(-1)
+        os.close(writing)
+
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=watch, daemon=True).start()
+    return end

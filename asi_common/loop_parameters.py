@@ -18,6 +18,9 @@ LOOP_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('await_recorder', False, '',
               'Delay the first message until a recorder has every topic of this node',
               read_only=True),
+    Parameter('thread_priority', 50, '',
+              'Real time: priority (SCHED_FIFO) of the threads of the node, if the user may have '
+              'one, as in ros2_control; 0: that of any process', 0, 99, read_only=True),
 )
 
 

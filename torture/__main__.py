@@ -17,6 +17,7 @@ from rich.table import Table
 from torture.bags import bags
 from torture.clocks import clocks
 from torture.disk import disk
+from torture.endings import endings
 from torture.frames import frames
 from torture.inputs import inputs
 from torture.lockstep import lockstep
@@ -32,6 +33,7 @@ from torture.watchdogs import watchdogs
 SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
     watchdogs: 0.05, processes: 0.15, frames: 0.1, messages: 0.1, parameters: 0.1, bags: 0.05,
     disk: 0.05, clocks: 0.05, lockstep: 0.1, soak: 0.05, inputs: 0.1, options: 0.1,
+    endings: 0.05,
 }
 # The same seed for a scenario breaks the same things in the same order.
 SEED = int(os.environ.get('TORTURE_SEED', '1'))

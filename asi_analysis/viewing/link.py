@@ -30,7 +30,7 @@ from asi_common.topics import TOPICS
 from asi_common.writable import choose_log_folder
 
 NAME: Final = 'asi_live'
-POLL_S: Final = 0.03
+POLL_S: Final = 0.015
 DEPTH: Final = 5000
 # How long a node may take to answer, s; a busy machine is slow.
 ANSWER_S: Final = 10.0

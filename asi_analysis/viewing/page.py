@@ -5,46 +5,41 @@ One process serves the page on 127.0.0.1 and hears the loop over DDS; it loads n
 network.
 """
 
-import asyncio
 import contextlib
 import os
 import random
 import socket
 import time
 from collections.abc import Awaitable, Callable, Iterable
+from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlsplit
 
-import numpy as np
 from nicegui import app, ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from asi_actuator.model.effects import EFFECTS
-from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.viewing.frames import CHARTS, LOOP, WINDOWS_S, Frames
 from asi_analysis.viewing.link import LinkError
 from asi_analysis.viewing.processes import ask
-from asi_analysis.viewing.recent import drawn
 from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed
 
 HOST: Final = '127.0.0.1'
-FRAMES_HZ: Final = 30.0
-SLOWEST_S: Final = 5.0
+SCRIPT: Final = Path(__file__).with_name('charts.js')
 NICE: Final = 5
 # A page that a busy machine has cut off for less is not built anew.
 RECONNECT_S: Final = 30.0
 REFRESH_S: Final = 0.5
-WINDOWS_S: Final = {0.2: '0.2 s', 1.0: '1 s', 5.0: '5 s', 20.0: '20 s'}
-BINS: Final = 300
 # What a question is asked of: long enough for a slow cycle and for the sweep of a chirp.
 ASKED_S: Final = 10.0
 # Both nodes say twice a second how they are.
 SILENT_S: Final = 2.5
+SILENCE: Final = ('no node is heard: ros2 run asi_actuator actuator, and controller; '
+                  'or asi live --simulate', 'warning')
 LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
-# Chart over time -> its curves: name and signal of a `Run`.
-CHARTS: Final = {'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
-                 'valve command (N)': {'command': 'command_n'}}
-LOOP: Final = 'valve position (µm) against valve command (N)'
 # Of the parameters without a block.
 GENERAL: Final = 'general'
 COLOURS: Final = ('#0072b2', '#d55e00')
@@ -68,12 +63,36 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     os.nice(NICE)
     # A name that leads a browser here from a page of elsewhere is refused.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])
+    frames = Frames(session.link.recent)
+
+    @app.websocket('/frames')
+    async def _(socket: WebSocket) -> None:
+        await send_frames(socket, frames)
+
     print(f'http://{HOST}:{port} (Ctrl-C ends it)')
     try:
         ui.run(lambda: page(session), host=HOST, port=port, title='asi live', reload=False,
                show=show, show_welcome_message=False, reconnect_timeout=RECONNECT_S)
     finally:
         session.close()
+
+
+async def send_frames(socket: WebSocket, frames: Frames) -> None:
+    """Send a page of ours the next frame for each window (s) that it asks for."""
+    # Not a page of elsewhere, which a browser lets open a WebSocket to any address.
+    if urlsplit(socket.headers.get('origin', '')).netloc != socket.headers.get('host'):
+        await socket.close()
+        return
+    await socket.accept()
+    heard = -1
+    with contextlib.suppress(WebSocketDisconnect):
+        while True:
+            try:
+                heard, frame = await frames.after(heard, float(await socket.receive_text()))
+            except ValueError:   # no page of ours asks so
+                await socket.close()
+                return
+            await socket.send_bytes(frame)
 
 
 def page(session: Session) -> None:
@@ -86,63 +105,43 @@ def page(session: Session) -> None:
         with ui.column().classes('w-2/3 sticky top-0 self-start'):
             _actions(session)
             _effects(session)
-            _charts(session, rate)
+            _charts(rate)
         with ui.column().classes('w-1/3'):
             _parameters(session)
 
+    shown: list[tuple[str, str]] = []
+
     def refresh() -> None:
+        badges = [_badge(name, *said)
+                  for name, said in sorted(session.link.diagnostics.items())] or [SILENCE]
+        if badges == shown:
+            return
+        shown[:] = badges
         status.clear()
         with status:
-            for name, (level, text, at_s) in sorted(session.link.diagnostics.items()):
-                silent = time.monotonic() - at_s > SILENT_S
-                ui.badge(f'{name}: {"has ended, or is silent" if silent else text}',
-                         color='negative' if silent else LEVELS[min(level, 3)])
-            if not session.link.diagnostics:
-                ui.badge('no node is heard: ros2 run asi_actuator actuator, and controller; '
-                         'or asi live --simulate', color='warning')
+            for text, colour in badges:
+                ui.badge(text, color=colour)
 
     ui.timer(REFRESH_S, refresh)
 
 
-def _charts(session: Session, rate: ui.label) -> None:
-    window = ui.toggle(WINDOWS_S, value=1.0).props('dense')
-    charts = {title: ui.echart(_options(title, 's', curves)).classes('w-full h-52').mark(title)
-              for title, curves in CHARTS.items()}
-    loop = ui.echart(_options(LOOP, '', ['valve'])).classes('w-full h-64').mark(LOOP)
-    # In an interval, frames counted and when it began.
-    counted, began_s = 0, time.monotonic()
-
-    async def draw() -> None:
-        nonlocal counted, began_s
-        run = session.link.recent.run(window.value)
-        if run is not None:
-            for title, curves in CHARTS.items():
-                _show(charts[title], [_curve(run, field) for field in curves.values()])
-            if run.command_n is not None and run.valve_position_m is not None:
-                every = slice(None, None, -(-len(run) // (2 * BINS)))
-                _show(loop, [np.column_stack([run.command_n[every],
-                                              1e6 * run.valve_position_m[every]])])
-        # The next frame when the browser has this one: a slow one would lag more and more. It
-        # rests for as long, as the loop may run on the same processor.
-        asked_s = time.monotonic()
-        with contextlib.suppress(TimeoutError):
-            await ui.run_javascript('0', timeout=SLOWEST_S)
-        await asyncio.sleep(time.monotonic() - asked_s)
-        counted += 1
-        if (passed_s := time.monotonic() - began_s) > 1.0:
-            states_hz, share = session.link.recent.rate()
-            rate.text = (f'{states_hz:.0f} states/s, {share:.2f} s a second, '
-                         f'{session.link.recent.lost} missed here; '
-                         f'{counted / passed_s:.0f} frames/s')
-            counted, began_s = 0, time.monotonic()
-
-    ui.timer(1.0 / FRAMES_HZ, draw)
+def _badge(name: str, level: int, text: str, at_s: float) -> tuple[str, str]:
+    """Return what is shown of a status, and its colour."""
+    if time.monotonic() - at_s > SILENT_S:
+        return f'{name}: has ended, or is silent', 'negative'
+    return f'{name}: {text}', LEVELS[min(level, 3)]
 
 
-def _curve(run: Run, field: str) -> np.ndarray:
-    values = getattr(run, field)
-    return (np.empty((0, 2)) if values is None
-            else drawn(run.time_s - run.time_s[-1], values, BINS))
+def _charts(rate: ui.label) -> None:
+    window = ui.toggle(WINDOWS_S, value=1.0, on_change=lambda event: ui.run_javascript(
+        f'asiLive.windowS = {event.value}')).props('dense')
+    charts = []
+    for title, names in (*CHARTS.items(), (LOOP, ['valve'])):
+        chart = ui.echart(_options(title, '' if title == LOOP else 's', names))
+        chart.classes('w-full h-64' if title == LOOP else 'w-full h-52').mark(title)
+        charts.append([chart.id, len(names)])
+    ui.add_head_html(f'<script>{SCRIPT.read_text()}</script>')
+    ui.run_javascript(f'asiLive({charts}, "{rate.html_id}", {window.value})')
 
 
 def _options(title: str, x: str, names: Iterable[str]) -> dict[str, Any]:
@@ -157,12 +156,6 @@ def _options(title: str, x: str, names: Iterable[str]) -> dict[str, Any]:
             'yAxis': {'type': 'value', 'scale': True, 'axisLine': edge},
             'series': [{'type': 'line', 'name': name, 'showSymbol': False, 'data': [],
                         'lineStyle': {'width': 1.5}} for name in names]}
-
-
-def _show(chart: ui.echart, curves: list[np.ndarray]) -> None:
-    for series, points in zip(chart.options['series'], curves, strict=True):
-        series['data'] = np.round(points[~np.isnan(points).any(axis=1)], 4).tolist()
-    chart.update()
 
 
 async def _tried(action: Awaitable[Any], done: str = '') -> bool:

@@ -19,6 +19,8 @@ HEARD: Final = ('joint_states', 'force_reference')
 KEEP_S: Final = 30.0
 # Number of the last states from which the true rate is computed.
 RATE_STATES: Final = 2000
+# So many messages are kept in one piece: many small ones take long to join.
+PIECE: Final = 1000
 
 
 class Taken(NamedTuple):
@@ -30,10 +32,14 @@ class Taken(NamedTuple):
 
 
 class Recent:
-    """The messages of the last KEEP_S of loop time. Filled in one thread, read in others."""
+    """
+    The messages of the last KEEP_S of loop time. Filled in one thread, read in others.
+
+    heard: how many have been added; lost: states that are missing between them.
+    """
 
     def __init__(self) -> None:
-        self.lost = 0
+        self.lost = self.heard = 0
         self._lock = threading.Lock()
         self._parts: dict[str, list[Series]] = {name: [] for name in HEARD}
         self._number = 0
@@ -59,7 +65,10 @@ class Recent:
                 if steps[0] < 0:
                     self._parts = {each: [] for each in HEARD}
                 part = _of(part, (steps != 0) | (part.stamp_ns == 0))
+            self.heard += len(taken)
             parts = self._parts[name]
+            if parts and len(parts[-1].stamp_ns) < PIECE and _fit(parts[-1], part):
+                part = _joined([parts.pop(), part])
             if len(part.stamp_ns):
                 parts.append(part)
             while len(parts) > 1 and (_last_ns(parts[-1]) - _last_ns(parts[0])) * 1e-9 > KEEP_S:
@@ -87,7 +96,7 @@ class Recent:
     def rate(self) -> tuple[float, float]:
         """Return states a second of wall time, and seconds of loop time a second; 0 without."""
         with self._lock:
-            parts = self._parts['joint_states'][-RATE_STATES:]
+            parts = self._parts['joint_states'][-RATE_STATES // PIECE - 1:]
         if not parts:
             return 0.0, 0.0
         stamps, published = (np.concatenate([getattr(part, name) for part in parts])[-RATE_STATES:]
@@ -112,6 +121,12 @@ def _last_ns(part: Series) -> int:
 def _of(part: Series, rows: npt.NDArray[np.intp] | slice) -> Series:
     return Series(part.stamp_ns[rows], part.publish_ns[rows],
                   {name: values[rows] for name, values in part.values.items()})
+
+
+def _fit(part: Series, other: Series) -> bool:
+    """Return whether both have the same numbers, and both have stamps or neither."""
+    return (part.values.keys() == other.values.keys()
+            and part.stamp_ns.any() == other.stamp_ns.any())
 
 
 def _joined(parts: Sequence[Series]) -> Series:

@@ -24,6 +24,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
+from asi_common.executable import end_while_compiling
+from asi_common.node.priority import prefer
 from asi_common.parameter import ParameterError
 from asi_common.writable import choose_log_folder
 
@@ -39,6 +41,7 @@ FAREWELL_S: Final = 2.0
 # Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
 # callback if several nodes end at the same moment.
 END_S = 60.0
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 PROFILES: Final = Path(__file__).parent
 
 
@@ -194,6 +197,16 @@ def run_node(make_node: Callable[[], Node]) -> int:
     0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
     parameter or ROS argument. What went wrong is logged in one line.
     """
+    try:
+        return _run(make_node)
+    finally:
+        # `ros2 launch` passes on the Ctrl-C that a terminal has sent already; Python, which gives
+        # up its own handlers at its end, would be killed by that.
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _run(make_node: Callable[[], Node]) -> int:
     choose_log_folder()
     unprotected = choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
     try:
@@ -207,8 +220,10 @@ def run_node(make_node: Callable[[], Node]) -> int:
     def stop(*_: object) -> None:
         executor.stopped = True
 
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
+    for number in SIGNALS:
+        signal.signal(number, stop)
+    # A node that is not complete yet has nothing to close.
+    made = end_while_compiling(SIGNALS, 0)
     try:
         node = make_node()
     except (ParameterError, rclpy_implementation.RCLError) as error:
@@ -216,8 +231,11 @@ def run_node(make_node: Callable[[], Node]) -> int:
         get_logger('asi').fatal(' '.join(str(error).split()))
         rclpy.try_shutdown()
         return 2
+    finally:
+        made()
     if unprotected:
         node.get_logger().warning(unprotected)
+    prefer(node)
     executor.add_node(node)
     try:
         executor.spin()

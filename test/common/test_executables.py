@@ -6,10 +6,12 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE_S, ROOT
+from conftest import PATIENCE_S, ROOT, NodeProcess
 
 from asi_common.writable import choose_folder
 
@@ -39,6 +41,27 @@ def test_signal_while_a_node_imports_ends_it_cleanly(number):
     process.send_signal(number)
     _, complaint = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, complaint) == (0, '')
+
+
+def test_a_signal_while_a_node_compiles_ends_it_at_once(
+        start_node: Callable[..., NodeProcess], ros_environment: dict[str, str],
+        tmp_path: Path) -> None:
+    ros_environment['NUMBA_CACHE_DIR'] = str(tmp_path)
+    node = start_node('asi_actuator.actuator_node')
+    node.wait_for('compiling')
+    assert node.stop() == 0
+    assert 'lockstep at' not in node.text and 'Traceback' not in node.text
+
+
+def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(
+        start_node: Callable[..., NodeProcess]) -> None:
+    """`ros2 launch` passes on the Ctrl-C that the terminal has sent to the node already."""
+    node = start_node('asi_controller.controller_node', mode='realtime')
+    node.wait_for('realtime at')
+    while node.poll() is None:
+        node.send(signal.SIGINT)
+        time.sleep(0.001)
+    assert node.poll() == 0 and 'Traceback' not in node.text, node.text
 
 
 # A node whose middleware never lets go, as Fast DDS was seen to, with Python's lock held.

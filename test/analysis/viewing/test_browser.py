@@ -10,7 +10,7 @@ import pytest
 from conftest import PATIENCE_S, NodeProcess, wait_until
 
 pytest.importorskip('nicegui')
-from asi_analysis.viewing.page import CHARTS, LOOP
+from asi_analysis.viewing.frames import CHARTS, LOOP
 from bench.browser import CURVES, NoBrowserError, chromium
 
 LOOP_PARAMETERS: dict[str, Any] = {'rate_hz': 500.0}

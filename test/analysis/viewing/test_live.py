@@ -18,12 +18,17 @@ pytest.importorskip('nicegui')
 from nicegui import ui
 from nicegui.testing import User
 from nicegui.testing.user_simulation import user_simulation
+from starlette.applications import Starlette
+from starlette.routing import WebSocketRoute
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
 
 from asi_actuator.model.effects import EFFECT
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.viewing import page as live
+from asi_analysis.viewing.frames import Frames, curves
 from asi_analysis.viewing.recent import Recent, Taken, drawn
 from asi_analysis.viewing.session import Session
 from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
@@ -57,7 +62,6 @@ def use(user_session: Callable[[User, live.Session], Awaitable[None]]) -> None:
         session = live.Session()
         try:
             async with user_simulation(root=lambda: live.page(session)) as user:
-                user.javascript_rules[re.compile('0$')] = lambda _: 0   # a frame has arrived
                 await user.open('/')
                 await seen(lambda: {'asi_actuator', 'asi_controller'} <= set(
                     session.link.values), 'the parameters of both nodes')
@@ -91,10 +95,9 @@ def test_a_user_turns_steps_records_and_asks_and_looks_for_what_is_hidden(
         await seen(lambda: gain.value == '8.0', 'the value that holds')
         user.find('Step').click()
         await asyncio.to_thread(controller.wait_for, 'reference.amplitude = 150.0')
-        force = one(user, 'force (N)', ui.echart)
-        await seen(lambda: max((y for _, y in force.options['series'][0]['data']), default=0.0)
-                   > 50.0, 'the step in the chart')
-        assert max(y for _, y in force.options['series'][1]['data']) == 150.0
+        await seen(lambda: curves(session.link.recent.run(1.0))[0][:, 1].max(initial=0.0) > 50.0,
+                   'the step in a frame')
+        assert curves(session.link.recent.run(1.0))[1][:, 1].max() == 150.0
         user.find('Record').click()
         await seen(lambda: session.recorder, 'the recorder')
         await seen(lambda: sum(file.stat().st_size for file in session.bag.glob('*')) > 100_000,
@@ -209,6 +212,31 @@ def test_fewer_points_keep_the_size_of_an_oscillation() -> None:
     assert points[:, 1].min() == values.min()
     assert drawn(time_s[:50], values[:50], 100).tolist() == (
         np.column_stack([time_s, values])[:50].tolist())
+
+
+def test_a_frame_has_the_points_of_each_curve_and_goes_to_pages_of_ours_alone() -> None:
+    recent = Recent()
+    frames = Frames(recent)
+    app = Starlette(routes=[WebSocketRoute('/frames', lambda socket: live.send_frames(
+        socket, frames))])
+    with TestClient(app) as client:
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(
+                '/frames', headers={'origin': 'http://elsewhere.example'}):
+            pass
+        with client.websocket_connect('/frames', headers={
+                'host': 'here', 'origin': 'http://here'}) as socket:
+            socket.send_text('1.0')
+            assert np.frombuffer(socket.receive_bytes(), np.float32).tolist() == [0.0] * 7
+            recent.add('joint_states', [
+                Taken(wire.state(k * 10**6, 0.0, 2e-6, 0.0, 0.0, 4.0, 8.0)[0], k, k * 10**6)
+                for k in (1, 2, 3)])
+            socket.send_text('1.0')
+            frame = np.frombuffer(socket.receive_bytes(), np.float32)
+            assert frame[:7] == pytest.approx([1000.0, 1.0, 0.0, 3.0, 0.0, 2.0, 2.0])
+            assert frame[7:].reshape(-1, 2)[:, 1].tolist() == [4.0] * 3 + [8.0] * 2 + [2.0] * 2
+            socket.send_text('1e9')
+            with pytest.raises(WebSocketDisconnect):
+                socket.receive_bytes()
 
 
 def test_a_port_in_use_and_a_missing_library_are_said(

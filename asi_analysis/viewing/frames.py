@@ -1,0 +1,81 @@
+"""What the charts of the live page show next, as bytes; pages with the same window share it."""
+
+import asyncio
+import time
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from asi_analysis.arrays import Array
+from asi_analysis.bags.run import Run
+from asi_analysis.viewing.recent import Recent, drawn
+
+# Chart over time -> its curves: name and signal of a `Run`.
+CHARTS: Final[Mapping[str, Mapping[str, str]]] = {
+    'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
+    'valve command (N)': {'command': 'command_n'}}
+LOOP: Final = 'valve position (µm) against valve command (N)'
+FRAMES_HZ: Final = 60.0
+WINDOWS_S: Final = {0.2: '0.2 s', 1.0: '1 s', 5.0: '5 s', 20.0: '20 s'}
+# A chart is about as wide: in pixels.
+BINS: Final = 300
+# The longest wait for news of a loop that stands still, s.
+STILL_S: Final = 0.5
+LOOK_S: Final = 0.004
+
+
+class Frames:
+    """The newest frame for each window."""
+
+    def __init__(self, recent: Recent) -> None:
+        """Show what is in `recent`."""
+        self._recent = recent
+        self._kept: dict[float, tuple[float, int, bytes]] = {}   # when, of how much
+
+    async def after(self, shown: int, window_s: float) -> tuple[int, bytes]:
+        """
+        Return the next frame once more was heard than `shown`, and how much that is.
+
+        A frame is an array of float32: states/s, loop time s/s, messages missed; the number of
+        points of each curve; their points, x and y. Raises ValueError for another window than
+        WINDOWS_S has.
+        """
+        if window_s not in WINDOWS_S:
+            raise ValueError(f'window {window_s:g} s')
+        end_s = time.monotonic() + STILL_S
+        while True:
+            made_s, heard, frame = self._kept.get(window_s, (-np.inf, -1, b''))
+            now_s = time.monotonic()
+            if now_s - made_s < 1.0 / FRAMES_HZ:
+                if heard != shown:
+                    return heard, frame
+            elif self._recent.heard != shown or now_s > end_s:
+                heard = self._recent.heard
+                frame = encoded((*self._recent.rate(), self._recent.lost),
+                                curves(self._recent.run(window_s)))
+                self._kept[window_s] = now_s, heard, frame
+                return heard, frame
+            await asyncio.sleep(LOOK_S)
+
+
+def curves(run: Run | None) -> list[Array]:
+    """Return the points of each curve of CHARTS, and of LOOP, n x 2."""
+    fields = [field for chart in CHARTS.values() for field in chart.values()]
+    if run is None:
+        return [np.empty((0, 2))] * (len(fields) + 1)
+    time_s = run.time_s - run.time_s[-1]
+    found = [np.empty((0, 2)) if (values := getattr(run, field)) is None
+             else drawn(time_s, values, BINS) for field in fields]
+    loop = np.empty((0, 2))
+    if run.command_n is not None and run.valve_position_m is not None:
+        every = slice(None, None, -(-len(run) // (2 * BINS)))
+        loop = np.column_stack([run.command_n[every], 1e6 * run.valve_position_m[every]])
+    return [*found, loop[~np.isnan(loop).any(axis=1)]]
+
+
+def encoded(numbers: Sequence[float], points: Sequence[Array]) -> bytes:
+    """Return numbers, the numbers of points, and the points as float32."""
+    parts = [np.array(numbers), np.array([len(each) for each in points]),
+             *(each.ravel() for each in points)]
+    return np.concatenate(parts).astype(np.float32).tobytes()

@@ -1,0 +1,34 @@
+"""The real-time priority of a node, so that other programs do not delay its loop."""
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Final
+
+from rclpy.node import Node
+
+PARAMETER: Final = 'thread_priority'
+
+
+def prefer(node: Node) -> None:
+    """
+    Give all threads of a node that runs in real time their priority (SCHED_FIFO), if permitted.
+
+    Those of the middleware too, as a message waits for them; threads that are made later inherit
+    it. The log says whether it was permitted, as that of ros2_control does.
+    """
+    if not node.has_parameter(PARAMETER) or node.get_parameter('mode').value != 'realtime':
+        return
+    priority = node.get_parameter(PARAMETER).value
+    if not priority:
+        return
+    try:
+        for thread in Path('/proc/self/task').iterdir():
+            with contextlib.suppress(ProcessLookupError):   # it has ended
+                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+    except (AttributeError, OSError) as error:   # the first: not on this system
+        node.get_logger().info(
+            f'no real-time priority ({PARAMETER} = {priority}): {error}. Other programs may delay '
+            'this loop: doc/how_to/ros_conventions.md')
+    else:
+        node.get_logger().info(f'real-time priority {priority}')
