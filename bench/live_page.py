@@ -1,8 +1,10 @@
 """
 What the live page costs the loop: real time at 1 kHz alone, with `asi live`, and with three tabs.
 
-Jitter of the period and lost samples, in the same minutes. The tabs are of a headless Chromium;
-without one (`bench/browser.py`) only the process of the page is measured.
+Jitter of the period and lost samples, in the same minutes: with the real-time priority of the
+nodes, where it is permitted, and without. The tabs are of a headless Chromium; three tabs of a
+static page that redraws as many curves tell what of it is the browser's. Without a Chromium
+(`bench/browser.py`) only the process of the page is measured.
 """
 
 import contextlib
@@ -33,6 +35,34 @@ RATE_HZ: Final = 1000.0
 TABS: Final = 3
 LOSSES: Final = ('asi_actuator: loop', 'asi_controller: loop')
 ALONE, SERVED, SHOWN = 'no page', 'asi live, no tab', f'asi live, {TABS} tabs'
+STATIC: Final = f'{TABS} tabs of a static page'
+# Without a priority of the nodes, beside other programs as any of them.
+PLAIN: Final = ', no priority'
+# Three canvases as large as our charts, with as many points of a line, and the frames counted.
+REDRAWN: Final = """data:text/html,<p>? frames</p>
+<canvas width=950 height=208></canvas><canvas width=950 height=208></canvas>
+<canvas width=950 height=256></canvas><script>
+let frames = 0, since = performance.now();
+function draw() {
+  for (const canvas of document.querySelectorAll('canvas')) {
+    const on = canvas.getContext('2d');
+    on.clearRect(0, 0, canvas.width, canvas.height);
+    on.beginPath();
+    for (let k = 0; k < 600; k++)
+      on.lineTo(k * canvas.width / 600, canvas.height * (0.5 + 0.4 * Math.sin(k / 9 + frames)));
+    on.stroke();
+  }
+  const passed = performance.now() - since;
+  frames++;
+  if (passed > 1000) {
+    document.querySelector('p').textContent = (1000 * frames / passed).toFixed() + ' frames/s';
+    frames = 0;
+    since = performance.now();
+  }
+  requestAnimationFrame(draw);
+}
+draw();
+</script>"""
 
 
 def free_port() -> int:
@@ -60,24 +90,29 @@ def address_of(port: int) -> str:
     raise TimeoutError('the page does not answer')
 
 
-def loop(seconds: float, browser: Any, served: bool, tabs: int) -> dict[str, float]:
+def loop(seconds: float, browser: Any, what: str) -> dict[str, float]:
     """Return the jitter of the actuator's period, samples lost, and frames/s of a tab."""
     common = {'mode': 'realtime', 'rate_hz': RATE_HZ}
+    if what.endswith(PLAIN):
+        common['thread_priority'], what = 0, what.removesuffix(PLAIN)
     with contextlib.ExitStack() as running:
         actuator = running.enter_context(
             process(*node('bench.ticking_node', str(seconds), **common)))
         running.enter_context(process(*node(CONTROLLER, **common, **SINE)))
-        address = serve(running) if served else ''
-        pages = [running.enter_context(browser.new_page()) for _ in range(tabs)]
+        address = {ALONE: '', STATIC: REDRAWN}.get(what) or (
+            serve(running) if what != ALONE else '')
+        pages = [running.enter_context(browser.new_page())
+                 for _ in range(TABS if what in (SHOWN, STATIC) else 0)]
         for page in pages:
+            page.set_default_timeout(1e3 * PATIENCE_S)
             page.goto(address)
-        for page in pages:
-            page.get_by_role('slider', name='gain').wait_for(timeout=1e3 * PATIENCE_S)
+        for page in pages if what == SHOWN else ():
+            page.get_by_role('slider', name='gain').wait_for()
         heard = running.enter_context(listener())
         heard.run(0.0)   # both nodes are heard
         before = lost(heard.values)
         heard.run(seconds)
-        frames = [float(re.findall(r'(\d+) frames', page.get_by_text('states/s').inner_text())[0])
+        frames = [float(re.findall(r'(\d+) frames', page.get_by_text('frames').inner_text())[0])
                   for page in pages]
         return {'lost': lost(heard.values) - before, **node_times(actuator),
                 'frames_hz': statistics.mean(frames or [0.0])}
@@ -95,29 +130,37 @@ def measure(quick: bool = False) -> list[Result]:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     with contextlib.ExitStack() as running:
         running.callback(rclpy.shutdown)
-        rivals = {ALONE: lambda: loop(seconds, None, False, 0),
-                  SERVED: lambda: loop(seconds, None, True, 0)}
+        names, browser = [ALONE, SERVED, ALONE + PLAIN], None
         try:
             browser = running.enter_context(chromium())
-            rivals[SHOWN] = lambda: loop(seconds, browser, True, TABS)
+            names[2:2] = [SHOWN, STATIC]
+            names += [SHOWN + PLAIN, STATIC + PLAIN]
         except NoBrowserError as error:
             print(f'without tabs: {error}')
-        found = in_turns(rivals, rounds)
+        found = in_turns({name: lambda name=name: loop(seconds, browser, name)
+                          for name in names}, rounds)
+    return results(found, rounds * seconds)
+
+
+def results(found: dict[str, list[dict[str, float]]], seconds: float) -> list[Result]:
+    """Return jitter beside that without a page, losses, and frames, of rounds of so many s."""
     jitter = {name: [each['jitter_p99_ms'] for each in runs] for name, runs in found.items()}
-    results = []
-    for name, target in ((SERVED, ''), (SHOWN, '<= 1.1')):
-        if name in found:
-            ratio, spread = ratios(jitter[name], jitter[ALONE])
-            results.append(Result(
-                f'live_page.jitter.{len(results)}', f'period jitter, 99th percentile: {name}',
-                statistics.median(jitter[name]), 'ms', spread,
-                f'{ALONE}, {statistics.median(jitter[ALONE]):.3f} ms', ratio, target))
+    rows = []
     for name, runs in found.items():
-        results.append(Result(
-            f'live_page.lost.{name}', f'samples lost in {rounds * seconds:g} s: {name}',
-            sum(each['lost'] for each in runs), '', target='<= 0'))
-    if SHOWN in found:
-        frames = [each['frames_hz'] for each in found[SHOWN]]
-        results.append(Result('live_page.frames', f'frames of each of {TABS} tabs',
-                              statistics.median(frames), '/s', deviation(frames)))
-    return results
+        rival = ALONE + (PLAIN if name.endswith(PLAIN) else '')
+        if name != rival:
+            ratio, spread = ratios(jitter[name], jitter[rival])
+            rows.append(Result(
+                f'live_page.jitter.{name}', f'period jitter, 99th percentile: {name}',
+                statistics.median(jitter[name]), 'ms', spread,
+                f'{rival}, {statistics.median(jitter[rival]):.3f} ms', ratio,
+                '<= 1.1' if name == SHOWN else ''))
+        rows.append(Result(
+            f'live_page.lost.{name}', f'samples lost in {seconds:g} s: {name}',
+            sum(each['lost'] for each in runs), '',
+            target='' if name.endswith(PLAIN) else '<= 0'))
+        if name.startswith((SHOWN, STATIC)):
+            frames = [each['frames_hz'] for each in runs]
+            rows.append(Result(f'live_page.frames.{name}', f'frames of each tab: {name}',
+                               statistics.median(frames), '/s', deviation(frames)))
+    return rows

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import asi_analysis as asi
 from asi_analysis.viewing.rerun_view import view
-from bench.browser import NoBrowserError, chromium
+from bench.browser import CURVES, NoBrowserError, chromium
 from bench.live_page import address_of, free_port, serve
 from bench.loop_rate import ACTUATOR, CONTROLLER, SINE, node, process
 
@@ -40,6 +40,10 @@ def live_page(browser: Any, picture: Path) -> None:
         slider.wait_for()
         box = slider.bounding_box()
         page.mouse.click(box['x'] + 0.42 * box['width'], box['y'] + box['height'] / 2)
+        page.wait_for_function(f"""() => {{
+            const shown = Object.values(({CURVES})()).flatMap(Object.values);
+            return shown.length && shown.every(points => points.length);
+        }}""")
         page.wait_for_timeout(3000)
         page.screenshot(path=picture)
 

@@ -45,7 +45,8 @@ def executable(module: str, name: str, *arguments: str) -> Command:
 def asi(*arguments: str, statuses: set[int] = ANSWERS) -> Command:
     """Return a call of `asi`."""
     return Command(f'asi {arguments[0]}', [
-        sys.executable, '-c', 'import sys; from asi_analysis.cli import main; sys.exit(main())',
+        sys.executable, '-c',
+        'import sys; from asi_analysis.executables import asi; sys.exit(asi())',
         *arguments], statuses)
 
 

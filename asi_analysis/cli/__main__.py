@@ -2,6 +2,6 @@
 
 import sys
 
-from asi_analysis.cli import main
+from asi_analysis.executables import asi
 
-sys.exit(main())
+sys.exit(asi())

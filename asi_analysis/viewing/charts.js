@@ -51,7 +51,7 @@ window.asiLive = function (charts, rate, windowS) {
     const passed = performance.now() - since;
     if (passed < 1000) return;
     document.getElementById(rate).textContent =
-      `${frame[0].toFixed()} states/s, ${frame[1].toFixed(2)} s a second, ` +
+      `${frame[0].toFixed()} states/s, ${frame[1].toFixed(2)} s of loop time a second, ` +
       `${frame[2].toFixed()} missed here; ${((1000 * counted) / passed).toFixed()} frames/s`;
     counted = 0;
     since = performance.now();

@@ -251,7 +251,9 @@ def _parameters(session: Session) -> None:
 def _blocks(session: Session, node: str, widgets: dict) -> None:
     ui.label(node).classes('text-subtitle1')
     blocks: dict[str, list[str]] = {}
-    for name in session.link.descriptors[node]:
+    described = session.link.descriptors[node]
+    # First what can be turned.
+    for name in sorted(described, key=lambda name: described[name].read_only):
         blocks.setdefault(name.partition('.')[0] if '.' in name else GENERAL, []).append(name)
     for block, names in blocks.items():
         with ui.expansion(block).classes('w-full').props('dense').mark(f'{node} {block}') as part:

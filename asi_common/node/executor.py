@@ -35,9 +35,9 @@ SERVICE_PERIOD_NS: Final = 10_000_000
 EVENT_PERIOD_NS: Final = 500_000_000
 # Longest wait of a node after the system clock has been set back.
 WAKE_PERIOD_S: Final = 0.02
-# Longest wait of a node that ends until its last messages have been received; it takes 50 ms,
-# unless a subscriber has died.
-FAREWELL_S: Final = 2.0
+# Longest wait of a node that ends until its last messages have been received: it takes 50 ms,
+# unless a subscriber was killed, and even then Ctrl-C takes less than 2 s.
+FAREWELL_S: Final = 1.0
 # Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
 # callback if several nodes end at the same moment.
 END_S = 60.0

@@ -1,0 +1,25 @@
+"""The `asi` command as it is installed: Ctrl-C at any time, from its first import to its end."""
+
+import os
+import signal
+from typing import Any
+
+
+def asi() -> int:
+    """Run the command; return the exit status, 130 after Ctrl-C."""
+    before = signal.getsignal(signal.SIGINT)
+    # In the background of a script SIGINT is ignored, and stays so.
+    if before is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
+    from asi_analysis.cli import main
+    signal.signal(signal.SIGINT, before)
+    try:
+        return main()
+    finally:
+        # All is said. Python gives up its handlers at its end, and would be killed by the signal.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _interrupted(*_: Any) -> None:
+    os.write(2, b'asi: interrupted\n')
+    os._exit(130)
