@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import asi_analysis as asi
-from asi_analysis.viewing.rerun_view import view
 from bench.browser import CURVES, NoBrowserError, chromium
 from bench.live_page import address_of, free_port, serve
 from bench.loop_rate import ACTUATOR, CONTROLLER, SINE, node, process
@@ -50,6 +49,10 @@ def live_page(browser: Any, picture: Path) -> None:
 
 def recording(browser: Any, picture: Path) -> None:
     """Show a limit cycle in Rerun: every signal, the loops, the spectrum."""
+    try:
+        from asi_analysis.viewing.rerun_view import view
+    except ImportError:
+        sys.exit(f'{picture} needs Rerun: pip install "asi_actuator[view]"')
     run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 0.5)
     web, data = free_port(), free_port()
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as running:

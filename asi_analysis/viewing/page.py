@@ -25,7 +25,7 @@ from asi_analysis.viewing.frames import CHARTS, LOOP, WINDOWS_S, Frames
 from asi_analysis.viewing.link import LinkError
 from asi_analysis.viewing.processes import ask
 from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
-from asi_analysis.viewing.sliders import choices_of, scale_of, typed
+from asi_analysis.viewing.sliders import choices_of, scale_of, typed, unit_of
 
 HOST: Final = '127.0.0.1'
 SCRIPT: Final = Path(__file__).with_name('charts.js')
@@ -285,7 +285,7 @@ def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
         field = ui.select(choices, label=name, value=shown)
         field.on('update:model-value', lambda _: given(field.value))
     else:
-        field = ui.input(name, value=str(shown))
+        field = ui.input(name, value=str(shown), suffix=unit_of(descriptor) or None)
         for event in ('keydown.enter', 'blur'):
             field.on(event, lambda _: given(typed(field.value, value))
                      if field.value != str(session.link.values[node][name]) else None)

@@ -55,6 +55,11 @@ def scale_of(descriptor: ParameterDescriptor, value: float) -> Scale | None:
     return None
 
 
+def unit_of(descriptor: ParameterDescriptor) -> str:
+    """Return the unit of a number with a range, '' if it has none."""
+    return descriptor.additional_constraints.partition(' to ')[2].partition(' ')[2]
+
+
 def choices_of(descriptor: ParameterDescriptor) -> list[str]:
     """Return the values that a text parameter takes; [] for any."""
     text = descriptor.additional_constraints

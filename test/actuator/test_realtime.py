@@ -1,7 +1,11 @@
 """Real time over DDS: a step, the watchdog, the services, /diagnostics, clean ends."""
 
+import ctypes
+import os
 import re
+import resource
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -369,3 +373,36 @@ def test_time_goes_on_evenly_when_the_system_clock_is_set(
     real = time.time_ns
     monkeypatch.setattr(time, 'time_ns', lambda: real() - 7200 * 10**9)
     assert 0 <= clock.now_ns() - before_ns < 3600 * 10**9
+
+
+def policies(node: NodeProcess) -> set[tuple[int, int]]:
+    """Return the scheduling policy and the priority of the threads of a node."""
+    threads = [int(task.name) for task in Path(f'/proc/{node.pid}/task').iterdir()]
+    return {(os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority)
+            for thread in threads}
+
+
+def without_permission() -> None:
+    """Take from this process the capability and the limit by which it may have a priority."""
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    ctypes.CDLL(None).prctl(24, 23)   # PR_CAPBSET_DROP, CAP_SYS_NICE
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='needs /proc')
+def test_in_real_time_every_thread_has_the_priority_that_is_permitted(
+        start_node: Callable[..., NodeProcess], ros_environment: dict[str, str],
+        tmp_path: Path) -> None:
+    node = start_node(CONTROLLER, mode='realtime', thread_priority=7)
+    node.wait_for('real-time priority')
+    if 'no real-time priority' not in node.text:
+        wait_until(lambda: policies(node) == {(os.SCHED_FIFO, 7)}, 'the priority')
+    refused = NodeProcess(
+        [sys.executable, '-m', CONTROLLER, '--ros-args', '-p', 'mode:=realtime'],
+        ros_environment, tmp_path / 'refused.log', without_permission)
+    refused.wait_for('no real-time priority (thread_priority = 50): [Errno 1]')
+    lockstep = start_node(CONTROLLER)
+    lockstep.wait_for('lockstep at')
+    for other in (refused, lockstep):
+        assert policies(other) == {(os.SCHED_OTHER, 0)}
+        assert other.stop() == 0
+    assert 'priority' not in lockstep.text

@@ -31,7 +31,7 @@ from asi_analysis.viewing import page as live
 from asi_analysis.viewing.frames import Frames, curves
 from asi_analysis.viewing.recent import Recent, Taken, drawn
 from asi_analysis.viewing.session import Session
-from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed
+from asi_analysis.viewing.sliders import Scale, choices_of, scale_of, typed, unit_of
 from asi_common.node import messages as wire
 from asi_common.node.ros_parameters import descriptor
 from asi_controller.parameters import CONTROLLER_NODE_PARAMETERS, REFERENCE_PARAMETERS
@@ -141,6 +141,7 @@ def test_a_slider_has_the_range_of_the_parameter() -> None:
         described = descriptor(parameter)
         assert choices_of(described) == list(parameter.choices)
         scale = scale_of(described, parameter.default)
+        assert unit_of(described) == (parameter.unit if scale else '')
         assert (scale is None) == isinstance(parameter.default, bool | str)
         for place in (0.0, 0.3, 1.0) if scale else ():
             assert scale and parameter.problem(scale.value(place)) is None
