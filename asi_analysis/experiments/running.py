@@ -160,6 +160,11 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
                     stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
                     env=dict(environment), start_new_session=True, preexec_fn=end_with_parent)
         yield nodes
+    except KeyboardInterrupt:
+        # All at once, as by ros2 launch: who presses Ctrl-C does not want to wait for each.
+        for process in nodes.values():
+            process.send_signal(signal.SIGINT)
+        raise
     finally:
         _stop(nodes)
     failed = [name for name, process in nodes.items() if process.returncode]
