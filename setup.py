@@ -95,7 +95,7 @@ setup(
             'controller = asi_controller.executables:controller',
             'recorder = asi_analysis.bags.nodes.executables:recorder',
             'replay = asi_analysis.bags.nodes.executables:replay',
-            'asi = asi_analysis.executables:asi',
+            'asi = asi_analysis.command:asi',
         ],
         # What the parameter `driver` of the actuator node takes; another package may add its own.
         'asi_actuator.drivers': [

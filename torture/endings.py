@@ -46,7 +46,7 @@ def asi(*arguments: str, statuses: set[int] = ANSWERS) -> Command:
     """Return a call of `asi`."""
     return Command(f'asi {arguments[0]}', [
         sys.executable, '-c',
-        'import sys; from asi_analysis.executables import asi; sys.exit(asi())',
+        'import sys; from asi_analysis.command import asi; sys.exit(asi())',
         *arguments], statuses)
 
 

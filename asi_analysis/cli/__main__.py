@@ -2,6 +2,6 @@
 
 import sys
 
-from asi_analysis.executables import asi
+from asi_analysis.command import asi
 
 sys.exit(asi())

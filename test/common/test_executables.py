@@ -64,6 +64,19 @@ def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(
     assert node.poll() == 0 and 'Traceback' not in node.text, node.text
 
 
+def test_ctrl_c_while_asi_imports_ends_it_with_one_line() -> None:
+    code = SLOW_IMPORT.replace('from asi_actuator import executables',
+                               'from asi_analysis.command import asi').replace(
+        'asi_actuator.actuator_node', 'asi_analysis.cli').replace('executables.actuator()', 'asi()')
+    process = subprocess.Popen(
+        [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert process.stdout is not None and process.stdout.readline() == 'asi_analysis.cli\n'
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, complaint) == (130, 'asi: interrupted\n')
+
+
 # A node whose middleware never lets go, as Fast DDS was seen to, with Python's lock held.
 HANGING_END = """
 import ctypes

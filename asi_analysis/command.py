@@ -1,7 +1,9 @@
 """The `asi` command as it is installed: Ctrl-C at any time, from its first import to its end."""
 
+import importlib
 import os
 import signal
+from collections.abc import Callable
 from typing import Any
 
 
@@ -11,7 +13,7 @@ def asi() -> int:
     # In the background of a script SIGINT is ignored, and stays so.
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
-    from asi_analysis.cli import main
+    main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
     signal.signal(signal.SIGINT, before)
     try:
         return main()
