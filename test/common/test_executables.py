@@ -65,9 +65,12 @@ def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(
 
 
 def test_ctrl_c_while_asi_imports_ends_it_with_one_line() -> None:
-    code = SLOW_IMPORT.replace('from asi_actuator import executables',
-                               'from asi_analysis.command import asi').replace(
-        'asi_actuator.actuator_node', 'asi_analysis.cli').replace('executables.actuator()', 'asi()')
+    code = SLOW_IMPORT
+    for old, new in (('from asi_actuator import executables',
+                      'from asi_analysis.command import asi'),
+                     ('asi_actuator.actuator_node', 'asi_analysis.cli'),
+                     ('executables.actuator()', 'asi()')):
+        code = code.replace(old, new)
     process = subprocess.Popen(
         [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
