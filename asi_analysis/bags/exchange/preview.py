@@ -260,7 +260,8 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
     rotary = bool({'rad', 'rad/s', 'Nm'} & set(kinds)) or (
         not {'m', 'm/s', 'N'} & set(kinds) and any(
             TURNS & set(_words(name)) or name.startswith(STATE) for name in chosen))
-    for name, guess in chosen.items():
+    # A reference has the unit of what it is of.
+    for name, guess in sorted(chosen.items(), key=lambda each: each[1].signal == 'reference'):
         if guess.unit or guess.signal == 'time':
             continue
         unit = ASSUMED[guess.signal]
