@@ -1,5 +1,6 @@
 """Prepare runs for the diagnosis: uniform sampling, noise, motion, and parts of the data."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,6 +42,9 @@ SHARED = 0.3            # a signal with fewer values than this share of its samp
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
 START_S = 0.02          # of a recording: its beginning
+# How long, and for how many samples, a joint stands still at least, and most of a recording that
+# is left out for that.
+STANDS_S, LEAST_STANDS, MOST_STANDS = 0.02, 4, 0.85
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
@@ -359,6 +363,22 @@ def velocity_of(recording: Recording) -> Array | None:
     return motion.velocity[motion.pad:motion.pad + recording.fit.size]
 
 
+def _stands(position: Array, period: float, band: float) -> Mask:
+    """
+    Return the samples in which a joint stands still, and those near them by the band (Hz).
+
+    Friction then holds any force up to its level, which no motion tells.
+    """
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1, [position.size]])
+    still = np.zeros(position.size, bool)
+    for first, last in itertools.pairwise(edges):
+        if (last - first) * period >= STANDS_S and last - first >= LEAST_STANDS:
+            still[first:last] = True
+    reach = round(1.0 / (band * period))
+    near = np.convolve(still, np.ones(2 * reach + 1), 'same') > 0.0
+    return near if near.mean() < MOST_STANDS else np.zeros_like(still)
+
+
 def _ends(count: int, period: float) -> Mask:
     """Return the samples at both ends of a recording in which a high-pass still rings."""
     time = period * np.arange(count)
@@ -476,6 +496,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
         valid = recorded(run, drive, period, fit.size)
         if motion is not None and not motion.measured:
             valid = valid & ~_ends(fit.size, period)
+        if drive == 'force' and motion is not None and 'position' in moving:
+            valid = valid & ~_stands(moving['position'], period, min(bands))
         # What is cut off was not measured; but a valve may rest against a stop.
         for name in (MEASURED - {'valve_position'}) & moving.keys():
             valid = valid & ~clipped(moving[name])

@@ -142,6 +142,12 @@ def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(frictio
         assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
 
 
+def at_steps(seed: int) -> np.ndarray:
+    """Return a course of 16 levels, one a second."""
+    levels = np.repeat(np.random.default_rng(seed).uniform(-0.8, 0.8, 16), TIME_S.size // 16)
+    return lfilter([0.03], [1.0, -0.97], lfilter([0.03], [1.0, -0.97], levels))
+
+
 def test_a_pulse_begins_and_ends_when_it_does():
     """Wherever that is: also among the samples that are kept for the report."""
     for start, end in ((4.1, 9.0), (5.3, 8.0)):
@@ -154,13 +160,56 @@ def test_a_pulse_begins_and_ends_when_it_does():
 
 
 def test_a_pulse_at_steps_is_no_gravity():
-    rng = np.random.default_rng(5)
-    levels = np.repeat(rng.uniform(-0.8, 0.8, 16), TIME_S.size // 16)
-    course = lfilter([0.03], [1.0, -0.97], lfilter([0.03], [1.0, -0.97], levels))
     pulse = np.where((5.0 <= TIME_S) & (TIME_S < 10.0), 0.4, 0.0)
-    answer = asked([joint(offset=pulse, course=course)], plant='joint').to_dict()
+    answer = asked([joint(offset=pulse, course=at_steps(5))], plant='joint').to_dict()
     assert answer['verdict'] == 'disturbance_force'
     assert answer['which'][0]['parameters']['disturbance_pulse'] == pytest.approx(-0.4, rel=0.05)
+
+
+@numba.njit(cache=True)
+def _soft_joint(reference, gravity, spring, out):
+    """Put command (N m) and position (rad) of a motor that drives an arm by a spring into out."""
+    step = 1.0 / RATE_HZ / SUB_STEPS
+    angle, speed, arm, arm_speed, before, rate = reference[0], 0.0, reference[0], 0.0, 0.0, 0.0
+    before = reference[0]
+    for k in range(reference.size):
+        rate += 0.5 * ((angle - before) * RATE_HZ - rate)
+        before = angle
+        out[0, k] = 6.0 * (reference[k] - angle) - 0.3 * rate
+        out[1, k] = angle
+        for _ in range(SUB_STEPS):
+            between = spring * (angle - arm) + 0.03 * (speed - arm_speed)
+            speed += step / (0.25 * INERTIA) * (out[0, k] - DAMPING * speed - between)
+            arm_speed += step / (0.75 * INERTIA) * (between - gravity * np.sin(arm))
+            angle += step * speed
+            arm += step * arm_speed
+
+
+@pytest.mark.parametrize('gravity', [0.0, 1.0])
+def test_an_arm_behind_a_spring_is_told_while_it_still_swings(gravity):
+    """It hangs off its spring at first; gravity is the arm's, most damping the motor's."""
+    out = np.empty((2, TIME_S.size))
+    _soft_joint(at_steps(3) + 0.5, gravity, 15.0, out)
+    count = 2.0 * np.pi / 2 ** 18
+    run = Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
+              source='arm', information=PENDULUM)
+    answer = asked([run], plant='joint').to_dict()
+    assert answer['verdict'] == 'load_compliance'
+    found = answer['which'][0]['parameters']
+    assert 1.0 / found['compliance'] == pytest.approx(15.0, rel=0.02)
+    assert found['piston_share'] == pytest.approx(0.25, rel=0.1)
+    assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
+
+
+def test_force_at_a_standstill_is_not_judged():
+    """Friction holds whatever it is: an encoder that does not turn tells nothing of it."""
+    run = joint(friction=0.15, course=at_steps(4))
+    recording, = prepare([run], 'force')
+    turned = np.diff(run.position_m) != 0.0
+    still = np.convolve(turned, np.ones(21), 'same') == 0.0
+    assert still.sum() > 100 and not recording.valid[1:][still].any()
+    answer = document(diagnose([run], {}, 'joint'))
+    assert answer['which'][0]['parameters']['friction_level'] == pytest.approx(0.15, rel=0.05)
 
 
 @pytest.mark.parametrize('changed', [{}, {'friction': 0.15, 'uneven': 0.3}, {'late_s': 0.012}])
