@@ -28,6 +28,7 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
     LEAST_RESIDUAL,
+    SERVO,
     STATIC,
     Evidence,
     Names,
@@ -63,6 +64,9 @@ AS_WELL = 0.003    # of the cost: what a further parameter of a form must save
 # keeps step with the input, or three effects that each change its shape.
 STRANGE = 0.4
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
+# Of a servo: a fit that leaves at most this multiple of the noise (mean squares) shows that the
+# model error is small: the floor is then what it leaves, with this margin.
+NEAR, MARGIN = 9.0, 2.0
 NOTHING = 1e-12    # of the error floor: what a perfect model leaves
 SUFFICIENT = 0.8   # times the error floor: below it no further effect is tried
 
@@ -269,8 +273,13 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
             residual[names][channel] = max(
                 residual[names][channel] - min(max(above, min(ends)), max(ends)),
                 LEAST_RESIDUAL * residual[names][channel])
+    floor = group.error_floor
+    least = {channel: min(each[channel] for each in residual.values()) for channel in floor}
+    if group.floor_by_best and all(least[name] < NEAR * noise[name] for name in floor):
+        floor = {name: min(level, MARGIN * max(noise[name], least[name]))
+                 for name, level in floor.items()}
     return Evidence(
-        noise, group.error_floor, group.formulation,
+        noise, floor, group.formulation,
         independent_samples(group, best.fitted.record), group.held_out_s, residual,
         {names: len({free.field.partition('@')[0] for variant in candidate.variants
                      for free in variant.free})
@@ -298,8 +307,10 @@ def _propagated_noise(group: Group, fitted: Fitted) -> Values:
 def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     """Return a group with the probability of every hypothesis, `unknown` among them."""
     effective = effective_hypotheses(found)
-    constants = STATIC if group.channels == ('static',) else CONSTANTS
-    return Weighed(group, effective, probabilities(evidence_of(group, effective), constants))
+    evidence = evidence_of(group, effective)
+    constants = (STATIC if group.channels == ('static',) else
+                 CONSTANTS if evidence.error_floor is group.error_floor else SERVO)
+    return Weighed(group, effective, probabilities(evidence, constants))
 
 
 def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate]:

@@ -84,6 +84,8 @@ EFFECT_FIELDS = (
     'backlash',                 # m, half width
     'backlash_memory',          # 1: the load stays where it was left, 0: springs back
     'backlash_floating',        # 1: it goes on by its own inertia, until it touches
+    'load_weight',              # N, part of load_offset that acts on the load behind the gap
+    'contact_time',             # s, in which it then comes to rest; 0: by compliance and damping
     'compliance',               # m/N
     'compliance_damping',       # s
     'swing_cosine',             # N, with which the load still swings when a recording begins
@@ -114,6 +116,7 @@ EFFECT_FIELDS = (
 EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
 
+CONTACT_DAMPING = 0.8   # damping ratio of what touches: it hardly rebounds
 PLAYS = 4         # elements of a hysteresis, and of a friction
 QUARTILE = 0.38   # four elements evenly spread over the normal law lie at -3, -1, 1, 3 of these
 
@@ -599,24 +602,35 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
 
 
 @jit
-def floating(position, velocity, load, e, period, count, out):
+def floating(position, velocity, angle, load, gravity, e, period, count, out):
     """
-    Put the force (N) that a load behind a gap takes of the piston at each sample into `out`.
+    Put position (m) and velocity (m/s) of a load behind a gap at each sample into `out`, 2 x n.
 
     In the gap it goes on by itself, until it touches.
-    position m, velocity m/s: of the piston, n samples of `period` s in `count` sub-steps; load:
-    its mass kg, damping N s/m, stiffness N/m. What touches is a spring and a damper. By the
-    implicit midpoint, so that a stiff contact stays stable and loses nothing.
+    position m, velocity m/s: of the piston, n samples of `period` s in `count` sub-steps; angle:
+    of what turns, where that position is 0, rad; load: its mass kg, damping N s/m, stiffness N/m;
+    gravity: its force of the sine and of the cosine of the angle. What touches is a spring and a
+    damper; with a contact time it pushes and never pulls. By the implicit midpoint, so that a
+    stiff contact stays stable and loses nothing.
     """
     mass, damping, stiffness = load
     h = period / count
-    push, brake = 1.0 / e.compliance, e.compliance_damping / e.compliance
+    one_way = e.contact_time > 0.0
+    if one_way:
+        push = mass / e.contact_time ** 2
+        brake = 2.0 * CONTACT_DAMPING * mass / e.contact_time
+    else:
+        push, brake = 1.0 / e.compliance, e.compliance_damping / e.compliance
+    heavy = gravity[0] != 0.0 or gravity[1] != 0.0
+    weight = e.load_weight
     x, v, y, w = position[0], velocity[0], position[0], velocity[0]
-    contact = 0.0
-    for k in range(out.shape[0]):
-        out[k] = contact
-        if k == out.shape[0] - 1:
+    for k in range(out.shape[1]):
+        out[0, k], out[1, k] = y, w
+        if k == out.shape[1] - 1:
             break
+        if heavy:
+            weight = (e.load_weight + gravity[0] * math.sin(angle + y)
+                      + gravity[1] * math.cos(angle + y))
         for j in range(count):
             share = (j + 1.0) / count
             x_before, v_before = x, v
@@ -624,16 +638,23 @@ def floating(position, velocity, load, e, period, count, out):
             # Straight between samples, and bent as the change of velocity says.
             x = (position[k] + share * (position[k + 1] - position[k])
                  - 0.5 * share * (1.0 - share) * period * (velocity[k + 1] - velocity[k]))
-            ahead = 0.5 * (x_before + x) - y - 0.5 * h * w
+            half, moved = 0.5 * (x_before + x), 0.5 * (v_before + v)
+            ahead = half - y - 0.5 * h * w
             touch = min(max(ahead, -e.backlash), e.backlash)
-            pull, drag, rest = stiffness, damping, -stiffness * y
+            rest = -stiffness * y - weight
+            free = (w + 0.5 * h / mass * rest) / (
+                1.0 + 0.5 * h / mass * (damping + 0.5 * h * stiffness))
+            middle = free
             if touch != ahead:
-                pull, drag = pull + push, drag + brake
-                rest += push * (0.5 * (x_before + x) - touch - y) + brake * 0.5 * (v_before + v)
-            middle = ((w + 0.5 * h / mass * rest)
-                      / (1.0 + 0.5 * h / mass * (drag + 0.5 * h * pull)))
+                pull, drag = stiffness + push, damping + brake
+                rest += push * (half - touch - y) + brake * moved
+                middle = ((w + 0.5 * h / mass * rest)
+                          / (1.0 + 0.5 * h / mass * (drag + 0.5 * h * pull)))
+                pressed_on = (push * (half - touch - y - 0.5 * h * middle)
+                              + brake * (moved - middle))
+                if one_way and pressed_on * (ahead - touch) < 0.0:
+                    middle = free
             y, w = y + h * middle, 2.0 * middle - w
-            contact = push * (x - y - touch) + brake * (v - w) if touch != ahead else 0.0
 
 
 def parts(p: np.void) -> tuple[np.void, np.void]:

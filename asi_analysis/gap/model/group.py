@@ -82,6 +82,7 @@ class Group:
     given: np.void | None = None   # as nominal, but for what another group has found
     exact_substep_s: float = 0.0   # of the simulator
     floor_measured: bool = False   # the error floor is what healthy recordings leave
+    floor_by_best: bool = False    # that of a fit shows how small the model error is
     passes: int = 0    # of the input of a static characteristic, however slow
 
     @property
@@ -114,11 +115,12 @@ def has_motion(recording: Recording) -> bool:
 def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                tolerance: float = TOLERANCE, nuisance: tuple[Free, ...] | None = None,
                effects: tuple[Effect, ...] = EFFECTS,
-               model_error: float = MODEL_ERROR) -> Group:
+               model_error: float = MODEL_ERROR, floor_by_best: bool = False) -> Group:
     """
     Return a group of channels, ready to be fitted.
 
-    model_error: rms of the general model error, as a share of the signal.
+    model_error: rms of the general model error, as a share of the signal; floor_by_best: it is
+    smaller if some hypothesis leaves less.
     """
     scale = scales(recordings)
     noise, error_floor, formulation = {}, {}, {}
@@ -142,7 +144,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
         variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
         for effect in effects)
     return Group(p, recordings, channels, in_each(nuisance, count), scale, noise, error_floor,
-                 formulation, effects)
+                 formulation, effects, floor_by_best=floor_by_best)
 
 
 def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
@@ -380,7 +382,8 @@ def _channels_by_field() -> dict[str, set[str]]:
                                   'gravity_sine': {'load'}, 'gravity_cosine': {'load'},
                                   'swing_cosine': {'load'}, 'swing_sine': {'load'},
                                   'damping_share': {'load'},
-                                  'corner': {'valve', 'force'}}
+                                  'contact_time': {'load'}, 'load_weight': {'load'},
+                                  'command_phase': {'valve'}, 'corner': {'valve', 'force'}}
     for channel, names in UNCERTAIN.items():
         for name in names:
             acts_on.setdefault(name, set()).add(channel)

@@ -21,7 +21,17 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
 from asi_analysis.gap.model.group import MODEL_ERROR, Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.servo import LAG_SPLIT, Servo, servo_of, with_servo
+from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, load_motion, rattling_of
+from asi_analysis.gap.model.servo import (
+    LAG_SPLIT,
+    Servo,
+    error_of,
+    servo_of,
+    slow_servo,
+    thinned,
+    with_servo,
+)
+from asi_analysis.gap.model.stepped import Steps, in_steps, steps_of
 from asi_analysis.gap.prepare import Array, Recording, judged, prepare
 from asi_common.jit import FULL, jit
 from asi_common.parameter import Value
@@ -41,7 +51,8 @@ OF_A_SERVO = (0.2, 5.0)
 SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
 # General model error, share of a signal: a rigid model of gears, belts and cables,
 RIGID_ERROR = 0.02
-SERVO_ERROR = 0.03   # and a drive without dynamics
+SERVO_ERROR = 0.03   # and a drive without dynamics,
+FEW = 2.0            # or that many times what a delay and a lag leave
 BIASED = 0.5        # of the standard deviation of a force: a larger mean is removed
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
@@ -109,16 +120,22 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     recordings = prepare(runs, drive, held_out)
     of = prepare(healthy, drive) if healthy else recordings
     if drive == 'position':
-        servos = servo_of(of)
+        servos, steps, error = _identified_servo(of)
         followed, notes = with_servo(recordings, runs[0].unit('reference'),
                                      servos[0] if servos else None)
-        return [_servo(followed, tolerance, False, servos)], notes
+        return [_servo(followed, tolerance, False, servos, steps, error)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
     turns = _turns(recordings, runs)
     stiffness = given.get('load.stiffness')
-    found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness))
+    rattling = _rattling(of, healthy or runs)
+    found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness),
+                        rattling)
     found = found._replace(sine=found.sine + weight[0], cosine=found.cosine + weight[1])
+    if rattling is not None:   # what gravity makes of it in the middle of the motion is taken off
+        middle = float(np.nanmean((healthy or runs)[0].signal('position')))
+        rattling = rattling._replace(weight=rattling.weight - found.sine * np.sin(middle)
+                                     - found.cosine * np.cos(middle))
     recordings, notes = without_gravity(recordings, runs, found)
     of = without_gravity(of, healthy, found)[0] if healthy else recordings
     recordings, of = (_from_one_origin(each, which, found.stiffness)
@@ -134,7 +151,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     force_measured = all(run.force_n is not None for run in runs)
     weighs = turns and (bool(healthy) or bool(found.sine or found.cosine))
     mechanics = _mechanics(recordings, given, tolerance, force_measured, weighs, bool(healthy),
-                           bool(found.stiffness) and not found.given)
+                           bool(found.stiffness) and not found.given, rattling)
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
@@ -168,11 +185,36 @@ def _without_hidden_compliance(group: Group) -> Group:
                                         if effect.name != 'load_compliance'))
 
 
+def _identified_servo(recordings: Sequence[Recording]
+                      ) -> tuple[list[Servo], Steps | None, float]:
+    """
+    Return the servos that recordings may need, the steps of its reference and a model error.
+
+    That of a drive without dynamics (rms, as a share of the motion) is small where a delay and a
+    lag, which are effects then, leave hardly more than noise.
+    """
+    if not all(any(part.any() for part in parts) for parts in (
+            [r.fit for r in recordings], [r.held_out for r in recordings])):
+        return [], None, SERVO_ERROR
+    few = thinned(recordings)
+    slow = slow_servo(few)
+    steps = steps_of(few, slow)
+    stepped = in_steps(few, steps)
+    if steps:
+        slow = slow_servo(stepped)
+    moved = float(np.std(np.concatenate([r.valve_position for r in few
+                                         if r.valve_position is not None])))
+    error = min(SERVO_ERROR, max(MODEL_ERROR, FEW * error_of(slow, stepped) / moved))
+    return servo_of(stepped, slow), steps, error
+
+
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
-           servos: Sequence[Servo] = ()) -> Group:
+           servos: Sequence[Servo] = (), steps: Steps | None = None,
+           model_error: float = SERVO_ERROR) -> Group:
     """
     Return the group of a drive that should follow its command at once, or as a servo does.
 
+    steps: in which it seems to take its reference.
     proportional: by a gain that is identified, not by one. servos: without limits the first is the
     block that is a flexure in the actuator: its frequency and damping are free in every fit, since
     a lag or a delay beside them looks much like another servo; fits of effects begin at all.
@@ -197,8 +239,10 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     # The gain was identified without a lag, and is far too small if there is one.
     low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
-    effects = tuple(effect._replace(variants=(LOST_MOTION,))
-                    if effect.name == 'backlash' and not proportional else
+    own = {'backlash': (LOST_MOTION,)} | ({'command_quantisation': (stepping(steps),)}
+                                          if steps else {})
+    effects = tuple(effect._replace(variants=own[effect.name])
+                    if effect.name in own and not proportional else
                     effect._replace(variants=tuple(
         variant._replace(free=tuple(_near(SLOW.get(free.field, free), servos)
                                     for free in variant.free),
@@ -207,7 +251,17 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         if not any(free.field.startswith('valve_flexure') for free in variant.free)))
         for effect in EFFECTS)
     return make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics), effects=effects,
-                      model_error=MODEL_ERROR if dynamics else SERVO_ERROR)
+                      model_error=MODEL_ERROR if dynamics else model_error,
+                      floor_by_best=not proportional)
+
+
+def stepping(steps: Steps) -> Variant:
+    """Return the steps of a reference, whose origin is not known, from where they were found."""
+    # One turn more, so that none is below its bound.
+    return Variant((Free('command_quantum', 0.998 * steps.quantum, 1.002 * steps.quantum,
+                         (steps.quantum,), '', 'N'),
+                    Free('command_phase', 0.95 + steps.phase, 1.05 + steps.phase,
+                         (1.0 + steps.phase,), '', 'turns')), ('valve',))
 
 
 def _near(free: Free, servos: Sequence[Servo]) -> Free:
@@ -228,12 +282,14 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
-               force_measured: bool, weighs: bool, healthy: bool, springs: bool) -> Group:
+               force_measured: bool, weighs: bool, healthy: bool, springs: bool,
+               rattling: Rattling | None) -> Group:
     """
     Return the group that compares the force with what the motion takes.
 
     weighs: it has gravity, which each fit adjusts, or which, with healthy recordings, may have
-    changed; springs: it has a spring whose stiffness is not given.
+    changed; springs: it has a spring whose stiffness is not given; rattling: where the fit of a
+    backlash begins.
     """
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
@@ -241,6 +297,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     for name in OF_ANY_SIZE & given.keys():
         nominal[name.replace('.', '_')] = given[name]
     identified, typical = _identified(recordings, float(nominal['load_stiffness']), springs)
+    near = rattling_mechanics(rattling, springs) if rattling else {}
     nuisance = []
     for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping'),
                         ('load.stiffness', 'load_stiffness')):
@@ -249,10 +306,10 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
                 nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
         elif field in identified:
             # Identified without friction; the true value may be far off.
-            value = identified[field]
+            value = near.get(field, identified[field])
             nominal[field] = value
-            most = MOST * max(value, TYPICAL * typical[field])
-            nuisance.append(Free(field, 0.0, most, (value,)))
+            most = MOST * max(value, identified[field], TYPICAL * typical[field])
+            nuisance.append(Free(field, 0.0, most, (value,), anew=rattling is not None))
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
     # At a constant speed the damping explains the mean force, which may have been removed.
@@ -264,7 +321,8 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     # sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position[_inner(r)])) for r in recordings if r.motion)
-    effects = joint_effects(period, travel, 'load.mass' in given, force_measured)
+    effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
+                            rattling_in(rattling))
     if weighs and healthy:
         effects += (GRAVITY,)
     elif weighs:   # it was identified without the effects
@@ -273,8 +331,45 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
                       model_error=RIGID_ERROR)
 
 
-def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool
-                  ) -> tuple[Effect, ...]:
+def rattling_in(rattling: Rattling | None) -> Variant:
+    """
+    Return a backlash whose load flies, touches, and hardly rebounds, from where it was found.
+
+    rattling: so; None if it was not found.
+    """
+    if rattling is None:
+        gap = Free('backlash', 0.001, 0.7, (0.004, 0.015, 0.05, 0.15), 'position', 'm')
+        share, weight = 0.4, []
+    else:
+        gap = Free('backlash', 0.4 * rattling.gap, 2.5 * rattling.gap,
+                   tuple(factor * rattling.gap for factor in (1.0, 0.92, 1.08)), '', 'm')
+        share, most = 1.0 - rattling.share, 2.0 * (abs(rattling.constant) + abs(rattling.weight))
+        weight = [Free('load_weight', -most, most, (rattling.weight,), '', 'N')]
+    return Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
+                    Free('piston_share', 0.05, 0.9, (share,)), *weight), ('load',),
+                   (('backlash_floating', 1.0),))
+
+
+def rattling_mechanics(rattling: Rattling, springs: bool) -> dict[str, float]:
+    """Return mass, damping and, of a joint on a spring, stiffness of a joint that rattles."""
+    return {'load_mass': rattling.mass / rattling.share,
+            'load_damping': rattling.decay * rattling.mass} | (
+                {'load_stiffness': max(rattling.stiffness, 0.0)} if springs else {})
+
+
+def _rattling(recordings: Sequence[Recording], runs: Sequence[Run]) -> Rattling | None:
+    """Return how the load of a joint rattles, by the first recording; None if it does not."""
+    for run, recording in zip(runs, recordings, strict=True):
+        motion = recording.motion
+        if (recording.fit.any() and recording.held_out.any() and motion is not None
+                and motion.measured and recording.force_judged is not None):
+            late = 0.5 * recording.period_s if run.force_n is None else 0.0
+            return rattling_of(recording, late)
+    return None
+
+
+def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
+                  rattling: Variant) -> tuple[Effect, ...]:
     """
     Return the effects that may be at work between the force and the motion of a joint.
 
@@ -308,7 +403,8 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
         return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *BEHIND * behind))
 
     effects = [effect._replace(variants=variants) for effect in EFFECTS
-               if (variants := tuple(scaled(v) for v in effect.variants if applies(v)))]
+               if (variants := tuple(rattling if ('backlash_floating', 1.0) in v.fixed else
+                                     scaled(v) for v in effect.variants if applies(v)))]
     if not force_measured:
         effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=(
             Variant((Free(field, period, 0.1, (0.002, 0.006, 0.02), '', 's'),), ('load',)),))
@@ -340,11 +436,12 @@ def _turns(recordings: Sequence[Recording], runs: Sequence[Run]) -> bool:
 
 
 def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
-                stiffness: float | None = None) -> ByPosition:
+                stiffness: float | None = None, rattling: Rattling | None = None) -> ByPosition:
     """
     Return the gravity of a joint that turns, and the spring of any.
 
-    stiffness: of the spring, if that is given. Gravity is a sin q + b cos q, a spring c q; a, b
+    stiffness: of the spring, if that is given; rattling: they act on a load behind that gap, if
+    any. Gravity is a sin q + b cos q, a spring c q; a, b
     and c are identified together with inertia, damping, friction and offset, by least squares on
     the fitted parts. They are there if the held-out parts need them: they then have less than
     LEFT_WITHOUT of their residual power, which is more than that of RIGID_ERROR, by a force that
@@ -356,7 +453,7 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
             run.position_m is None or r.force_judged is None or r.motion is None
             for run, r in zip(runs, recordings, strict=True)):
         return ByPosition(stiffness=stiffness or 0.0, given=not unknown)
-    shapes = [_shapes(r, run, turns, stiffness or 0.0)
+    shapes = [_shapes(r, run, turns, stiffness or 0.0, rattling)
               for run, r in zip(runs, recordings, strict=True)]
 
     def stacked(part: str, names: Sequence[str]) -> Array:
@@ -464,19 +561,26 @@ def _slip(position: Array, reach: float) -> Array:
     return out
 
 
-def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float) -> dict[str, Array]:
+def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float,
+            rattling: Rattling | None) -> dict[str, Array]:
     """
     Return the force of a joint less that of its spring (N/m), and what it may be made of, by name.
 
     The rate of the force makes a short delay or lag of it, which would else bias the gravity.
+    rattling: position and damping are those of the load behind that gap, if any.
     """
     motion, inner, force = recording.motion, _inner(recording), recording.force_judged
     assert motion is not None and force is not None
     angle = _angle(recording, float(np.nanmean(run.signal('position'))))
     speed, usual = motion.velocity, float(motion.velocity.std()) + 1e-30
+    behind = {}
+    if rattling is not None:
+        load, speed = load_motion(motion, recording.period_s, rattling)
+        angle = angle + load - motion.position
+        behind = {'inertia_behind': np.gradient(speed, recording.period_s)}
     slips = [_slip(angle, share * float(np.ptp(angle)) + 1e-30) for share in SLIPS]
     shapes = {name: judged(each[inner], motion) for name, each in {
-        'inertia': motion.acceleration, 'damping': speed,
+        'inertia': motion.acceleration, **behind, 'damping': speed,
         'friction': np.tanh(speed / (CREEP * usual)),
         **{f'friction_{n}': each for n, each in enumerate(slips)},
         'breakaway': slips[0] * np.exp(-np.abs(speed) / (CREEP * usual)),

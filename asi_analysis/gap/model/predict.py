@@ -28,6 +28,7 @@ HYSTERESIS_STEP_S = 2e-4
 # Of the simulated load: the hydraulic damping acts with a delay of 0.16 ms.
 TRAVEL_STEP_S = 1e-4
 CONTACT_STEP_S = 1e-4   # of a load with contact
+RATTLING_STEP_S = 2.5e-4   # and of one that comes to rest at it
 # Fields that the cached parts of a prediction depend on, and the number of cached parts.
 FRICTION_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('friction_', 'viscous')))
@@ -225,13 +226,19 @@ def _load(recording: Recording, p: np.void) -> Array:
     passed = np.fft.rfft(weight)
     if p['backlash_floating'] > 0.0:
         mass = float(p['load_mass'] * p['piston_share'])
-        carried = np.empty_like(extra)
-        blocks.floating(motion.position, motion.velocity,
-                        (p['load_mass'] - mass, damping, stiffness), blocks.parts(p)[1],
-                        recording.period_s, recording.sub_steps(CONTACT_STEP_S), carried)
-        extra += carried
-        linear = ((1.0 - p['force_sensor_mass_share']) * mass * 1j * motion.omega
-                  * motion.velocity_spectrum * _read(motion.omega, p))
+        moved = np.empty((2, extra.size))
+        gravity, middle = _gravity(recording, p), recording.taken.get('middle', 0.0)
+        blocks.floating(motion.position, motion.velocity, middle,
+                        (p['load_mass'] - mass, damping, stiffness), gravity,
+                        blocks.parts(p)[1], recording.period_s, recording.sub_steps(
+                            RATTLING_STEP_S if p['contact_time'] > 0.0 else CONTACT_STEP_S), moved)
+        extra += damping * moved[1] + stiffness * moved[0]
+        passed = np.fft.rfft(gravity[0] * np.sin(moved[0] + middle)
+                             + gravity[1] * np.cos(moved[0] + middle))
+        # By its momentum: a contact may be over between two samples.
+        linear = 1j * motion.omega * _read(motion.omega, p) * (
+            (1.0 - p['force_sensor_mass_share']) * mass * motion.velocity_spectrum
+            + (p['load_mass'] - mass) * np.fft.rfft(moved[1]))
     else:
         linear = _linear(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
                          np.fft.rfft(slack), p, slope)
@@ -248,6 +255,12 @@ def _load(recording: Recording, p: np.void) -> Array:
     time = recording.time_s
     return inner + p['force_sensor_offset'] + p['sensor_offset'] + blocks.drift(
         time, blocks.parts(p)[1])
+
+
+def _gravity(recording: Recording, p: np.void) -> Array:
+    """Return the gravity of a joint, N m of the sine and of the cosine of its angle."""
+    return np.array([recording.taken.get(f'gravity_{part}', 0.0) + p[f'gravity_{part}']
+                     for part in ('sine', 'cosine')])
 
 
 def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:

@@ -22,6 +22,7 @@ from asi_common.jit import jit
 # and of that of the unlimited servo, below which its limits are.
 LEFT_BY_LAG: Final = 0.5
 LEFT_UNLIMITED: Final = 0.7
+ALMOST: Final = 3.0           # times the noise (rms) of the output
 NOISE: Final = 1.5            # of the output's noise power: what is below it needs no model
 # Angle of the fastest motion in one sub-step, rad, and most sub-steps of a sample.
 SUB_STEP: Final = 0.02
@@ -88,12 +89,12 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
     return out
 
 
-def _left(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
+def left_of(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
     """Return what a servo leaves of the output."""
-    return _left_by([_response(servo, r) for r in recordings], recordings, part)
+    return left_by([_response(servo, r) for r in recordings], recordings, part)
 
 
-def _left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: str) -> Array:
+def left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: str) -> Array:
     """Return what responses leave, but for a gain near 1 and an offset, by the fitted parts."""
     outputs = [r.valve_position for r in recordings if r.valve_position is not None]
     x, y = (np.concatenate([each[r.fit] for each, r in zip(signals, recordings, strict=True)])
@@ -127,44 +128,56 @@ def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) 
     x0 = [getattr(start, name) if name in LATE else math.log(getattr(start, name))
           for name in free]
     found = least_squares(
-        lambda x: _left(servo(x), recordings, 'fit'), np.clip(x0, low + 1e-9, high - 1e-9),
+        lambda x: left_of(servo(x), recordings, 'fit'), np.clip(x0, low + 1e-9, high - 1e-9),
         bounds=(low, high), x_scale=[2.0 * period if name in LATE else 0.3 for name in free],
         diff_step=1e-3, max_nfev=40)
     return servo(found.x)
 
 
 def _power(servo: Servo, recordings: Sequence[Recording], part: str = 'held_out') -> float:
-    return float(np.mean(_left(servo, recordings, part) ** 2))
+    return float(np.mean(left_of(servo, recordings, part) ** 2))
 
 
-def servo_of(recordings: Sequence[Recording]) -> list[Servo]:
+def _best(recordings: Sequence[Recording], damping: float, free: Sequence[str]) -> Servo:
+    """Return the servo fitted from the best of fast and slow ones, without a delay and with."""
+    period = max(r.period_s for r in recordings)
+    faster = 2.0 * LAG if damping == LAG else 1.0
+
+    def power(each: Servo) -> float:
+        return _power(each, recordings, 'fit')
+
+    starts = [min((Servo(faster / (each * period), damping, delay=late * period)
+                   for each in TIMES for late in lates), key=power)
+              for lates in ((0.0,), (4.0, 20.0))]
+    return min((_fitted(each, free, recordings) for each in starts), key=power)
+
+
+def slow_servo(recordings: Sequence[Recording]) -> Servo:
+    """Return a delay and a lag of first order, as a servo, fitted."""
+    return _best(recordings, LAG, ('pulsation', 'delay'))
+
+
+def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
+    """Return what a servo leaves of held-out parts (rms), if that is hardly more than noise."""
+    left = math.sqrt(_power(servo, recordings))
+    noise = max(r.noise['valve_position'] for r in recordings)
+    return left if left < ALMOST * noise else math.inf
+
+
+def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     """
     Return servos of second order: the one that recordings need, and others much like it.
 
-    Some have a delay and some a lag; none if these alone leave about as little.
+    Some have a delay and some a lag; none if these alone leave about as little. slow: these,
+    fitted.
     """
-    if not any(r.held_out.any() for r in recordings) or not any(r.fit.any() for r in recordings):
-        return []
-    every = math.ceil(sum(r.fit.size for r in recordings) / MOST_SAMPLES)
-    recordings = [_thinned(r, every) for r in recordings]
-    period = max(r.period_s for r in recordings)
-
-    def best(damping: float, free: Sequence[str]) -> Servo:
-        faster = 2.0 * LAG if damping == LAG else 1.0
-        def power(each: Servo) -> float:
-            return _power(each, recordings, 'fit')
-
-        starts = [min((Servo(faster / (each * period), damping, delay=late * period)
-                       for each in TIMES for late in lates), key=power)
-                  for lates in ((0.0,), (4.0, 20.0))]
-        return min((_fitted(each, free, recordings) for each in starts), key=power)
-
-    at_once = float(np.mean(_left_by([r.command for r in recordings if r.command is not None],
+    recordings = thinned(recordings)
+    at_once = float(np.mean(left_by([r.command for r in recordings if r.command is not None],
                                      recordings, 'held_out') ** 2))
-    simple = min(at_once, _power(best(LAG, ('pulsation', 'delay')), recordings))
+    simple = min(at_once, _power(slow, recordings))
     if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
         return []
-    delayed = best(DAMPING, ('pulsation', 'damping', 'delay'))
+    delayed = _best(recordings, DAMPING, ('pulsation', 'damping', 'delay'))
     lagging = [_fitted(each, ('pulsation', 'damping', 'lag'), recordings)
                for each in _with_lag(delayed)]
     behind = min(lagging, key=lambda each: _power(each, recordings))
@@ -190,6 +203,12 @@ def _with_lag(delayed: Servo) -> Iterator[Servo]:
         slow, fast = ((delayed.damping + way * root) / delayed.pulsation for way in (1.0, -1.0))
         yield delayed._replace(pulsation=2.0 * DAMPING / (fast + delayed.delay), damping=DAMPING,
                                delay=0.0, lag=slow)
+
+
+def thinned(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the samples of recordings that a servo is fitted to."""
+    every = math.ceil(sum(r.fit.size for r in recordings) / MOST_SAMPLES)
+    return [_thinned(r, every) for r in recordings]
 
 
 def _thinned(r: Recording, every: int) -> Recording:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from asi_analysis.gap.check.check import is_truth, run_cases, score, unseal
+from asi_analysis.gap.diagnose import diagnose, document
 from asi_examiner.bags import write_cases
 from asi_examiner.joint import FOLLOWING, FORCED, OF_A_SERVO, draw_joint
 
@@ -34,3 +35,22 @@ def test_cases_of_joints_are_written_and_judged(tmp_path):
         tmp_path / 'cases' / 'answers.sealed')
     assert is_truth(rows[0]['verdict'], answers['case_0000'])
     assert score(rows, answers)['cases'] == 1
+
+
+@pytest.mark.parametrize(('seed', 'effect', 'field', 'truth'), [
+    (300113, 'backlash', 'backlash', 'gap'),                          # it rattles
+    (300174, 'command_quantisation', 'command_quantum', 'quantum')])  # its steps have any origin
+def test_size_of_what_a_fit_finds_only_from_nearby(seed, effect, field, truth):
+    case = draw_joint(seed)
+    answer = document(diagnose(case.runs, {}, 'joint'))
+    assert answer['verdict'] == effect
+    size, = (row['parameters'][field] for row in answer['which'] if row['effect'] == effect)
+    assert size == pytest.approx(case.plant[truth], rel=0.05)
+
+
+def test_delay_of_a_servo_that_reaches_the_noise():
+    case = draw_joint(300222)
+    answer = document(diagnose(case.runs, {}, 'joint'))
+    assert answer['verdict'] == 'transport_delay'
+    assert answer['which'][0]['parameters']['command_delay'] == pytest.approx(
+        case.plant['delay'], abs=1e-3)
