@@ -20,6 +20,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     `path`.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():   # a device would be replaced by a file
+        raise OSError(errno.EINVAL, 'is not a file', str(path))
     temporary = path.with_name(f'.{path.name}.{os.getpid()}{path.suffix}')
     try:
         yield temporary

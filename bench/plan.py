@@ -50,7 +50,7 @@ def first(diagnosis: Diagnosis) -> str:
     """Return what a diagnosis names first; gravity and spring are of the nominal joint."""
     verdict = '+'.join(diagnosis.verdict) or 'no_gap'
     notes = ' '.join(diagnosis.notes)
-    found = [name for name, words in (('gravity', 'gravity is taken off'),
+    found = [name for name, words in (('gravity', 'the joint has gravity'),
                                       ('spring', 'a spring holds')) if words in notes]
     return '+'.join(([] if verdict == 'no_gap' and found else [verdict]) + found)
 

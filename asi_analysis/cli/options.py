@@ -34,9 +34,10 @@ def directory(path: Path | None) -> Path | None:
 
 def new_file(path: Path | None) -> Path | None:
     """Return a file to write; raises InputError before hours of computing if it cannot be."""
-    if path is not None and (path.is_dir() or not path.parent.is_dir()):
+    if path is not None and ((path.exists() and not path.is_file()) or not path.parent.is_dir()):
         raise InputError(f'{path} cannot be written: '
                          + (f'{path} is a directory' if path.is_dir() else
+                            f'{path} is not a file' if path.exists() else
                             f'{path.parent} is not a directory'))
     directory(path and path.parent)
     return path

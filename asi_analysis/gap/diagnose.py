@@ -261,7 +261,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     as_fitted, weighed = weighed, [placed(each) for each in weighed]
-    if any(each is not old for each, old in zip(weighed, as_fitted, strict=True)):
+    if 'disturbance_force' in verdict and any(
+            each is not old for each, old in zip(weighed, as_fitted, strict=True)):
         notes.append(PLACED)
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None, healthy, machine)

@@ -45,6 +45,8 @@ def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
     size = np.abs(driving)
 
     def imbalance(fit: Mask, held: Mask) -> float:
+        if not fit.any() or not held.any():
+            return math.inf
         beyond = float(np.mean(size[held] > size[fit].max())) / OUTSIDE
         ratio = np.mean(size[held] ** 2) / max(np.mean(size[fit] ** 2), 1e-300)
         return max(beyond, abs(math.log2(max(ratio, 1e-300))) / 2.0, 1.0)

@@ -42,9 +42,9 @@ SHARED = 0.3            # a signal with fewer values than this share of its samp
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
 START_S = 0.02          # of a recording: its beginning
-# How long, and for how many samples, a joint stands still at least, and most of a recording that
-# is left out for that.
-STANDS_S, LEAST_STANDS, MOST_STANDS = 0.02, 4, 0.85
+# How long a joint stands still at least, in which it would else move by a step of its encoder at
+# this share of its usual speed; and most of a recording that is left out for that.
+STANDS_S, SLOW, MOST_STANDS = 0.02, 0.1, 0.95
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
@@ -248,9 +248,9 @@ def _band(motion: Array, force: Array, period: float) -> float:
     There their coherence is above COHERENT; beyond, noise prevails and what no rigid load does.
     """
     rate = 1.0 / period
-    frequency, shared = coherence(motion, force, rate, nperseg=min(motion.size // 4, 2048),
+    frequency, shared = coherence(motion, force, rate, nperseg=max(min(motion.size // 4, 2048), 2),
                                   detrend='linear')
-    width = max(1, int(5.0 / frequency[1]))
+    width = min(max(1, int(5.0 / frequency[1])), shared.size)
     smooth = np.convolve(shared, np.ones(width) / width, 'same')
     above = frequency[smooth > COHERENT]
     return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
@@ -367,14 +367,19 @@ def _stands(position: Array, period: float, band: float) -> Mask:
     """
     Return the samples in which a joint stands still, and those near them by the band (Hz).
 
-    Friction then holds any force up to its level, which no motion tells.
+    Friction then holds any force up to its level, which no motion tells. None, if its encoder is
+    too coarse to tell a standstill from a slow motion.
     """
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1, [position.size]])
+    moves = np.diff(position)
     still = np.zeros(position.size, bool)
+    steps = np.abs(moves[moves != 0.0])
+    if not steps.size or float(np.median(steps)) > SLOW * STANDS_S * float(np.std(moves)) / period:
+        return still
+    edges = np.concatenate([[0], np.flatnonzero(moves) + 1, [position.size]])
     for first, last in itertools.pairwise(edges):
-        if (last - first) * period >= STANDS_S and last - first >= LEAST_STANDS:
+        if (last - first) * period >= STANDS_S:
             still[first:last] = True
-    reach = round(1.0 / (band * period))
+    reach = round(0.5 / (band * period))
     near = np.convolve(still, np.ones(2 * reach + 1), 'same') > 0.0
     return near if near.mean() < MOST_STANDS else np.zeros_like(still)
 

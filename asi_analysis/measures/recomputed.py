@@ -22,6 +22,7 @@ from asi_controller.parameters import REFERENCE_PARAMETERS
 SHARE: Final = 1e-5
 # Share of a period by which samples may be early or late.
 EVEN: Final = 0.01
+MOST_HZ: Final = 1e9   # of a control rate: more is no rate
 
 
 class ByController(NamedTuple):
@@ -68,7 +69,7 @@ def _rate(run: Run) -> float | None:
     """Return the control rate of a run in lock-step, Hz; None for another run."""
     experiment = run.information.get('experiment', {})
     rate_hz = experiment.get('rate_hz', 0.0) if experiment.get('mode') == 'lockstep' else 0.0
-    return float(rate_hz) if rate_hz > 0.0 else None
+    return float(rate_hz) if 0.0 < rate_hz < MOST_HZ else None
 
 
 def recomputed(run: Run) -> Array | None:
@@ -110,7 +111,7 @@ def _commands(run: Run, values: dict[str, Any], rate_hz: float) -> Array | None:
         values.pop(parameter.name, None)
     try:
         record = compensator(values, rate_hz)
-    except (ParameterError, TypeError, ValueError):
+    except (ParameterError, TypeError, ValueError, OverflowError):
         return None
     velocity = run.velocity_m_s
     if velocity is None:

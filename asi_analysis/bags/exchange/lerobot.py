@@ -6,6 +6,7 @@ episode (v2), or many episodes in one (v3). Only numbers are read, no images and
 """
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, unpacked_limit
 from asi_analysis.errors import InputError
 
+WIDE: Final = re.compile(r':\D*\d{4}')   # a field of a name, filled up to so many characters
 INFO: Final = Path('meta/info.json')
 MOST_INFO: Final = 10_000_000   # bytes
 VISUAL: Final = ('image', 'video')
@@ -96,9 +98,11 @@ def _feature(name: str, told: Any, file: Path) -> Feature:
     if isinstance(names, dict):   # such as {"motors": [...]}
         names = [each for part in names.values() if isinstance(part, list) for each in part]
     known = ([str(each) for each in names] if isinstance(names, list) else [])
-    if len(known) != width or len(set(known)) != width:
+    if width > MOST_COLUMNS:
+        known = []
+    elif len(known) != width or len(set(known)) != width:
         known = [f'#{number}' for number in range(1, width + 1)]
-    return Feature(dtype, width, tuple(known if len(shape) == 1 and width <= MOST_COLUMNS else ()))
+    return Feature(dtype, width, tuple(known if len(shape) == 1 else ()))
 
 
 def chosen_episode(dataset: Dataset, episode: int | None, guess: bool = False) -> int:
@@ -153,6 +157,8 @@ def _files(dataset: Dataset, episode: int) -> list[Path]:
             raise InputError(f'{dataset.path}: no data/*/*.parquet')
         return files
     try:
+        if WIDE.search(dataset.data_path):
+            raise ValueError
         name = dataset.data_path.format(episode_chunk=episode // dataset.chunk,
                                         episode_index=episode)
     except (KeyError, IndexError, ValueError, AttributeError):

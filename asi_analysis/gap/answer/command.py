@@ -179,7 +179,8 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                 f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, "joint"))} '
                 f'({origin if DOTTED[field] in values or diagnosis.healthy else "identified"})'
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
-                ) + _gravity(weighed.group.recordings[0], p, run) + ', and a constant force')
+                ) + ('' if diagnosis.healthy else _gravity(weighed.group.recordings[0], p, run))
+                + ', and a constant force')
         else:
             p = diagnosis.best(weighed).fitted.record
             how = 'at once' if p['valve_flexure_model'] != FULL else (

@@ -29,7 +29,7 @@ from asi_common.jit import FULL
 HELD: Final = {
     'load': frozenset(('load_mass', 'load_damping', 'load_stiffness', 'load_offset', 'drive_hold',
                        'drive_delay', 'drive_lag', 'viscous', 'friction_level',
-                       'friction_asymmetry')),
+                       'friction_asymmetry', 'gravity_sine', 'gravity_cosine')),
     'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
                         'valve_limit', 'valve_flexure_natural_frequency',
                         'valve_flexure_damping_ratio'))}
@@ -134,7 +134,7 @@ def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     notes = {}   # of what was identified before the fit
     if sine or cosine:
         notes['gravity'] = (f'gravity {digits(sine, force)} sin q and {digits(cosine, force)} '
-                            'cos q (no interval)')
+                            'cos q')
     if 'constant' in taken:
         notes['constant'] = (f'beside the constant load {digits(taken["constant"], force)} (no '
                              'interval)')

@@ -29,6 +29,7 @@ PRIOR_WEIGHT = 1.0   # of the start, per range of a parameter
 ROUNDS = 15          # of the optimiser
 ROUGH, FINE = 1e-3, 1e-4   # relative gain of the last round
 POLISHING = 6        # rounds with all derivatives, at the end
+SHARES = (0.25, 0.5, 0.75)  # of the range of a share of the mass: further starts
 LARGEST = 3.0        # upper bound of an effect in the linear screen, as a multiple of its start
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
 AT_LIMIT = 0.005     # of the range: distance within which a parameter is at a bound
@@ -404,8 +405,22 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
 
 
 def polish(group: Group, fitted: Fitted) -> Fitted:
-    """Return an approximate fit, completed with all derivatives."""
-    return fit(group, fitted.free, [fitted.theta], fitted.problem.fixed, rounds=POLISHING)
+    """
+    Return an approximate fit, completed with all derivatives.
+
+    Of a mass that goes on by itself in a gap also from other shares of the mass: each contact that
+    comes or goes makes the cost uneven.
+    """
+    fixed = fitted.problem.fixed
+    best = fit(group, fitted.free, [fitted.theta], fixed, rounds=POLISHING)
+    fields = [free.field for free in fitted.free]
+    if ('backlash_floating', 1.0) in fixed and 'piston_share' in fields:
+        for share in SHARES:
+            moved = best.theta.copy()
+            moved[fields.index('piston_share')] = share
+            again = fit(group, fitted.free, [moved], fixed, rounds=POLISHING)
+            best = min(best, again, key=lambda each: each.cost)
+    return best
 
 
 class LinearScreen:

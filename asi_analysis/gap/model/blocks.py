@@ -723,13 +723,17 @@ def swing(time: Array, p: np.void, slope: float = 0.0) -> Array:
     slope: of the load's weight over its position, N/m.
     """
     _, damping, stiffness = load_constants(p)
-    rest = p['load_mass'] * (1.0 - p['piston_share'])
+    rest = max(float(p['load_mass'] * (1.0 - p['piston_share'])), 1e-12)
     decay = 0.5 * ((1.0 - p['damping_share']) * damping
                    + p['compliance_damping'] / p['compliance']) / rest
     square = (stiffness + slope + 1.0 / p['compliance']) / rest - decay * decay
-    turns = math.sqrt(max(square, 0.0)) * time
-    return np.asarray(np.exp(-decay * time) * (p['swing_cosine'] * np.cos(turns)
-                                               + p['swing_sine'] * np.sin(turns)))
+    rate = math.sqrt(abs(square))
+    if square < 0.0:   # overdamped: both of its modes
+        modes = (p['swing_cosine'] + p['swing_sine']), (p['swing_cosine'] - p['swing_sine'])
+        return np.asarray(0.5 * (modes[0] * np.exp((rate - decay) * time)
+                                 + modes[1] * np.exp(-(rate + decay) * time)))
+    return np.asarray(np.exp(-decay * time) * (p['swing_cosine'] * np.cos(rate * time)
+                                               + p['swing_sine'] * np.sin(rate * time)))
 
 
 def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,

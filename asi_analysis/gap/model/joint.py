@@ -407,7 +407,8 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
                                      scaled(v) for v in effect.variants if applies(v)))]
     if not force_measured:
         effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=(
-            Variant((Free(field, period, 0.1, (0.002, 0.006, 0.02), '', 's'),), ('load',)),))
+            Variant((Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '',
+                          's'),), ('load',)),))
             for name, field in (('transport_delay', 'drive_delay'), ('valve_lag', 'drive_lag'))]
     return tuple(effects)
 

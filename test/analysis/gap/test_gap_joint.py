@@ -17,6 +17,7 @@ from asi_analysis.gap.answer.command import diagnose as asked
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
+from asi_analysis.gap.model.blocks import PLANT_DTYPE, swing
 from asi_analysis.gap.model.joint import ByPosition, by_position
 from asi_analysis.gap.prepare import prepare
 
@@ -199,6 +200,37 @@ def test_an_arm_behind_a_spring_is_told_while_it_still_swings(gravity):
     assert 1.0 / found['compliance'] == pytest.approx(15.0, rel=0.02)
     assert found['piston_share'] == pytest.approx(0.25, rel=0.1)
     assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
+
+
+@pytest.mark.parametrize('damping', [0.1, 2.0])   # it swings; it creeps
+def test_a_load_swings_freely_as_its_equation_says(damping):
+    p = np.zeros(1, PLANT_DTYPE)[0]
+    for name, value in {'load_mass': 0.02, 'piston_share': 0.25, 'load_damping': damping,
+                        'load_type': 1, 'compliance': 1.0 / 15.0, 'swing_cosine': 1.0,
+                        'swing_sine': 0.5}.items():
+        p[name] = value
+    time = np.linspace(0.0, 0.5, 5001)
+    force = swing(time, p)
+    rate = np.gradient(force, time)
+    left = (0.015 * np.gradient(rate, time) + damping * rate + 15.0 * force)[5:-5]
+    assert np.abs(left).max() < 2e-3 * 15.0 and force[0] == pytest.approx(1.0)
+
+
+def test_slow_motion_on_a_coarse_encoder_is_no_standstill():
+    run = joint(course=0.3 * TWO_WAVES)
+    coarse = 2.0 * np.pi / 2 ** 11
+    run = dataclasses.replace(run, position_m=coarse * np.round(run.position_m / coarse))
+    assert prepare([run], 'force')[0].valid.mean() > 0.75
+
+
+@pytest.mark.parametrize('every', [50, 100])
+def test_a_slow_recording_of_a_joint_is_answered_or_refused_in_words(every):
+    run = joint()
+    rows = slice(None, None, every)
+    slow = Run(run.time_s[rows], command_n=run.command_n[rows], position_m=run.position_m[rows],
+               source='slow', information=PENDULUM)
+    with contextlib.suppress(InputError):
+        diagnose([slow], {}, 'joint')
 
 
 def test_force_at_a_standstill_is_not_judged():
