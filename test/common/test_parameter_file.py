@@ -1,6 +1,7 @@
 """Parameter files: read as a node reads them, and written so that every reader finds the same."""
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from asi_analysis.errors import InputError
 from asi_analysis.experiments import experiment as ex
+from asi_common.files import write_text
 from asi_common.parameter import ParameterError, Value
 from asi_common.parameter_file import (
     parameter_file,
@@ -116,3 +118,11 @@ def test_file_that_is_no_parameter_file_says_why(tmp_path: Path, text: str, reas
 def test_text_that_looks_like_a_number_is_quoted() -> None:
     assert parameter_lines({'text': '8'}) == ['    text: "8"']
     assert read_scalar('8') == 8
+
+
+def test_a_device_is_never_replaced_by_a_file(tmp_path: Path) -> None:
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match='is not a file'):
+        write_text(pipe, 'a')
+    assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]

@@ -108,13 +108,15 @@ def _damaged(folder: Path, version: str, kind: str) -> None:
         file.write_bytes(b'')
     elif kind == 'info cut':
         info.write_text(info.read_text()[:200])
-    elif kind in ('version', 'outside', 'path'):
+    elif kind in ('version', 'outside', 'path', 'wide'):
         told |= {'version': {'codebase_version': 'v1.6'},
                  'outside': {'data_path': '../../{episode_index}.parquet'},
-                 'path': {'data_path': 'data/{episode_index.nothing}.parquet'}}[kind]
+                 'path': {'data_path': 'data/{episode_index.nothing}.parquet'},
+                 'wide': {'data_path': 'data/{episode_index:1000000000}.parquet'}}[kind]
         info.write_text(json.dumps(told))
-    elif kind == 'width':
-        told['features']['action'] |= {'shape': [3], 'names': ['a', 'b', 'c']}
+    elif kind in ('width', 'huge'):
+        told['features']['action'] |= {'shape': [3 if kind == 'width' else 10 ** 12],
+                                       'names': ['a', 'b', 'c']}
         info.write_text(json.dumps(told))
     else:
         table = read_table(file)
@@ -131,11 +133,12 @@ def _damaged(folder: Path, version: str, kind: str) -> None:
     ('no meta', 'info.json cannot be read'), ('no file', 'no '), ('truncated', 'cannot be read'),
     ('empty', 'cannot be read'), ('info cut', 'is not JSON'), ('version', 'v2 and v3 can be read'),
     ('outside', 'no file of it'), ('path', 'not understood'), ('width', 'but 3 in meta/info.json'),
+    ('wide', 'not understood'), ('huge', 'action'),
     ('text', 'is string, but'), ('no column', 'no column action'),
     ('no index', 'no column episode_index')])
 def test_a_damaged_dataset_is_refused_in_one_line(kind: str, words: str, version: str,
                                                   dataset: Path, tmp_path: Path) -> None:
-    if kind in ('outside', 'path') and version == 'v3.0':
+    if kind in ('outside', 'path', 'wide') and version == 'v3.0':
         return    # its files are found without a path
     folder = tmp_path / 'arm'
     shutil.copytree(dataset, folder)

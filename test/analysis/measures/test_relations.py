@@ -246,3 +246,11 @@ def test_a_peak_of_the_velocity_that_moves_the_position_is_no_spike() -> None:
     assert findings(run) == []
     spoilt = put(run.signal('velocity').copy(), 1000, 1.0)
     assert [each.kind for each in findings(replace(run, velocity_m_s=spoilt))] == ['spike']
+
+
+@pytest.mark.parametrize('rate_hz', [float('inf'), 10 ** 400, float('nan'), 0.0])
+def test_a_rate_that_is_none_tells_nothing(rate_hz: float) -> None:
+    run = a_recorded_run()
+    odd = run.information | {'experiment': run.information['experiment'] | {'rate_hz': rate_hz}}
+    assert recomputed(replace(run, information=odd)) is None
+    findings(replace(run, information=odd))
