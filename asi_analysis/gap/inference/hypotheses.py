@@ -309,7 +309,7 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     effective = effective_hypotheses(found)
     evidence = evidence_of(group, effective)
     constants = (STATIC if group.channels == ('static',) else
-                 CONSTANTS if evidence.error_floor is group.error_floor else SERVO)
+                 CONSTANTS if evidence.error_floor == group.error_floor else SERVO)
     return Weighed(group, effective, probabilities(evidence, constants))
 
 
