@@ -11,7 +11,7 @@ import yaml
 
 from asi_actuator.model.actuator import Measurement
 from asi_common.files import read_text, write_text
-from asi_common.parameter import ParameterError
+from asi_common.parameter import ParameterError, is_number
 
 # Time for which the actuator must have been at rest, s, and the largest changes at rest: of the
 # valve command and of the mean force, N; of the mean valve position, m (1 % of the full opening).
@@ -49,8 +49,8 @@ def load(path: str) -> Calibration:
         raise ParameterError(f'{where} must hold the numbers {" and ".join(Calibration._fields)}, '
                              'nothing else')
     for name, value in content.items():
-        if (not isinstance(value, int | float) or isinstance(value, bool)
-                or not math.isfinite(value) or (name == 'scale' and value == 0)):
+        if not is_number(value) or not math.isfinite(value) or (
+                name == 'scale' and value == 0):
             raise ParameterError(f'{where}: {name} = {value!r} is not allowed: it takes a finite '
                                  'number' + (' other than 0' if name == 'scale' else ''))
     return Calibration(**content)

@@ -8,7 +8,7 @@ these tables.
 import math
 from collections.abc import Mapping
 from difflib import get_close_matches
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 Value = bool | int | float | str
 
@@ -58,9 +58,7 @@ class Parameter(NamedTuple):
             return isinstance(value, str) and (not self.choices or value in self.choices)
         if isinstance(self.default, int) and not isinstance(value, int):
             return False
-        if not isinstance(value, int | float):
-            return False
-        return math.isfinite(value) and self.low <= value <= self.high
+        return is_number(value) and math.isfinite(value) and self.low <= value <= self.high
 
 
 class ParameterError(ValueError):
@@ -72,6 +70,11 @@ class Table(tuple[Parameter, ...]):
 
     def check(self, values: Mapping[str, Value]) -> None:
         """Raise ParameterError for a combination of values that is not allowed."""
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number; `true` is none, though Python counts with it."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def with_its_type(parameter: Parameter, value: Value) -> Value:

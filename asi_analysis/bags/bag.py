@@ -22,7 +22,7 @@ from asi_analysis.bags.encoding import (
     signal_paths,
     topic_values,
 )
-from asi_analysis.bags.information import checked
+from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run, StateChange
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.topics import JOINTS, TOPICS
@@ -99,9 +99,12 @@ def read_bag(path: str | Path) -> Run:
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     information = checked(contents.information, problems, str(path))
     problems += _wrong_stamps(series, str(path))
+    run = assemble(series, changes, str(path), information)
+    if count := missing_ticks(information, len(run)):
+        problems.append(f'{path}: {count} of the {len(run) + count} samples of this run are not '
+                        'in the recording: it was interrupted or cut')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=2)
-    run = assemble(series, changes, str(path), information)
     return replace(run, problems=tuple(problems))
 
 

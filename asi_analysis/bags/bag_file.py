@@ -4,6 +4,7 @@ import json
 import os
 import struct
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -212,6 +213,14 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
         raise InputError(f'{path} is not a bag: expected a rosbag2 directory with a .mcap or .db3 '
                          'file that is not empty')
     return present
+
+
+def is_empty(path: Path) -> bool:
+    """Return whether the metadata.yaml of a bag says that it has no message."""
+    with suppress(OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
+        metadata = yaml.safe_load((with_a_file_as_metadata(path) / 'metadata.yaml').read_bytes())
+        return bool(metadata['rosbag2_bagfile_information']['message_count'] == 0)
+    return False
 
 
 def with_a_file_as_metadata(path: Path) -> Path:

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import CONTROLLED, SIGNALS
+from asi_common.parameter import is_number
 
 
 def _is_mapping(value: object) -> bool:
@@ -14,13 +15,14 @@ def _is_mapping(value: object) -> bool:
 
 def _are_parameters(value: object) -> bool:
     return isinstance(value, dict) and all(
-        isinstance(number := value.get(parameter.name, parameter.default), int | float)
+        is_number(number := value.get(parameter.name, parameter.default))
         and -math.inf < number < math.inf
         for parameter in ACTUATOR_PARAMETERS if isinstance(parameter.default, float))
 
 
 def _is_experiment(value: object) -> bool:
-    return isinstance(value, dict) and isinstance(value.get('rate_hz', 1.0), int | float)
+    return isinstance(value, dict) and all(
+        is_number(value.get(name, 1.0)) for name in ('rate_hz', 'ticks'))
 
 
 def _are_units(value: object) -> bool:
@@ -33,6 +35,13 @@ def _are_units(value: object) -> bool:
 FORMS: Final[dict[str, Callable[[object], bool]]] = {
     'experiment': _is_experiment, 'actuator': _are_parameters, 'controller': _is_mapping,
     'versions': _is_mapping, 'imported': _is_mapping, 'signals': _are_units}
+
+
+def missing_ticks(information: Mapping[str, Any], samples: int) -> int:
+    """Return how many samples a recording lacks of the run in lock-step that it was made of."""
+    experiment = information.get('experiment', {})
+    ticks = experiment.get('ticks', 0) if experiment.get('mode') == 'lockstep' else 0
+    return max(0, int(ticks) - samples) if math.isfinite(ticks) else 0
 
 
 def checked(information: Mapping[str, Any], problems: list[str], source: str) -> dict[str, Any]:

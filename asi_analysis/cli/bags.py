@@ -96,7 +96,8 @@ def run(
             else:
                 result = running.summary(planned, run_one(planned, out, progress))
     except KeyboardInterrupt:
-        if (out / 'bag').exists():
+        from asi_analysis.bags.bag_file import is_empty
+        if (out / 'bag').exists() and not is_empty(out / 'bag'):
             print(f'asi: what was recorded is in {out / "bag"}', file=sys.stderr)
         raise
     show(result, as_json)

@@ -37,6 +37,7 @@ LOWEST_INTEGRATED_HZ, RINGING_S, RINGING = 0.5, 1.0, 0.2
 RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
 REPEATED = 1e-6         # of its range: how far commands that are the same may differ
+SMALL = 0.1             # of the usual step of a signal: with those it comes to rest
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
@@ -140,14 +141,18 @@ def clipped(signal: Array) -> Mask:
     """
     Return where a signal stands still at its largest or smallest value.
 
-    A measured signal rarely repeats a value: frequent samples at its extreme are clipped. A
-    quantised signal cannot be checked.
+    A measured signal rarely repeats a value: frequent samples at its extreme are clipped, unless
+    it comes there and leaves in small steps, as from rest to rest. A quantised signal cannot be
+    checked.
     """
     cut = np.zeros(signal.size, bool)
     if np.unique(signal).size > SHARED * signal.size:
+        steps = np.abs(np.diff(signal))
+        least = SMALL * float(np.median(steps[steps > 0.0]))
         for extreme in (signal.max(), signal.min()):
             at = signal == extreme
-            if at.mean() > CLIPPED:
+            beside = steps[at[1:] != at[:-1]]
+            if at.mean() > CLIPPED and beside.max(initial=0.0) > least:
                 cut |= at
     return cut
 
@@ -467,7 +472,8 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
             'force' not in moving or len(moving) < 2):
         raise InputError(f'{run.source}: nothing to compare: it takes a command and what follows '
                          'from it, or a force and a motion; signals that move here: '
-                         + (', '.join(moving) or 'none'))
+                         + (', '.join(name for name, values in signals.items()
+                                      if np.ptp(values) > 0.0) or 'none'))
     return period, moving, origin
 
 

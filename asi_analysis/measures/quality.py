@@ -32,6 +32,7 @@ CLIPPED_SAMPLES: Final = 4
 # be resolved, and figures are doubtful.
 NOTED_LEVELS: Final = 100
 FEWEST_LEVELS: Final = 25
+LARGE: Final = 0.1    # share of the largest number beyond which digits may be few
 # A signal that changes no more often is constant in parts, as a velocity that is prescribed.
 FEWEST_CHANGES: Final = 4
 # Samples of an even grid for each recorded one, beyond which a run comes in bursts.
@@ -199,16 +200,28 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         yield Finding('held', name, NOTE, ((float(time[0]), float(time[-1])),),
                       f'the {name_of(name)} changes at every {held}. sample only: it was measured '
                       f'at {run.rate_hz / held:.4g} Hz')
+    whole = ((float(time[0]), float(time[-1])),)
+    if coarse := _quantised(values):
+        yield Finding('quantisation', name, DOUBTFUL if coarse[0] < FEWEST_LEVELS else NOTE, whole,
+                      f'the {name_of(name)} has only {coarse[0]} different values, '
+                      f'{coarse[1]:.4g} {unit} apart')
+    elif coarse := _quantised(large := values[np.abs(values) > LARGE * np.abs(values).max()]):
+        # Numbers with two digits are close together near 0.
+        yield Finding('quantisation', name, DOUBTFUL if coarse[0] < FEWEST_LEVELS else NOTE, whole,
+                      f'the {name_of(name)} has only {coarse[0]} different values beyond '
+                      f'{np.abs(large).min():.4g} {unit}, at least {coarse[1]:.4g} {unit} apart')
+
+
+def _quantised(values: Array) -> tuple[int, float] | None:
+    """Return number and distance of the levels of a signal of n samples; None if of many."""
     level = np.unique(values)
-    levels, changes = len(level), np.count_nonzero(np.diff(values))
     step = float(np.diff(level).min(initial=np.inf))
     # A signal at rest also repeats values, but these are not on an even grid.
-    if 1 < levels < NOTED_LEVELS and len(values) > 10 * levels and changes > FEWEST_CHANGES and (
-            step > 1e-3 * (level[-1] - level[0])):
-        yield Finding('quantisation', name, DOUBTFUL if levels < FEWEST_LEVELS else NOTE,
-                      ((float(time[0]), float(time[-1])),),
-                      f'the {name_of(name)} has only {levels} different values, {step:.4g} {unit} '
-                      'apart')
+    if 1 < len(level) < NOTED_LEVELS and len(values) > 10 * len(level) and (
+            np.count_nonzero(np.diff(values)) > FEWEST_CHANGES
+            and step > 1e-3 * (level[-1] - level[0])):
+        return len(level), step
+    return None
 
 
 def without_spikes(reference: Array) -> Array:

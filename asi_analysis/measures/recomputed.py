@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.bags.information import missing_ticks
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, place_of
 from asi_analysis.versions import versions
@@ -22,6 +23,8 @@ from asi_controller.parameters import REFERENCE_PARAMETERS
 SHARE: Final = 1e-5
 # Share of a period by which samples may be early or late.
 EVEN: Final = 0.01
+# Sample by which a controller that was in another state at the beginning shows.
+FIRST: Final = 3
 MOST_HZ: Final = 1e9   # of a control rate: more is no rate
 
 
@@ -45,6 +48,8 @@ def of_controller(run: Run) -> ByController:
     if not len(wrong):
         return ByController(bool(np.ptp(command) > 0.0), found)
     where = ((float(run.time_s[wrong[0]]), float(run.time_s[wrong[-1]])),)
+    if wrong[0] < FIRST and missing_ticks(run.information, len(run)):
+        return ByController(False, found)   # in which state it was is not known
     return ByController(False, [*found, Finding(
         'answer', 'time', DOUBTFUL, where,
         'the command is not what the controller of this run computes from the recorded reference '

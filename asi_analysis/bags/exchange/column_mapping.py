@@ -3,6 +3,7 @@
 import math
 import re
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -23,6 +24,7 @@ UNITS_OF: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in 
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
                 'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s', 'Pa')}
+MOST_LISTED: Final = 40     # columns that a message names
 _UNSIGNED: Final = r'(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _NUMBER: Final = rf'[+-]?{_UNSIGNED}'
 _TERM: Final = re.compile(
@@ -63,6 +65,13 @@ def parse_mapping(text: str) -> Assignment:
     return Assignment(text, signal, term, unit or UNITS_OF[signal][0])
 
 
+def listed(names: Iterable[str]) -> str:
+    """Return names for a message; of many, the first."""
+    known = list(names)
+    more = len(known) - MOST_LISTED
+    return ', '.join(known[:MOST_LISTED]) + (f' and {more} more' if more > 0 else '')
+
+
 def own_mapping(table: Table) -> list[str]:
     """Return the mappings of the columns that `asi export` writes."""
     names = {f'{signal}_{unit.replace("/", "_").lower()}': f'{signal}={{}}[{unit}]'
@@ -92,7 +101,7 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
     term, scale, offset = column_of(mapping, table), 1.0, 0.0
     if term is None:
         raise InputError(f'{path}: {mapping.text!r} names no column; there are '
-                         + ', '.join(table))
+                         + listed(table))
     found = _TERM.fullmatch(mapping.term)
     if found and term not in (mapping.term, mapping.text.partition('=')[2].strip()):
         scale = _scale(found['scale'], table, mapping, path)
@@ -125,7 +134,7 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
         raise ValueError
     except ValueError:
         raise InputError(f'{path}: {mapping.text!r}: the scale {text!r} is neither a number nor '
-                         'one of ' + ', '.join(table)) from None
+                         'one of ' + listed(table)) from None
 
 
 def numbers_of(name: str, column: npt.NDArray, path: Path) -> Array:

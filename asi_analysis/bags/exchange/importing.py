@@ -13,6 +13,7 @@ from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import (
     Assignment,
     evaluate,
+    listed,
     own_mapping,
     parse_mapping,
 )
@@ -108,6 +109,8 @@ def read_joints(paths: Sequence[Path]) -> dict[str, list[Run]]:
 def read_joint(paths: Sequence[Path], joint: str) -> list[Run]:
     """Return the runs of one joint; as `read_joints`."""
     found = read_joints(paths)
+    if joint not in found:      # a folder has other names
+        joint = folder_name(joint)
     if paths and joint not in found:
         raise InputError(f'{paths[0]}: no joint {joint}; it has {", ".join(found)}')
     return found.get(joint, [])
@@ -186,7 +189,7 @@ def _evaluated(mappings: Sequence[Assignment], table: Table, path: Path
     """Return values and unit of each signal, all of one length. Raises InputError."""
     signals = {each.signal: evaluate(each, table, path) for each in mappings}
     if not signals.keys() - {'time'}:
-        raise InputError(f'{path}: no signal is mapped; it has the columns {", ".join(table)}')
+        raise InputError(f'{path}: no signal is mapped; it has the columns {listed(table)}')
     if len(signals) < len(mappings):
         raise InputError('a signal is mapped twice: ' + ', '.join(each.text for each in mappings))
     lengths = {name: len(values) for name, (values, _) in signals.items()}

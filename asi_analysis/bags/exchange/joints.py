@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from asi_analysis.bags.exchange.column_mapping import column_part, parse_mapping
+from asi_analysis.bags.exchange.column_mapping import column_part, listed, parse_mapping
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError
 
@@ -20,13 +20,19 @@ def joints_of(mapping: Sequence[str], table: Table, path: Path) -> dict[str, lis
     """
     held: dict[str, list[str]] = {}
     for text in (text for text in mapping if JOINT in text):
-        name = re.escape(column_part(parse_mapping(text))).replace(re.escape(JOINT), '([^/]+)')
+        first, *rest = map(re.escape, column_part(parse_mapping(text)).split(JOINT))
+        name = f'{first}(.+)' + r'\1'.join(rest)
         held[text] = [found[1] for column in table if (found := re.fullmatch(name, column))]
     names = [name for name in next(iter(held.values()), [])
              if all(name in each for each in held.values())]
     if not names:
         raise InputError(f'{path}: no joint has a column of each signal: ' + '; '.join(
-            f'{text} has {", ".join(each) or "none"}' for text, each in held.items()))
+            f'{text} has {listed(each) or "none"}' for text, each in held.items()))
+    folders = [folder_name(name) for name in names]
+    if twice := [name for name, folder in zip(names, folders, strict=True)
+                 if folders.count(folder) > 1]:
+        raise InputError(f'{path}: the joints {", ".join(twice)} would have one folder: import '
+                         'them one by one')
     return {name: [text.replace(JOINT, name) for text in mapping] for name in names}
 
 

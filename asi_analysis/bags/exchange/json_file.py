@@ -6,6 +6,7 @@ A field of a field is called `joint.position`, an element of a list `position#1`
 
 import gzip
 import json
+import warnings
 from array import array
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, lines_of
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 
 LINES: Final = ('.jsonl', '.ndjson')
 # A document is read as a whole, into about ten times its size; lines are read one by one.
@@ -65,7 +66,7 @@ def read_json(path: Path) -> Columns:
         raise InputError(f'{path} holds more than {MOST_BYTES / 1e6:.0f} MB: save it as JSON '
                          'lines (.jsonl), a record in each line, which are read one by one')
     try:
-        document = json.loads(data)
+        document = json.loads(data, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
         if error.msg != 'Extra data':   # several documents: lines
             raise
@@ -75,7 +76,22 @@ def read_json(path: Path) -> Columns:
     if not isinstance(document, dict):
         raise InputError(f'{path} holds no table: expected an array of records, an object of '
                          'arrays, or JSON lines')
-    return _checked(dict(_arrays(document, '', path)), path)
+    columns: Columns = {}
+    for name, values in _arrays(document, '', path):
+        if name in columns:
+            raise InputError(f'{path}: two fields are called {name}')
+        columns[name] = values
+    return _checked(columns, path)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of a document; raises ValueError for a name that it has twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError('two fields are called '
+                         + next(name for name in names if names.count(name) > 1))
+    return found
 
 
 def _read_lines(path: Path) -> Columns:
@@ -85,7 +101,7 @@ def _read_lines(path: Path) -> Columns:
                      if line.strip())
             for row, (number, line) in enumerate(lines):
                 try:
-                    yield row, json.loads(line)
+                    yield row, json.loads(line, object_pairs_hook=_object)
                 except json.JSONDecodeError as error:
                     raise InputError(f'{path}, line {number}: {error.msg} at column '
                                      f'{error.colno}') from None
@@ -96,12 +112,13 @@ def _read_lines(path: Path) -> Columns:
 def _records(records: Iterable[tuple[int, Any]], path: Path, prefix: str = '') -> Columns:
     """Return the columns of records, each with its row; a field that one lacks is NaN there."""
     columns: dict[str, _Column] = {}
+    long: dict[str, int] = {}
     rows = 0
     for row, record in records:
         rows = row + 1
         if not prefix and isinstance(record, str):
             raise InputError(f'{path}, record {rows}: {record[:60]!r} is no record')
-        for name, value in _flat(record, prefix):
+        for name, value in _flat(record, prefix, long):
             column = columns.get(name)
             if column is None:
                 if len(columns) == MOST_COLUMNS:
@@ -112,17 +129,27 @@ def _records(records: Iterable[tuple[int, Any]], path: Path, prefix: str = '') -
             column.put(row, value)
     for column in columns.values():
         column.fill(rows)
+    for name, length in long.items():
+        warnings.warn(f'{path}: {name} is left out: a list of {length} in a record, more than '
+                      f'{MOST_ELEMENTS}', InputWarning, stacklevel=2)
     return _checked({name: column.values() for name, column in columns.items()}, path)
 
 
-def _flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Yield the numbers and texts of a record with their names."""
+def _flat(value: Any, name: str, long: dict[str, int]) -> Iterator[tuple[str, Any]]:
+    """
+    Yield the numbers and texts of a record with their names.
+
+    long: gets the name and the length of lists that are left out.
+    """
     if isinstance(value, dict):
         for key, each in value.items():
-            yield from _flat(each, f'{name}.{key}' if name else key)
+            yield from _flat(each, f'{name}.{key}' if name else key, long)
     elif isinstance(value, list):
-        for number, each in enumerate(value if len(value) <= MOST_ELEMENTS else [], 1):
-            yield from _flat(each, f'{name}#{number}')
+        if len(value) > MOST_ELEMENTS:
+            long[name] = max(long.get(name, 0), len(value))
+            return
+        for number, each in enumerate(value, 1):
+            yield from _flat(each, f'{name}#{number}', long)
     else:
         yield name or '#1', value
 

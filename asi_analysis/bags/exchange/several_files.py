@@ -12,6 +12,7 @@ from asi_analysis.bags.exchange.column_mapping import (
     Assignment,
     column_of,
     evaluate,
+    listed,
     parse_mapping,
 )
 from asi_analysis.bags.exchange.table_file import Table
@@ -48,7 +49,7 @@ def read_several(tables: dict[Path, Table], mapping: Sequence[str]) -> Signals:
         own = [each for each in file.mappings if each.signal != 'time']
         if not own:
             raise InputError(f'{file.path}: no signal of it is mapped; it has the columns '
-                             + ', '.join(file.table))
+                             + listed(file.table))
         for each in own:
             if each.signal in signals:
                 raise InputError(f'a signal is mapped twice: {each.text}')
@@ -70,7 +71,7 @@ def _assign(text: str, files: list[_File]) -> None:
     chosen = [each for each in found if each[2]] or found
     if not chosen:
         raise InputError(f'{text!r} names no column; there are ' + '; '.join(
-            f'{file.path.stem}/: {", ".join(file.table)}' for file in files))
+            f'{file.path.stem}/: {listed(file.table)}' for file in files))
     if len(chosen) > 1 and chosen[0][1].signal != 'time':
         raise InputError(f'{text!r} is a column of ' + ' and of '.join(
             str(file.path) for file, *_ in chosen)

@@ -6,9 +6,10 @@ import os
 import subprocess
 import sys
 import tokenize
+import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Final
@@ -19,7 +20,7 @@ import numpy.typing as npt
 from asi_analysis.bags.exchange.json_file import LINES, read_json
 from asi_analysis.bags.exchange.lerobot import is_dataset, read_dataset, refuse_episode
 from asi_analysis.bags.exchange.text_file import read_text, unpacked_limit
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 
 MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
 # What the libraries raise for damaged files.
@@ -92,7 +93,8 @@ def _read_mat(path: Path) -> Table:
         raise ValueError(lines[-1].removeprefix('ValueError: ') if lines and done.returncode == 1
                          else 'it is damaged')
     with np.load(BytesIO(done.stdout)) as arrays:
-        return {str(name): arrays[f'arr_{number}'] for number, name in enumerate(arrays['names'])}
+        return _told({str(name): arrays[f'arr_{number}'] for number, name
+                      in enumerate(arrays['names'])}, map(str, arrays['left_out']), path)
 
 
 def convert_mat(path: str, most_bytes: int) -> None:
@@ -103,10 +105,11 @@ def convert_mat(path: str, most_bytes: int) -> None:
     used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + 4 * most_bytes,) * 2)
     try:
-        columns = _columns({name: values for name, values in loadmat(path).items()
-                            if not name.startswith('__')})
+        columns, left_out = _columns({name: values for name, values in loadmat(path).items()
+                                      if not name.startswith('__')})
         written = BytesIO()
-        np.savez(written, *columns.values(), names=np.array(list(columns), str))
+        np.savez(written, *columns.values(), names=np.array(list(columns), str),
+                 left_out=np.array(left_out, str))
     except Exception as error:  # noqa: B902 - scipy raises anything for damaged bytes
         sys.exit(' '.join(str(error).split()) or type(error).__name__)
     sys.stdout.buffer.write(written.getbuffer())
@@ -117,22 +120,43 @@ def _read_npz(path: Path) -> Table:
         _refuse_large(path, sum(member.file_size for member in archive.infolist()))
     with np.load(path) as arrays:
         # A member that is no array is bytes.
-        return _columns({name: values for name, values in arrays.items()
-                         if isinstance(values, np.ndarray)})
+        return _told(*_columns({name: values for name, values in arrays.items()
+                                if isinstance(values, np.ndarray)}), path)
 
 
-def _columns(variables: Mapping[str, npt.NDArray]) -> Table:
-    return {name: column for variable, values in variables.items()
-            for name, column in _columns_of(variable, values)}
+def _told(table: Table, left_out: Iterable[str], path: Path) -> Table:
+    """Return a table, with a warning of each variable that is left out."""
+    for each in left_out:
+        warnings.warn(f'{path}: {each}', InputWarning, stacklevel=3)
+    return table
 
 
-def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArray]]:
+def _columns(variables: Mapping[str, npt.NDArray]) -> tuple[Table, list[str]]:
+    """Return the columns of variables, and sentences on what of them is left out."""
+    table: Table = {}
+    left_out = []
+    for variable, values in variables.items():
+        for name, column in _columns_of(variable, values):
+            if column is None:
+                left_out.append(f'{name} is left out: a variable may have {MOST_COLUMNS} columns '
+                                'and two dimensions')
+            elif name in table:
+                raise ValueError(f'two columns are called {name}')
+            else:
+                table[name] = column
+    return table, left_out
+
+
+def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArray | None]]:
     """
     Yield the columns of a variable: a vector, columns name#1 ..., or fields name.x.
 
-    Elements of a cell array or an array of structures are name#1, name#1.x ...
+    Elements of a cell array or an array of structures are name#1, name#1.x ... None stands for
+    numbers that are no column.
     """
     if values.dtype.names or values.dtype == object:
+        if values.size > MOST_COLUMNS:
+            yield f'{name}#{MOST_COLUMNS + 1} to #{values.size}', None
         for number, element in enumerate(np.ravel(values)[:MOST_COLUMNS], 1):
             one = name if values.size == 1 else f'{name}#{number}'
             if values.dtype.names:
@@ -148,6 +172,8 @@ def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArr
         by_column = values if values.shape[0] > values.shape[1] else values.T
         for number, column in enumerate(by_column.T, 1):
             yield f'{name}#{number}', column
+    else:
+        yield name, None
 
 
 def _read_parquet(path: Path) -> Table:
@@ -157,10 +183,18 @@ def _read_parquet(path: Path) -> Table:
     _refuse_large(path, max(sum(sizes), 8 * file.metadata.num_rows * file.metadata.num_columns))
     table = file.read()
     found: Table = {}
+    left_out = []
     for name in table.column_names:
         column = table[name].to_numpy()
-        if len(column) and isinstance(column[0], np.ndarray):   # a list in each row
-            found |= _columns({name: np.stack(column)})
-        else:
+        if not (len(column) and isinstance(column[0], np.ndarray)):
             found[name] = column
-    return found
+            continue
+        try:    # a list in each row
+            listed, more = _columns({name: np.stack(column)})
+        except (ValueError, TypeError):
+            listed, more = {}, [f'{name} is left out: its lists are not of one length']
+        if twice := found.keys() & listed.keys():
+            raise ValueError(f'two columns are called {min(twice)}')
+        found |= listed
+        left_out += more
+    return _told(found, left_out, path)

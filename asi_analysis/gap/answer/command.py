@@ -32,7 +32,7 @@ from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common import parameter_file
 from asi_common.jit import FULL
-from asi_common.parameter import ParameterError, Value, completed
+from asi_common.parameter import ParameterError, Value, completed, is_number
 
 PLANTS = ('actuator', 'joint', 'static')
 LEAST_TOLERANCE = 1e-3
@@ -75,8 +75,8 @@ def _check_ranges(values: Mapping[str, Value], plant: str, origin: str) -> None:
     ranged = dict(values)
     for name in OF_ANY_SIZE & values.keys() if plant == 'joint' else ():
         value = ranged.pop(name)
-        number = isinstance(value, int | float) and 0.0 <= value < math.inf
-        if not number or (name == 'load.mass' and value == 0.0):
+        allowed = is_number(value) and 0.0 <= value < math.inf
+        if not allowed or (name == 'load.mass' and value == 0.0):
             raise InputError(f'{origin}: {name} = {value!r} is not allowed: it takes a number '
                              + ('above 0' if name == 'load.mass' else 'from 0'))
     try:
@@ -99,7 +99,7 @@ def _line(given: Mapping[str, Value]) -> dict[str, Value]:
         if name not in GIVEN:
             raise InputError(f'{name} is no parameter of a static characteristic: '
                              + ' or '.join(GIVEN))
-        if isinstance(value, str) or not math.isfinite(value) or (name == 'gain' and not value):
+        if not is_number(value) or not math.isfinite(value) or (name == 'gain' and not value):
             raise InputError(f'{name} = {value!r} is not allowed: a number'
                              + (' but 0' if name == 'gain' else ''))
     return {name: float(value) for name, value in given.items()}
@@ -136,7 +136,7 @@ def parse_tolerances(texts: Sequence[str]) -> tuple[float, dict[str, float]]:
 def _tolerances(found: Mapping[str, Value]) -> dict[str, float]:
     """Return tolerances by dotted name; '': the usual one. Raises InputError."""
     for name, share in found.items():
-        if isinstance(share, str) or not LEAST_TOLERANCE <= share < 1.0:
+        if not is_number(share) or not LEAST_TOLERANCE <= share < 1.0:
             raise InputError(f'tolerance {name}{"=" if name else ""}{share} is not allowed: '
                              f'a share from {LEAST_TOLERANCE:g}, below 1')
     return {name: float(share) for name, share in found.items()}
@@ -240,12 +240,12 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
         'simulator does: the difference may be reported as a gap'] if on else [])
 
 
-def _check_units(baseline: Sequence[Run], runs: Sequence[Run]) -> None:
-    """Raise InputError if a signal has another unit in the healthy recordings."""
-    for before, run in itertools.product(baseline, runs):
+def _check_units(runs: Sequence[Run]) -> None:
+    """Raise InputError if a signal has several units: recordings are compared number by number."""
+    for before, run in itertools.combinations(runs, 2):
         for name in before.signals().keys() & run.signals().keys():
             if before.unit(name) != run.unit(name):
-                raise InputError(f'{run.source}: {name} is in {run.unit(name)}, in the healthy '
+                raise InputError(f'{run.source}: {name} is in {run.unit(name)}, in '
                                  f'{before.source} in {before.unit(name)}: import both alike')
 
 
@@ -306,7 +306,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     # Mass and damping of a healthy joint are identified, unless they are given.
     declared = {name: share for name, share in own.items()
                 if plant == 'actuator' or name in values}
-    _check_units(baseline, everything)
+    _check_units([*baseline, *everything])
     healthy = diagnosis_of(baseline, values, plant, tolerance, None, drive, progress,
                            declared) if baseline else None
     diagnosis = diagnosis_of(everything, values, plant, tolerance,

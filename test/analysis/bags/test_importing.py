@@ -218,6 +218,33 @@ def test_refuses_files_it_cannot_read(tmp_path: Path, name: str, content: bytes,
         import_recording(tmp_path / 'absent.csv', ['force=a'], 10.0)
 
 
+@pytest.mark.parametrize('suffix', ['mat', 'npz', 'parquet'])
+def test_a_variable_that_is_no_column_is_left_out_with_a_note(tmp_path: Path, suffix: str) -> None:
+    path, time = tmp_path / f'a.{suffix}', np.arange(100.0)
+    if suffix == 'mat':
+        savemat(path, {'t': time, 'cube': np.ones((3, 3, 3))})
+    elif suffix == 'npz':
+        np.savez(path, t=time, cube=np.ones((80, 70)))
+    else:
+        write_table(pa.table({'t': time, 'cube': [[1.0] * (k % 3) for k in range(100)]}), path)
+    with pytest.warns(UserWarning, match='cube is left out'):
+        assert len(import_recording(path, ['time=t', 'force=t'])) == 100
+
+
+def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / 'a.npz', **{'t#1': np.arange(9.0), 't': np.ones((9, 2))})
+    with pytest.raises(InputError, match='two columns are called t#1'):
+        import_recording(tmp_path / 'a.npz', ['time=t#1', 'force=t#2'])
+
+
+def test_a_refusal_names_a_few_of_many_columns(tmp_path: Path) -> None:
+    names = ','.join(f'c{k}' for k in range(500))
+    (tmp_path / 'a.csv').write_text(names + '\n' + 2 * (','.join(500 * '1') + '\n'))
+    with pytest.raises(InputError, match='c39 and 460 more') as refusal:
+        import_recording(tmp_path / 'a.csv', ['force=x'], 10.0)
+    assert len(str(refusal.value)) < 500
+
+
 def test_needs_either_a_rate_or_a_time(tmp_path: Path) -> None:
     savemat(tmp_path / 'a.mat', {'f': np.arange(5.0), 't': np.arange(5.0)})
     for mapping, rate_hz in ((['force=f'], None), (['force=f', 'time=t'], 10.0)):

@@ -94,3 +94,20 @@ def test_a_document_is_read_up_to_a_limit_and_lines_beyond(
         import_recording(written(tmp_path / 'log.json', RECORDS), MAP)
     lines = written(tmp_path / 'log.jsonl', documents()['lines.jsonl'])
     assert len(import_recording(lines, MAP)) == len(T)
+
+
+@pytest.mark.parametrize('text', [
+    '{"t": [0, 1, 2], "f": [1, 2, 3], "f": [4, 5, 6]}', '{"t": 0, "f": 1, "f": 2}\n{"t": 1}\n',
+    '{"t": [0, 1], "a.b": [1, 2], "a": {"b": [3, 4]}}', '[{"t": 0, "a.b": 1, "a": {"b": 3}}]'])
+def test_two_fields_of_one_name_are_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='two fields are called (f|a.b)'):
+        import_recording(written(tmp_path / 'log.json', text), ['time=t', 'force=t'])
+
+
+@pytest.mark.parametrize('name', ['log.json', 'log.jsonl'])
+def test_a_long_list_in_a_record_is_left_out_with_a_note(name: str, tmp_path: Path) -> None:
+    rows = [each | {'picture': {'row': list(range(65))}} for each in RECORDS]
+    path = written(tmp_path / name, rows if name == 'log.json' else
+                   ''.join(json.dumps(each) + '\n' for each in rows))
+    with pytest.warns(UserWarning, match='picture.row is left out: a list of 65 in a record'):
+        assert import_recording(path, MAP).time_s == pytest.approx(T)

@@ -147,5 +147,5 @@ def test_parts_of_one_measured_recording_have_not_changed():
 
 def test_another_unit_than_that_of_the_healthy_recordings_is_refused():
     amperes = replace(HEALTHY[0], information={'signals': PENDULUM['signals'] | {'command': 'A'}})
-    with pytest.raises(InputError, match='command is in A, in the healthy joint in Nm'):
+    with pytest.raises(InputError, match='command is in A, in joint in Nm'):
         asked(amperes, HEALTHY[0])

@@ -9,11 +9,13 @@ import pytest
 from documented import problems
 from test_gap_joint import RATE_HZ, TIME_S, joint
 
-from asi_analysis.bags.exchange.importing import import_joints, read_joints
+from asi_analysis.bags.exchange.importing import import_joints, read_joint, read_joints
 from asi_analysis.bags.exchange.summary import ImportedJoints
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joints import Rest, _coupled, diagnose_joints
+from asi_analysis.gap.prepare import clipped
 from asi_analysis.parallel import workers
 
 MAPPING = ('time=t', 'position=q_{joint}[rad]', 'command=tau_{joint}*2[Nm]')
@@ -78,3 +80,32 @@ def test_what_another_joint_does_to_one_is_told():
     assert _coupled('hip', rests, runs) == (None, None)
     other, share = _coupled('knee', rests, runs)
     assert other == 'hip' and share > 0.5
+
+
+def test_a_name_with_a_slash_and_names_that_have_one_folder(tmp_path):
+    hip = joint()[SHORT]
+    log = table(tmp_path / 'log.csv', **{'left/hip': hip, 'left/knee': hip})
+    assert list(import_joints(log, MAPPING, out=tmp_path / 'robot')) == ['left/hip', 'left/knee']
+    run, = read_joint([tmp_path / 'robot'], 'left/hip')
+    assert len(run) == len(hip)
+    log = table(tmp_path / 'log.csv', **{'left/hip': hip, 'left_hip': hip})
+    with pytest.raises(InputError, match='left/hip, left_hip would have one folder'):
+        import_joints(log, MAPPING)
+
+
+@pytest.mark.parametrize(('second', 'refusal'), [
+    ({'information': {'signals': {'position': 'm', 'command': 'V'}}}, 'is in (V|m), in joint in'),
+    ({'information': {'signals': {'position': 'deg', 'command': 'Nm'}}}, 'in deg, in joint in r'),
+    ({'position_m': None}, 'nothing to compare: .*signals that move here: command$')])
+def test_recordings_that_do_not_go_together_are_refused(second, refusal):
+    hip = joint()[SHORT]
+    with pytest.raises(InputError, match=refusal):
+        diagnose([hip, replace(hip, source='other', **second)], plant='joint')
+
+
+def test_a_position_at_rest_at_its_ends_is_not_cut_off_and_a_clipped_one_is():
+    x = np.repeat([0.0, 0.5, 1.0], [40, 400, 60])
+    x[40:440] = 0.5 - 0.5 * np.cos(np.pi * np.arange(400) / 400)
+    assert not clipped(x).any()
+    cut = np.clip(x, 0.0, 0.7)
+    assert clipped(cut).sum() == (cut == 0.7).sum() > 100

@@ -153,6 +153,8 @@ def test_any_input_and_output():
 @pytest.mark.parametrize(('options', 'said'), [
     ({'settings': ['load.mass=3']}, 'load.mass is no parameter of a static characteristic'),
     ({'settings': ['gain=0']}, 'gain = 0 is not allowed'),
+    ({'settings': ['gain=true']}, 'gain = True is not allowed'),
+    ({'tolerance': True}, 'tolerance True is not allowed'),
     ({'drive': 'force'}, '--drive takes --plant joint'),
     ({'tolerances': {'gain': 0.1}}, 'tolerance gain: no uncertain parameter of the nominal'),
     ({'baseline': [run(RISING, RISING)]}, '--baseline takes --plant actuator or joint')])

@@ -282,3 +282,9 @@ def test_a_signal_that_is_held_for_some_samples_is_marked() -> None:
     found, = findings(with_force(a_run(), lambda f: np.repeat(f[::2], 2)))
     assert (found.kind, found.severity) == ('held', 'note')
     assert 'measured at 500 Hz' in found.text
+
+
+def test_numbers_of_two_digits_are_coarse_though_fine_near_zero() -> None:
+    found = findings(with_force(a_run(), lambda f: np.array([float(f'{x:.2g}') for x in f])))
+    assert any('has only 20 different values beyond 17 N, at least 1 N apart' in each.text
+               for each in found)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import asi_analysis as asi
 from asi_actuator.model.actuator import STATE_DTYPE, advance, measure, prepare
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.loop.closed_loop import records, simulate_loop
+from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.answer import answer
 from asi_analysis.measures.quality import findings
@@ -254,3 +256,16 @@ def test_a_rate_that_is_none_tells_nothing(rate_hz: float) -> None:
     odd = run.information | {'experiment': run.information['experiment'] | {'rate_hz': rate_hz}}
     assert recomputed(replace(run, information=odd)) is None
     findings(replace(run, information=odd))
+
+
+def test_a_bag_that_was_cut_at_its_beginning_is_not_called_altered(tmp_path: Path) -> None:
+    run = simulate({'load.type': 'spring', **NOISY}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
+        'gain_schedule.velocity': 0.5}, 0.6, RATE_HZ)
+    asi.write_bag(run[20:], tmp_path / 'cut')
+    with pytest.warns(UserWarning, match='20 of the 600 samples of this run are not in the reco'):
+        cut = asi.read_bag(tmp_path / 'cut')
+    found = findings(cut)
+    assert [each.kind for each in found] == ['reading'], found
+    altered = with_force(run, lambda f: put(f, slice(300, 302), 0.0))
+    assert 'answer' in {each.kind for each in findings(altered)}
