@@ -99,6 +99,7 @@ def read_bag(path: str | Path) -> Run:
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     information = checked(contents.information, problems, str(path))
     problems += _wrong_stamps(series, str(path))
+    problems += [f'{path}: {text}' for text in _missing_ends(series, contents.topics)]
     run = assemble(series, changes, str(path), information)
     if count := missing_ticks(information, len(run)):
         problems.append(f'{path}: {count} of the {len(run) + count} samples of this run are not '
@@ -292,6 +293,24 @@ def _wrong_stamps(series: Mapping[str, Series], source: str) -> list[str]:
             found.append(f'{source}: messages of {name} are missing: {len(stamps)} came, at no '
                          f'regular interval, with {len(ticks)} of {first}')
     return found
+
+
+def _missing_ends(series: Mapping[str, Series], topics: Mapping[str, Topic]) -> Iterator[str]:
+    """Yield sentences on what is missing before a recorder that began late, or at either end."""
+    before = sum(topic.before for topic in topics.values()
+                 if _base_name(topic.name) == 'joint_states')
+    if before > MOST_LATE:
+        yield f'{before} states were published before the recording began'
+    if not {'joint_states', 'valve_command'} <= series.keys():
+        return
+    ticks = np.unique(series['joint_states'].stamp_ns)
+    stamps = np.unique(series['valve_command'].stamp_ns)
+    if len(ticks) < 2 or stamps[-1] < ticks[0] or stamps[0] > ticks[-1]:    # of another clock
+        return
+    enough = MOST_LATE * float(np.median(np.diff(ticks)))
+    for missing, part in ((stamps[0] - ticks[0], 'first'), (ticks[-1] - stamps[-1], 'last')):
+        if missing > enough:
+            yield f'the {part} {1e-9 * missing:.3g} s have no valve_command'
 
 
 def _first(series: Mapping[str, Series]) -> str:

@@ -81,6 +81,7 @@ class Topic:
         self._parts: list[Messages] = []
         self._single: list[tuple[int, int, bytes]] = []
         self._number = self._gaps = 0       # of the last message; messages between two others
+        self._first = 0
         self._one_publisher = True
 
     @property
@@ -92,8 +93,14 @@ class Topic:
         """
         return self._gaps if self._one_publisher else 0
 
+    @property
+    def before(self) -> int:
+        """Messages that were published before the first that is there; 0 if it has no number."""
+        return max(self._first - 1, 0) if self._one_publisher else 0
+
     def count(self, numbers: npt.ArrayLike) -> None:
         """Note the numbers that a publisher gave the next messages; 0: none."""
+        self._first = self._first or int(np.asarray(numbers)[0])
         steps = np.diff(np.asarray(numbers, np.int64), prepend=self._number)
         if self._number == 0:       # what was published before the first is no loss
             steps = steps[1:]

@@ -28,6 +28,7 @@ from asi_analysis.bags.exchange.importing import import_recording, read_joint, r
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.measures.analysis import analyze
+from asi_common.node import messages as wire
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TIME = STORE.types['builtin_interfaces/msg/Time']
@@ -264,6 +265,28 @@ def test_messages_lost_before_they_were_recorded_are_told(
         run = read_bag(bag)
     assert len(run.problems) == (1 if lost else 0)
     assert [each['kind'] for each in analyze(run)['quality']] == (['reading'] if lost else [])
+
+
+@pytest.mark.parametrize('first, answered, told', [
+    (2501, range(100), ['2500 states were published before the recording began']),
+    (1, range(20, 100), ['the first 0.02 s have no valve_command']),
+    (1, range(60), ['the last 0.04 s have no valve_command']),
+    (1, range(1, 99), []), (0, range(100), [])])
+def test_a_recorder_that_began_late_and_a_controller_that_ended_are_told(
+        first: int, answered: Sequence[int], told: list[str], tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / 'bag')
+    states = writer.add_topic('/joint_states', 'sensor_msgs/msg/JointState')
+    commands = writer.add_topic('/valve_command', STAMPED)
+    for k in range(100):
+        stamp_ns = 10**9 + 10**6 * k
+        data = wire.state(stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)[0]
+        writer.write(states, stamp_ns, stamp_ns, first and first + k, data)
+        if k in answered:
+            writer.write(commands, stamp_ns, stamp_ns, 0, wrench(stamp_ns, 1.0))
+    writer.close()
+    with pytest.warns(InputWarning) if told else nullcontext():
+        run = read_bag(tmp_path / 'bag')
+    assert [text.partition(': ')[2] for text in run.problems] == told
 
 
 def test_samples_that_a_node_says_it_has_lost_are_told(tmp_path: Path) -> None:
