@@ -7,10 +7,7 @@ from typing import Any, Final
 
 NAMES: Final = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 # The points that the page's charts hold, by title and curve.
-CURVES: Final = """() => Object.fromEntries([...document.querySelectorAll('.nicegui-echart')]
-    .map(part => getElement(part.id.slice(1)).chart).filter(chart => chart)
-    .map(chart => chart.getOption()).map(chart => [chart.title[0].text, Object.fromEntries(
-        chart.series.map(curve => [curve.name, curve.data]))]))"""
+CURVES: Final = '() => asiLive.curves()'
 
 
 class NoBrowserError(Exception):

@@ -1,7 +1,7 @@
 """What the charts of the live page show next, as bytes; pages with the same window share it."""
 
 import asyncio
-import time
+import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -16,13 +16,11 @@ CHARTS: Final[Mapping[str, Mapping[str, str]]] = {
     'force (N)': {'force': 'force_n', 'reference': 'reference_n'},
     'valve command (N)': {'command': 'command_n'}}
 LOOP: Final = 'valve position (µm) against valve command (N)'
-FRAMES_HZ: Final = 60.0
 WINDOWS_S: Final = {0.2: '0.2 s', 1.0: '1 s', 5.0: '5 s', 20.0: '20 s'}
 # A chart is about as wide: in pixels.
 BINS: Final = 300
 # The longest wait for news of a loop that stands still, s.
 STILL_S: Final = 0.5
-LOOK_S: Final = 0.004
 
 
 class Frames:
@@ -31,7 +29,22 @@ class Frames:
     def __init__(self, recent: Recent) -> None:
         """Show what is in `recent`."""
         self._recent = recent
-        self._kept: dict[float, tuple[float, int, bytes]] = {}   # when, of how much
+        self._kept: dict[float, tuple[int, bytes]] = {}   # of how much
+        self._news = asyncio.Event()
+
+    def follow(self) -> None:
+        """Be told of what is heard, in the event loop that calls this."""
+        loop = asyncio.get_running_loop()
+
+        def told() -> None:
+            with contextlib.suppress(RuntimeError):   # the loop has ended
+                loop.call_soon_threadsafe(self._tell)
+        self._recent.told = told
+
+    def _tell(self) -> None:
+        """Wake up all that wait for news."""
+        self._news.set()
+        self._news = asyncio.Event()
 
     async def after(self, shown: int, window_s: float) -> tuple[int, bytes]:
         """
@@ -43,20 +56,14 @@ class Frames:
         """
         if window_s not in WINDOWS_S:
             raise ValueError(f'window {window_s:g} s')
-        end_s = time.monotonic() + STILL_S
-        while True:
-            made_s, heard, frame = self._kept.get(window_s, (-np.inf, -1, b''))
-            now_s = time.monotonic()
-            if now_s - made_s < 1.0 / FRAMES_HZ:
-                if heard != shown:
-                    return heard, frame
-            elif self._recent.heard != shown or now_s > end_s:
-                heard = self._recent.heard
-                frame = encoded((*self._recent.rate(), self._recent.lost),
-                                curves(self._recent.run(window_s)))
-                self._kept[window_s] = now_s, heard, frame
-                return heard, frame
-            await asyncio.sleep(LOOK_S)
+        if self._recent.heard == shown:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._news.wait(), STILL_S)
+        if self._kept.get(window_s, (-1, b''))[0] != self._recent.heard:
+            heard = self._recent.heard
+            self._kept[window_s] = heard, encoded((*self._recent.rate(), self._recent.lost),
+                                                  curves(self._recent.run(window_s)))
+        return self._kept[window_s]
 
 
 def curves(run: Run | None) -> list[Array]:

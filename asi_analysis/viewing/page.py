@@ -6,11 +6,12 @@ network.
 """
 
 import contextlib
+import json
 import os
 import random
 import socket
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -42,7 +43,6 @@ SILENCE: Final = ('no node is heard: ros2 run asi_actuator actuator, and control
 LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
 # Of the parameters without a block.
 GENERAL: Final = 'general'
-COLOURS: Final = ('#0072b2', '#d55e00')
 
 
 def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
@@ -64,6 +64,7 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     # A name that leads a browser here from a page of elsewhere is refused.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])
     frames = Frames(session.link.recent)
+    app.on_startup(frames.follow)
 
     @app.websocket('/frames')
     async def _(socket: WebSocket) -> None:
@@ -72,15 +73,15 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     print(f'http://{HOST}:{port} (Ctrl-C ends it)')
     try:
         ui.run(lambda: page(session), host=HOST, port=port, title='asi live', reload=False,
-               show=show, show_welcome_message=False, reconnect_timeout=RECONNECT_S)
+               show=show, show_welcome_message=False, reconnect_timeout=RECONNECT_S,
+               ws_per_message_deflate=False)   # it takes longer than to draw
     finally:
         session.close()
 
 
 async def send_frames(socket: WebSocket, frames: Frames) -> None:
     """Send a page of ours the next frame for each window (s) that it asks for."""
-    # Not a page of elsewhere, which a browser lets open a WebSocket to any address.
-    if urlsplit(socket.headers.get('origin', '')).netloc != socket.headers.get('host'):
+    if not _is_of_ours(socket):
         await socket.close()
         return
     await socket.accept()
@@ -89,10 +90,19 @@ async def send_frames(socket: WebSocket, frames: Frames) -> None:
         while True:
             try:
                 heard, frame = await frames.after(heard, float(await socket.receive_text()))
-            except ValueError:   # no page of ours asks so
+            except (ValueError, KeyError):   # no page of ours asks so; the second: in bytes
                 await socket.close()
                 return
             await socket.send_bytes(frame)
+
+
+def _is_of_ours(socket: WebSocket) -> bool:
+    """Return whether it is no page of elsewhere, which may open a WebSocket to any address."""
+    try:
+        origin = urlsplit(socket.headers.get('origin', '')).netloc
+    except ValueError:   # no address
+        return False
+    return origin == socket.headers.get('host')
 
 
 def page(session: Session) -> None:
@@ -137,25 +147,11 @@ def _charts(rate: ui.label) -> None:
         f'asiLive.windowS = {event.value}')).props('dense')
     charts = []
     for title, names in (*CHARTS.items(), (LOOP, ['valve'])):
-        chart = ui.echart(_options(title, '' if title == LOOP else 's', names))
-        chart.classes('w-full h-64' if title == LOOP else 'w-full h-52').mark(title)
-        charts.append([chart.id, len(names)])
+        chart = ui.element('canvas').classes('w-full h-64' if title == LOOP else 'w-full h-52')
+        charts.append([chart.mark(title).html_id, title, '' if title == LOOP else 's',
+                       list(names)])
     ui.add_head_html(f'<script>{SCRIPT.read_text()}</script>')
-    ui.run_javascript(f'asiLive({charts}, "{rate.html_id}", {window.value})')
-
-
-def _options(title: str, x: str, names: Iterable[str]) -> dict[str, Any]:
-    edge = {'onZero': False}
-    return {'animation': False,
-            'title': {'text': title, 'left': 55, 'textStyle': {'fontSize': 13}},
-            'grid': {'left': 60, 'right': 20, 'top': 35, 'bottom': 35}, 'color': COLOURS,
-            'legend': {'right': 20, 'top': 0},
-            'xAxis': {'type': 'value', 'name': x, 'min': 'dataMin', 'max': 'dataMax',
-                      'axisLine': edge,
-                      'axisLabel': {'showMinLabel': False, 'showMaxLabel': False}},
-            'yAxis': {'type': 'value', 'scale': True, 'axisLine': edge},
-            'series': [{'type': 'line', 'name': name, 'showSymbol': False, 'data': [],
-                        'lineStyle': {'width': 1.5}} for name in names]}
+    ui.run_javascript(f'asiLive({json.dumps(charts)}, "{rate.html_id}", {window.value})')
 
 
 async def _tried(action: Awaitable[Any], done: str = '') -> bool:

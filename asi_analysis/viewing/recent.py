@@ -2,7 +2,7 @@
 
 import threading
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,8 +14,8 @@ from asi_analysis.bags.bag_file import Topic
 from asi_analysis.bags.run import Run
 from asi_common.topics import TOPICS
 
-# joint_states holds all but the reference.
-HEARD: Final = ('joint_states', 'force_reference')
+# joint_states, which holds all but the reference, comes last: then there is something to show.
+HEARD: Final = ('force_reference', 'joint_states')
 KEEP_S: Final = 30.0
 # Number of the last states from which the true rate is computed.
 RATE_STATES: Final = 2000
@@ -35,11 +35,13 @@ class Recent:
     """
     The messages of the last KEEP_S of loop time. Filled in one thread, read in others.
 
-    heard: how many have been added; lost: states that are missing between them.
+    heard: how many states have been added; lost: how many are missing between them; told: is
+    called when states have been added.
     """
 
     def __init__(self) -> None:
         self.lost = self.heard = 0
+        self.told: Callable[[], object] = lambda: None
         self._lock = threading.Lock()
         self._parts: dict[str, list[Series]] = {name: [] for name in HEARD}
         self._number = 0
@@ -65,7 +67,7 @@ class Recent:
                 if steps[0] < 0:
                     self._parts = {each: [] for each in HEARD}
                 part = _of(part, (steps != 0) | (part.stamp_ns == 0))
-            self.heard += len(taken)
+                self.heard += len(taken)
             parts = self._parts[name]
             if parts and len(parts[-1].stamp_ns) < PIECE and _fit(parts[-1], part):
                 part = _joined([parts.pop(), part])
@@ -73,6 +75,8 @@ class Recent:
                 parts.append(part)
             while len(parts) > 1 and (_last_ns(parts[-1]) - _last_ns(parts[0])) * 1e-9 > KEEP_S:
                 parts.pop(0)
+        if name == 'joint_states':
+            self.told()
 
     def run(self, seconds: float, information: Mapping[str, Any] | None = None) -> Run | None:
         """Return the last seconds of loop time; None without two states."""

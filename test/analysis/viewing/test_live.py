@@ -221,11 +221,16 @@ def test_a_frame_has_the_points_of_each_curve_and_goes_to_pages_of_ours_alone() 
     app = Starlette(routes=[WebSocketRoute('/frames', lambda socket: live.send_frames(
         socket, frames))])
     with TestClient(app) as client:
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect(
-                '/frames', headers={'origin': 'http://elsewhere.example'}):
-            pass
-        with client.websocket_connect('/frames', headers={
-                'host': 'here', 'origin': 'http://here'}) as socket:
+        for origin in ('http://elsewhere.example', 'http://[', ''):
+            with pytest.raises(WebSocketDisconnect), client.websocket_connect(
+                    '/frames', headers={'origin': origin}):
+                pass
+        ours = {'host': 'here', 'origin': 'http://here'}
+        with client.websocket_connect('/frames', headers=ours) as socket:
+            socket.send_bytes(b'1.0')
+            with pytest.raises(WebSocketDisconnect):
+                socket.receive_bytes()
+        with client.websocket_connect('/frames', headers=ours) as socket:
             socket.send_text('1.0')
             assert np.frombuffer(socket.receive_bytes(), np.float32).tolist() == [0.0] * 7
             recent.add('joint_states', [
