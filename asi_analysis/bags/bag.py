@@ -100,12 +100,13 @@ def read_bag(path: str | Path) -> Run:
     information = checked(contents.information, problems, str(path))
     problems += _wrong_stamps(series, str(path))
     problems += [f'{path}: {text}' for text in _missing_ends(series, contents.topics)]
+    for problem in problems:
+        warnings.warn(problem, InputWarning, stacklevel=2)
     run = assemble(series, changes, str(path), information)
     if count := missing_ticks(information, len(run)):
         problems.append(f'{path}: {count} of the {len(run) + count} samples of this run are not '
                         'in the recording: it was interrupted or cut')
-    for problem in problems:
-        warnings.warn(problem, InputWarning, stacklevel=2)
+        warnings.warn(problems[-1], InputWarning, stacklevel=2)
     return replace(run, problems=tuple(problems))
 
 
