@@ -4,7 +4,7 @@ import importlib
 import os
 import signal
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 
 def asi() -> int:
@@ -14,14 +14,16 @@ def asi() -> int:
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
     main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
-    signal.signal(signal.SIGINT, before)
     try:
+        signal.signal(signal.SIGINT, before)
         return main()
+    except KeyboardInterrupt:
+        return _interrupted()
     finally:
         # All is said. Python gives up its handlers at its end, and would be killed by the signal.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _interrupted(*_: Any) -> None:
+def _interrupted(*_: Any) -> NoReturn:
     os.write(2, b'asi: interrupted\n')
     os._exit(130)

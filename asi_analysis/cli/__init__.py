@@ -45,6 +45,8 @@ def main() -> int:
         end_while_compiling()
         status = app(prog_name='asi', standalone_mode=False) or 0
         return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
+    except KeyboardInterrupt:       # while typer builds the commands
+        return _fail('interrupted', 130)
     except InputError as error:
         return _fail(str(error), 2)
     except ValueError as error:

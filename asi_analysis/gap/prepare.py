@@ -38,6 +38,7 @@ RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
 REPEATED = 1e-6         # of its range: how far commands that are the same may differ
 SMALL = 0.1             # of the usual step of a signal: with those it comes to rest
+CLIPPED_SAMPLES = 4
 CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
@@ -152,7 +153,7 @@ def clipped(signal: Array) -> Mask:
         for extreme in (signal.max(), signal.min()):
             at = signal == extreme
             beside = steps[at[1:] != at[:-1]]
-            if at.mean() > CLIPPED and beside.max(initial=0.0) > least:
+            if at.sum() >= CLIPPED_SAMPLES and at.mean() > CLIPPED and beside.max(initial=0.0) > least:
                 cut |= at
     return cut
 
@@ -527,7 +528,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
             fit=fit, held_out=held, report=report,
             number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
     if not all(any(part(each).any() for each in recordings)
-               for part in (lambda r: r.fit, lambda r: r.held_out)):
+               for part in (lambda r: r.fit, lambda r: r.held_out, lambda r: r.report)):
         raise InputError(f'{", ".join(each.source for each in recordings)}: too few samples are '
                          'left: the others are lost or clipped, or next to such ones')
     return _with_repeats(recordings)

@@ -383,3 +383,13 @@ def test_ctrl_c_names_no_bag_that_does_not_exist(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, 'argv', ['asi', 'run', '--in-process', '--out', str(tmp_path / 'a')])
     assert cli.main() == 130
     assert capsys.readouterr().err == 'asi: interrupted\n'
+
+
+def test_ctrl_c_while_the_commands_are_built_is_one_line(monkeypatch, capsys):
+    """Typer looks at the signatures of all of them before it catches anything."""
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('asi_analysis.cli.app', interrupted)
+    assert cli.main() == 130
+    assert capsys.readouterr().err == 'asi: interrupted\n'

@@ -7,6 +7,7 @@ episode (v2), or many episodes in one (v3). Only numbers are read, no images and
 
 import json
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -15,15 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, unpacked_limit
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 
 WIDE: Final = re.compile(r':\D*\d{4}')   # a field of a name, filled up to so many characters
 INFO: Final = Path('meta/info.json')
 MOST_INFO: Final = 10_000_000   # bytes
 VISUAL: Final = ('image', 'video')
 # Columns that say where a row is, not what was measured.
-PLACES: Final = frozenset(('index', 'frame_index', 'episode_index', 'task_index'))
 EPISODE: Final = 'episode_index'
+FRAME: Final = 'frame_index'
+PLACES: Final = frozenset(('index', FRAME, EPISODE, 'task_index'))
 
 
 class Feature(NamedTuple):
@@ -132,7 +134,7 @@ def read_dataset(path: Path, episode: int | None, guess: bool = False
     dataset = read_information(path)
     number = chosen_episode(dataset, episode, guess)
     wanted = [name for name, each in dataset.features.items()
-              if each.dtype not in (*VISUAL, 'string') and each.names and name not in PLACES]
+              if each.dtype not in (*VISUAL, 'string') and each.names and name not in PLACES - {FRAME}]
     parts: dict[str, list[npt.NDArray]] = {}
     for file in _files(dataset, number):
         for name, rows in _rows(file, number, wanted, dataset):
@@ -143,9 +145,16 @@ def read_dataset(path: Path, episode: int | None, guess: bool = False
     for name, values in parts.items():
         whole = np.concatenate(values)
         names = dataset.features[name].names
-        columns |= {name: whole[:, 0]} if len(names) == 1 else {
+        found = {name: whole[:, 0]} if len(names) == 1 else {
             f'{name}{each}' if each.startswith('#') else f'{name}.{each}': whole[:, k]
             for k, each in enumerate(names)}
+        if twice := columns.keys() & found.keys():
+            raise InputError(f'{path}: two columns are called {min(twice)}')
+        columns |= found
+    frames = columns.pop(FRAME, np.arange(0))
+    if len(frames) and not np.array_equal(frames, np.arange(len(frames))):
+        warnings.warn(f'{path}: {FRAME} of episode {number} does not count from 0 row by row: '
+                      'rows are missing, repeated or out of order', InputWarning, stacklevel=2)
     return columns
 
 

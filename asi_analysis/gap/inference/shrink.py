@@ -36,10 +36,11 @@ class Shrink(NamedTuple):
 
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:
-    """Return the mean square residual in each of STRETCHES stretches of the reported samples."""
+    """Return the mean square residual in each stretch of the reported samples, of one at least."""
     residual = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
         recording.report] for recording in group.recordings])
-    return np.array([np.mean(part ** 2) for part in np.array_split(residual, STRETCHES)])
+    stretches = np.array_split(residual, min(STRETCHES, residual.size))
+    return np.array([np.mean(part ** 2) for part in stretches])
 
 
 def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> Shrink:

@@ -171,3 +171,26 @@ def test_an_episode_of_anything_else_is_refused(tmp_path: Path) -> None:
         import_recording(tmp_path / 'log.csv', ['time=t', 'position=q[rad]'], episode=0)
     with pytest.raises(InputError, match='--episode 0: .* is no LeRobot dataset'):
         preview(tmp_path / 'log.csv', episode=0)
+
+
+@pytest.mark.parametrize('order', [slice(None, None, -1), slice(None, None, 2)])
+def test_rows_that_are_missing_or_out_of_order_are_told_without_a_time(
+        order: slice, tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / 'arm', 'v2.1')
+    file = folder / 'data/chunk-000/episode_000000.parquet'
+    write_table(read_table(file).take(np.arange(120)[order]), file)
+    with pytest.warns(UserWarning, match='frame_index of episode 0 does not count from 0'):
+        import_recording(folder, ['position=action.elbow_flex.pos[deg]'], 30.0, episode=0)
+
+
+def test_two_features_of_one_name_are_refused(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / 'arm', 'v2.1', names=['a', 'b'])
+    info = json.loads((folder / 'meta/info.json').read_text())
+    info['features']['action.a'] = info['features'].pop('next.done')
+    (folder / 'meta/info.json').write_text(json.dumps(info))
+    file = folder / 'data/chunk-000/episode_000000.parquet'
+    table = read_table(file)
+    write_table(table.rename_columns([name.replace('next.done', 'action.a')
+                                      for name in table.column_names]), file)
+    with pytest.raises(InputError, match='two columns are called action.a'):
+        import_recording(folder, ['time=timestamp', 'position=action.b[deg]'], episode=0)

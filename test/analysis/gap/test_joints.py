@@ -109,3 +109,12 @@ def test_a_position_at_rest_at_its_ends_is_not_cut_off_and_a_clipped_one_is():
     assert not clipped(x).any()
     cut = np.clip(x, 0.0, 0.7)
     assert clipped(cut).sum() == (cut == 0.7).sum() > 100
+
+
+def test_three_seconds_of_a_servo_at_30_hz_are_answered():
+    time_s = np.arange(90) / 30.0
+    x = np.sin(time_s).astype(np.float32).astype(float)
+    gap = diagnose([Run(time_s, reference_n=x + 0.1, position_m=x, source='arm', information={
+        'signals': {'position': 'rad', 'reference': 'rad'}})], plant='joint')
+    assert 0.0 <= gap.gap['after_nrmse'] <= gap.gap['before_nrmse'] < 1.0
+    assert 'The gap' in str(gap) and 'cut off' not in str(gap)
