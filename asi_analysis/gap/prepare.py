@@ -153,7 +153,8 @@ def clipped(signal: Array) -> Mask:
         for extreme in (signal.max(), signal.min()):
             at = signal == extreme
             beside = steps[at[1:] != at[:-1]]
-            if at.sum() >= CLIPPED_SAMPLES and at.mean() > CLIPPED and beside.max(initial=0.0) > least:
+            often = at.sum() >= CLIPPED_SAMPLES and at.mean() > CLIPPED
+            if often and beside.max(initial=0.0) > least:
                 cut |= at
     return cut
 

@@ -29,6 +29,8 @@ FROZEN: Final = 4
 STIRRED: Final = 0.1
 # Share of a jump by which a mirrored signal may miss, and change before and after it.
 MIRRORED: Final = 0.4
+# Factor by which such a jump exceeds the changes of the last samples.
+AGAIN: Final = 1.5
 
 
 def unexplained(inputs: Array, values: Array) -> Mask:
@@ -64,8 +66,11 @@ def _mirrored(values: Array) -> Mask:
     found = np.zeros(len(values), bool)
     before, change, after = np.diff(values)[:-2], np.diff(values)[1:-1], np.diff(values)[2:]
     other = -values[1:-2] - before      # the sample, had the sign been wrong up to it
+    # A signal with few samples a period changes as much again and again.
+    recent = ndimage.maximum_filter1d(np.abs(before), LAGS // 2, origin=(LAGS // 2 - 1) // 2)
     found[2:-1] = (np.abs(values[2:-1] - other) < MIRRORED * np.abs(change)) & (
-        np.maximum(np.abs(before), np.abs(after)) < MIRRORED * np.abs(change))
+        np.maximum(np.abs(before), np.abs(after)) < MIRRORED * np.abs(change)) & (
+        AGAIN * recent < np.abs(change))
     return found
 
 
@@ -88,8 +93,17 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
         return large
     odd = large & (unexplained(inputs, values) | (deviation > span))
     if same_unit:
-        odd |= large & ~_begun(inputs, values)
+        odd |= large & ~_ringing(deviation, large & ~odd & _begun(inputs, values), large & ~odd)
     return ndimage.binary_propagation(odd, mask=large)
+
+
+def _ringing(deviation: Array, begun: Mask, large: Mask) -> Mask:
+    """Return the large deviations of n samples that a response begins with, as its ring decays."""
+    found = begun.copy()
+    for k in np.flatnonzero(large & ~begun):
+        last = slice(max(k - ANSWER, 0), k)
+        found[k] = (found[last] & (deviation[last] > deviation[k])).any()
+    return found
 
 
 def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]:

@@ -134,7 +134,8 @@ def read_dataset(path: Path, episode: int | None, guess: bool = False
     dataset = read_information(path)
     number = chosen_episode(dataset, episode, guess)
     wanted = [name for name, each in dataset.features.items()
-              if each.dtype not in (*VISUAL, 'string') and each.names and name not in PLACES - {FRAME}]
+              if each.dtype not in (*VISUAL, 'string') and each.names
+              and name not in PLACES - {FRAME}]
     parts: dict[str, list[npt.NDArray]] = {}
     for file in _files(dataset, number):
         for name, rows in _rows(file, number, wanted, dataset):
@@ -162,6 +163,8 @@ def _files(dataset: Dataset, episode: int) -> list[Path]:
     """Return the files that may hold an episode: of v2 its own, of v3 all in their order."""
     if '{episode_index' not in dataset.data_path:
         files = sorted(dataset.path.glob('data/*/*.parquet'))
+        if strange := [file for file in files if not file.is_file()]:
+            raise InputError(f'{strange[0]} is not a file')
         if not files:
             raise InputError(f'{dataset.path}: no data/*/*.parquet')
         return files
@@ -197,25 +200,16 @@ def _rows(file: Path, episode: int, wanted: Sequence[str], dataset: Dataset
                              f'{parquet.schema_arrow.field(strange[0]).type}, but meta/info.json '
                              f'says {dataset.features[strange[0]].dtype}')
         for group in range(parquet.num_row_groups):
-            if not _may_hold(parquet.metadata.row_group(group), episode):
-                continue
             _refuse_large(file, parquet.metadata.row_group(group), numeric, dataset)
+            # The statistics would tell, but pyarrow ends the process at damaged ones.
+            places = parquet.read_row_group(group, columns=[EPISODE])[EPISODE]
+            if not pc.any(pc.equal(places, episode)).as_py():
+                continue
             table = parquet.read_row_group(group, columns=[EPISODE, *numeric])
             table = table.filter(pc.equal(table[EPISODE], episode))
             for name in numeric if table.num_rows else ():
                 yield name, _numbers(table[name].combine_chunks(), name,
                                      dataset.features[name].width, file)
-
-
-def _may_hold(group: Any, episode: int) -> bool:
-    """Return whether a row group may hold an episode, by its statistics."""
-    for k in range(group.num_columns):
-        column = group.column(k)
-        if column.path_in_schema == EPISODE:
-            told = column.statistics
-            return not (told is not None and told.has_min_max
-                        and not told.min <= episode <= told.max)
-    return True
 
 
 def _refuse_large(file: Path, group: Any, names: Sequence[str], dataset: Dataset) -> None:

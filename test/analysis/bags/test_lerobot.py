@@ -1,8 +1,13 @@
 """LeRobot datasets, v2.1 and v3.0: an episode is imported; damaged ones are refused."""
 
+import base64
 import json
+import os
 import shlex
 import shutil
+import subprocess
+import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +176,39 @@ def test_an_episode_of_anything_else_is_refused(tmp_path: Path) -> None:
         import_recording(tmp_path / 'log.csv', ['time=t', 'position=q[rad]'], episode=0)
     with pytest.raises(InputError, match='--episode 0: .* is no LeRobot dataset'):
         preview(tmp_path / 'log.csv', episode=0)
+
+
+# Two rows of `action` and `episode_index` with a bit of the statistics of their sizes flipped:
+# pyarrow 26 ends the process where they are looked at. Compressed by zlib, in base 85.
+BAD_SIZES = (
+    b'c-'
+    b'm!=!D_=W42EUbc)1KhKqiJza+z5nE$e8;4ux%(oq8xc4@O7~3$&@1WLuAWm_5=Ss7lgaR)HmK>;ELn>!+7F3iQ!m'
+    b'QGfu*ejdm@BH$RuNq;F(Ms&t$iNTN9h@W))s2hxQ0S4zf#sr|yuPKDG$=~fZLjemO$}DfoT}2eRT2f*vLa`~E7CE'
+    b'4I#ls7`v0GcUB&OY^b!D?F>|0qCb`MJENGAp&^mGc+*Y`(Uk2pz@@|07~EQ~klI)e@l)F6lD#0b#O{mTG4k{C$;O'
+    b'7)CF73P<j{W(Nx(*x8WQ^I%@;5v3${qbqrY3|%KtLxo&{AKHgx{Gh`W;e6BPG~yafI<eark^+f7X?1t')
+
+
+def test_statistics_at_which_pyarrow_ends_the_process_are_not_looked_at(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / 'arm', rows=(2,), width=1, names=['a'])
+    info = json.loads((folder / 'meta/info.json').read_text())
+    info['features'] = {'action': info['features']['action']}
+    (folder / 'meta/info.json').write_text(json.dumps(info))
+    (folder / 'data/chunk-000/file-000.parquet').write_bytes(zlib.decompress(
+        base64.b85decode(BAD_SIZES)))
+    call = [sys.executable, '-m', 'asi_analysis.cli', 'import', str(folder), '--rate', '30']
+    done = subprocess.run([*call, '--map', 'force=action[N]', '--out', str(tmp_path / 'bag')],
+                          capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 2) and 'terminate' not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize('kind', ['pipe', 'directory'])
+def test_a_pipe_among_the_data_is_refused(kind: str, tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / 'arm')
+    file = folder / 'data/chunk-000/file-000.parquet'
+    file.unlink()
+    os.mkfifo(file) if kind == 'pipe' else file.mkdir()
+    with pytest.raises(InputError, match='file-000.parquet is not a file'):
+        preview(folder)
 
 
 @pytest.mark.parametrize('order', [slice(None, None, -1), slice(None, None, 2)])

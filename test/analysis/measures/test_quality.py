@@ -288,3 +288,14 @@ def test_numbers_of_two_digits_are_coarse_though_fine_near_zero() -> None:
     found = findings(with_force(a_run(), lambda f: np.array([float(f'{x:.2g}') for x in f])))
     assert any('has only 20 different values beyond 17 N, at least 1 N apart' in each.text
                for each in found)
+
+
+@pytest.mark.parametrize(('actuator', 'controller'), [
+    ({'load.type': 'prescribed'}, {'compensator': 'lead2', 'reference.shape': 'step',
+                                   'reference.amplitude': 100.0}),
+    ({'load.type': 'locked'}, {'compensator': 'lead4', 'reference.shape': 'chirp',
+                               'reference.amplitude': 30.0})])
+def test_a_ring_or_a_chirp_of_few_samples_a_period_neither_jumps_nor_has_spikes(
+        actuator: dict, controller: dict) -> None:
+    run = Run(*simulate_loop(actuator, controller | {'feedforward': 1.0}, 2.0, 500.0))
+    assert findings(run) == []
