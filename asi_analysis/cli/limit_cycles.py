@@ -138,10 +138,8 @@ def quench(
     conditions: Annotated[int, typer.Option(
         help='Number of conditions that the search for an oscillation tries', min=1)] = 200,
     rates: Annotated[str, typer.Option(
-        help='Control rates of the search, Hz; margin and design use the first')] = '5000',
-    designs: Annotated[int, typer.Option(
-        help='Candidates of the automatic design; 0: none', min=0)] = 0,
-    seed: Annotated[int, typer.Option(help='Seed of search and design', min=0, max=MOST_SEED)] = 1,
+        help='Control rates of the search, Hz; the margin uses the first')] = '5000',
+    seed: Annotated[int, typer.Option(help='Seed of the search', min=0, max=MOST_SEED)] = 1,
     replay: Annotated[int, typer.Option(
         help='Number of the worst cases to run over ROS', min=0)] = 0,
     out: Annotated[Path, typer.Option(
@@ -162,8 +160,7 @@ def quench(
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as progress:
         result = quench_cycles(*_configured(set_, compensator, gain, step, controller), rates_hz,
-                               conditions, seed, designs, (replay, out) if replay else None,
-                               progress)
+                               conditions, seed, (replay, out) if replay else None, progress)
         if report:
             result.write_report(report)
     show(result, as_json)

@@ -1,1 +1,1 @@
-"""Limit cycles quenched: margin of a compensator, attack on it, dither, design."""
+"""Limit cycles quenched: margin of a compensator, attack on it, dither."""

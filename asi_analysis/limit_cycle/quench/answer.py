@@ -6,7 +6,6 @@ from typing import Any, Final
 
 from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.quench.attack import Trial, search
-from asi_analysis.limit_cycle.quench.design import design
 from asi_analysis.limit_cycle.quench.dither import dither
 from asi_analysis.limit_cycle.quench.margin import LOADS, margin
 from asi_analysis.loop.simulation import Values, step_run, sustained
@@ -18,7 +17,7 @@ WORST: Final = 5
 
 class Quench(Result):
     """
-    Limit-cycle margin, conditions found, dither and design: `quench_cycles`.
+    Limit-cycle margin, conditions found and dither: `quench_cycles`.
 
     The keys are those of `asi quench --json`; `actuator` and `controller` are the parameters.
     """
@@ -57,31 +56,23 @@ class Quench(Result):
                 'least cycle left': '{least_left:.0%}', 'at N': '{least_left_at_n:.0f}',
                 'valve travel m/s': '{valve_travel_m_s:.3g}',
                 'force ripple N rms': '{force_ripple_n:.3g}'}, 'dither (-: none quenches)')
-        if self.design:
-            yield table_of([{'name': name, **self.design[name]} for name in ('rival', 'best')], {
-                'design': '{name}', 'rise s': '{rise_time_s:.3g}',
-                'overshoot %': '{overshoot_percent:.2g}', 'settling s': '{settling_time_2_s:.3g}',
-                'error N': '{steady_state_error_n:.2g}', 'margin': '{margin:.3g}'})
-            yield ', '.join(f'{name} = {value:.4g}' if isinstance(value, float)
-                            else f'{name} = {value}'
-                            for name, value in self.design['best']['controller'].items())
 
     def pictures(self) -> Pictures:
         from asi_analysis.limit_cycle.quench.figure import draw
         return {'quench': (draw(self.actuator, self.controller, self),
-                           'Loop and -1/N where the margin is least; the trade-off of designs')}
+                           'Loop and -1/N where the margin is least')}
 
 
 def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float] = (5000.0,),
-                  count: int = 200, seed: int = 1, designs: int = 0,
+                  count: int = 200, seed: int = 1,
                   replayed: tuple[int, Path] | None = None, progress: Progress = silent) -> Quench:
     """
     Compute the limit-cycle margin of a compensator, and search for conditions that make it cycle.
 
     actuator, controller: parameters by name, the rest at their defaults. rates_hz: control rates
-    of the search, Hz; the first also for margin, dither and design. count: conditions tried; seed:
-    of the search and the design; designs: candidates of the design helper, 0 for none; replayed:
-    number of the worst conditions to run over ROS, and the directory of their bags.
+    of the search, Hz; the first also for margin and dither. count: conditions tried; seed: of the
+    search; replayed: number of the worst conditions to run over ROS, and the directory of their
+    bags.
 
     >>> import asi_analysis as asi
     >>> found = asi.quench_cycles({}, {'compensator': 'lead4'}, count=50)  # doctest: +SKIP
@@ -100,15 +91,13 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
         'conditions_tried': count, 'sustained_found': len(cycling),
         'worst_amplitude_n': finite(cycling[0].amplitude_n) if cycling else 0.0,
         'worst': [_trial(trial, tuple(rates_hz), actuator) for trial in trials[:WORST]],
-        'replayed': [], 'dither': [], 'design': None}
+        'replayed': [], 'dither': []}
     if replayed:
         from asi_analysis.limit_cycle.quench.replay import replay
         document['replayed'] = replay(trials[:replayed[0]], controller, actuator,
                                       tuple(rates_hz), replayed[1], progress)
     if sustained(step_run(actuator, controller, rate)) is not None:
         document['dither'] = dither(actuator, controller, rate, report=progress)
-    if designs:
-        document['design'] = design(actuator, controller, rate, designs, seed, progress)
     return Quench(document, actuator=actuator, controller=controller)
 
 
