@@ -1,8 +1,9 @@
 """
-Write the pages that follow from the code: rooms, commands, topics.
+Write what follows from the code: parameter files, and pages of rooms, commands, topics.
 
-`python doc/generate.py` in the root of the repository writes the tables of rooms and topics and
-the diagram of imports into documents; a test checks that they are current.
+`python doc/generate.py` in the root of the repository writes the files of parameters, and the
+tables of rooms and topics and the diagram of imports into documents; tests check that they are
+current.
 The build of the documents (`conf.py`) calls the rest.
 """
 
@@ -167,6 +168,14 @@ def write_reference() -> None:
     (folder / 'model_blocks.md').write_text(blocks_page())
 
 
-if __name__ == '__main__':
+def write_files() -> None:
+    """Write the files and parts of documents that are kept in the repository."""
+    from doc.parameter_tables import files
+    for path, text in files().items():
+        (ROOT / path).write_text(text, encoding='utf-8')
     for page in PARTS:
         page.write_text(with_parts(page))
+
+
+if __name__ == '__main__':
+    write_files()

@@ -53,7 +53,6 @@ TEXTS: Final = {'steps': ('{}', '100,{}'), 'rates': ('{}', '5000,{}'),
 NEEDED: Final = {
     'run': ['--out', 'new'], 'analyze': ['bag'], 'export': ['bag', '--out', 'new.csv'],
     'import': ['table.csv', '--map', 'time=time_s', '--map', 'force=force_n', '--out', 'new'],
-    'limit-cycle': ['--check', '1'],
     'quench': ['--out', 'new'], 'demo': ['--out', 'new'], 'calibrate': ['--out', 'new'],
     'ensemble': ['--out', 'new', '--pictures', 'new'], 'gap of': ['bag'],
     'gap check': ['--out', 'new'],

@@ -9,8 +9,8 @@ from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomic
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_value_to_python
 
-from asi_analysis.parameter_tables import NODES
 from asi_common.parameter import Parameter
+from doc.parameter_tables import NODES
 from torture.rig import ACTUATOR, CONTROLLER, NotThere, Rig, Tally, is_alive, until
 
 TABLES: Final = {node.node: {p.name: p for table in node.tables.values() for p in table}

@@ -23,14 +23,13 @@ from asi_analysis.cli.options import (
     numbers,
     show,
 )
-from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
 
 
 @command('limit-cycle', 'asi limit-cycle runs/from_inside/bag runs/from_outside/bag')
 def limit_cycle(
-    bags: Annotated[list[Path] | None, typer.Argument(
-        help='Bags of the same loop, analysed together')] = None,
+    bags: Annotated[list[Path], typer.Argument(
+        help='Bags of the same loop, analysed together')],
     signal: Annotated[str | None, typer.Option(
         help='Signal to analyse, as position or pressure; default: the one that the reference '
              'controls, or else the force')] = None,
@@ -38,23 +37,11 @@ def limit_cycle(
         '--undriven', help='Nothing drove the recording from outside: for one without a reference')
     ] = False,
     report: Report = None,
-    check: Annotated[int | None, typer.Option(
-        min=1, help='Instead of a bag: number of synthetic signals of each class')] = None,
-    seed: Annotated[int, typer.Option(
-        min=0, max=MOST_SEED, help='Seed of the signals of --check')] = 1,
     as_json: Json = False,
 ) -> None:
     """Detect limit cycles in each segment of a recording, with a confidence."""
-    if check is not None:
-        from asi_analysis.limit_cycle.detection.check import check as check_detection
-        with bar() as progress:
-            checked = check_detection(check, seed, progress)
-        show(checked, as_json)
-        return
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
-    if not bags:
-        raise InputError('limit-cycle takes at least one bag, or --check')
     with bar() as progress:
         progress('reading', None)
         runs = [read_bag(bag) for bag in bags]

@@ -91,7 +91,7 @@ def test_help_loads_nothing_heavy():
     (('run', '--out', 'used'), 'used'),
     (('demo', '--out', 'used'), 'used'),
     (('demo', '--out', 'table.csv'), 'table.csv'),
-    (('limit-cycle', '--check', '0'), '--check'),
+    (('limit-cycle',), 'bags'),
     (('import', 'nowhere.csv', '--out', 'new'), 'nowhere.csv'),
     (('import', 'table.csv', '--map', 'force=load', '--rate', '10', '--out', 'new'), 'load'),
     (('import', 'short.csv', '--map', 'force=f', '--rate', '10', '--out', 'new'), 'short.csv'),

@@ -13,10 +13,10 @@ from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asi_analysis.parameter_tables import NODES, NodeTables, files
 from asi_common.node.ros_parameters import descriptor
 from asi_common.parameter import Parameter, ParameterError, completed, defaults
 from asi_common.topics import STREAM_DEPTH
+from doc.parameter_tables import NODES, NodeTables, files
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 ROOT = Path(__file__).parents[2]
@@ -143,7 +143,7 @@ def test_wrong_parameter_file_is_one_line_and_exit_status_2(
 def test_written_files_are_current() -> None:
     for path, text in files().items():
         assert (ROOT / path).read_text(encoding='utf-8') == text, (
-            f'{path}: run python -m asi_analysis.parameter_tables')
+            f'{path}: run python doc/generate.py')
 
 
 @pytest.mark.parametrize('node', NODES, ids=lambda node: node.node)

@@ -19,7 +19,7 @@ Names = tuple[str, ...]
 
 class Constants(NamedTuple):
     """
-    The constants of the probabilities, fitted on blind cases by asi_analysis.gap.check.tune.
+    The constants of the probabilities, fitted on blind cases by bench/tune_probabilities.py.
 
     How many effects: samples: effective samples of a channel with USUAL_S of held-out data; price:
     log prior odds against a first effect; second: against each further one; formulation, exact:

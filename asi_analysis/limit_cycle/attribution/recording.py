@@ -11,8 +11,12 @@ from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import CONTROLLER_PARAMETERS
 from asi_analysis.limit_cycle.attribution.ablation import attribute_model
 from asi_analysis.limit_cycle.attribution.answer import Attribution
-from asi_analysis.limit_cycle.attribution.calibration import SURE, WEIGHTS, probabilities
-from asi_analysis.limit_cycle.attribution.loops import VALVE_FAULTS
+from asi_analysis.limit_cycle.attribution.classifier import (
+    SURE,
+    VALVE_FAULTS,
+    WEIGHTS,
+    probabilities,
+)
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, MOST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.verdict import Segment, response_of

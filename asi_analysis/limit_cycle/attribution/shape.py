@@ -2,7 +2,7 @@
 What the shape of an oscillation, in command and output of a loop, says of its cause.
 
 The features are independent of units, time scale and sign. The signals are cut into single cycles,
-so that a varying period does not blur them. `calibration.py` turns features into probabilities.
+so that a varying period does not blur them. `classifier.py` turns features into probabilities.
 """
 
 from typing import Final, NamedTuple

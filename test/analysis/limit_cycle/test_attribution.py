@@ -12,8 +12,13 @@ from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked, information
 from asi_analysis.limit_cycle.attribution import figure, valves
 from asi_analysis.limit_cycle.attribution.ablation import NONLINEARITIES, attribute_model, shapley
-from asi_analysis.limit_cycle.attribution.calibration import WEIGHTS, examples, validate
-from asi_analysis.limit_cycle.attribution.loops import (
+from asi_analysis.limit_cycle.attribution.classifier import WEIGHTS
+from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
+from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.reporting.report import write_pictures
+from bench.train_attribution import examples, validate
+from bench.valve_loops import (
     VALVES,
     Inputs,
     Plant,
@@ -25,10 +30,6 @@ from asi_analysis.limit_cycle.attribution.loops import (
     run_without_noise,
     ultimate_gain,
 )
-from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
-from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
-from asi_analysis.loop.closed_loop import simulate_loop
-from asi_analysis.reporting.report import write_pictures
 
 
 def test_shapley_values_add_up_and_share_what_only_a_pair_does():

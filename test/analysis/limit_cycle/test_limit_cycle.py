@@ -14,18 +14,18 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
-from asi_analysis.limit_cycle.detection.check import (
+from asi_analysis.limit_cycle.detection.drive import flat_share
+from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.noise import BLOCK, _triangle_of_lags
+from asi_analysis.measures.record import compressed, reduce, uncompressed
+from asi_analysis.measures.sinusoid import analytic_signal, fit_record
+from bench.limit_cycle_verdicts import (
     FAMILIES,
     check_accuracy,
     check_robustness,
     check_verdicts,
     undriven,
 )
-from asi_analysis.limit_cycle.detection.drive import flat_share
-from asi_analysis.loop.closed_loop import simulate_loop
-from asi_analysis.measures.noise import BLOCK, _triangle_of_lags
-from asi_analysis.measures.record import compressed, reduce, uncompressed
-from asi_analysis.measures.sinusoid import analytic_signal, fit_record
 
 
 @pytest.mark.parametrize('case', [(3, 5, 10), (3, 12, 40), (30, 5, 40), (300, 6, 10)])

@@ -1,7 +1,7 @@
 """
 Fit the constants of the weighing to blind cases whose answers are known.
 
-    python -m asi_analysis.gap.check.tune DIRECTORY...
+    python -m bench.tune_probabilities DIRECTORY...
 
 DIRECTORY was checked by `asi gap check DIRECTORY`: its rows.jsonl holds the residuals of every
 hypothesis, so no fit is repeated. The constants maximise the mean log probability of the true

@@ -1,15 +1,13 @@
 """
-The classifier of the attribution by shape: logistic regression, trained on simulated loops.
+`python -m bench.train_attribution [COUNT]`: train the classifier of `asi attribute` for bags.
 
-`python -m asi_analysis.limit_cycle.attribution.calibration COUNT` writes shape_weights.json:
-trained on COUNT loops of each cause from the family of models 'learn'. Loops of the family
-'judge', which has other equations (`loops.py`), are the validation set: COUNT / 5 for the
-temperature of the probabilities, and COUNT / 5 for the accuracy.
+Writes shape_weights.json: trained on COUNT (200) loops of each cause from the family of models
+'learn'. Loops of the family 'judge', which has other equations (`valve_loops.py`), are the
+validation set: COUNT / 5 for the temperature of the probabilities, and COUNT / 5 for the accuracy.
 """
 
 import json
 import sys
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,18 +16,24 @@ from scipy import optimize
 
 from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
-from asi_analysis.limit_cycle.attribution.loops import CAUSES, VALVE_FAULTS, loop
+from asi_analysis.limit_cycle.attribution.classifier import (
+    CAUSES,
+    SURE,
+    VALVE_FAULTS,
+    WEIGHTS,
+    expanded,
+    probabilities,
+    softmax,
+)
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
+from bench.valve_loops import loop
 
 Causes = npt.NDArray[np.int64]
 
-WEIGHTS: Final = Path(__file__).with_name('shape_weights.json')
 # Strength of the ridge penalty on the weights, in loops.
 RIDGE: Final = 20.0
 # Percentile of the distances of the training set from its centre; beyond it, an outlier.
 USUAL: Final = 99.0
-# Least probability at which the most probable cause is named as the cause.
-SURE: Final = 0.8
 
 
 def examples(world: str, count: int, seed: int) -> tuple[Array, Causes]:
@@ -50,18 +54,6 @@ def examples(world: str, count: int, seed: int) -> tuple[Array, Causes]:
             causes.append(number)
             accepted += 1
     return np.array(rows), np.array(causes)
-
-
-def expanded(features: Array, centre: Array, scale: Array) -> Array:
-    """Return a constant, the standardised features, clipped to ±3, and their squares."""
-    x = np.clip((np.atleast_2d(features) - centre) / scale, -3.0, 3.0)
-    return np.hstack([np.ones((len(x), 1)), x, x * x])
-
-
-def softmax(scores: Array) -> Array:
-    """Return probabilities (rows add up to 1)."""
-    relative = np.exp(scores - scores.max(1, keepdims=True))
-    return relative / relative.sum(1, keepdims=True)
 
 
 def train(features: Array, causes: Causes) -> dict[str, Any]:
@@ -95,21 +87,6 @@ def temperature(features: Array, causes: Causes, trained: dict[str, Any]) -> flo
         return -float(np.log(np.maximum(p[np.arange(len(p)), causes], 1e-12)).mean())
 
     return float(optimize.minimize_scalar(loss, bounds=(0.5, 5.0), method='bounded').x)
-
-
-def probabilities(features: Array, trained: dict[str, Any]) -> Array:
-    """
-    Return the probability of each of CAUSES, row by row.
-
-    Outside the range of the training set they tend to equal probabilities.
-    """
-    centre, scale = np.array(trained['centre']), np.array(trained['scale'])
-    scores = expanded(features, centre, scale) @ np.array(trained['weights'])
-    classified = softmax(scores / trained['temperature'])
-    relative = np.clip((np.atleast_2d(features) - centre) / scale, -5.0, 5.0)
-    size = np.linalg.norm(relative, axis=1, keepdims=True)
-    outlying = np.clip(size / trained['usual_size'] - 1.0, 0.0, 1.0)
-    return (1.0 - outlying) * classified + outlying / len(CAUSES)
 
 
 def validate(features: Array, causes: Causes, trained: dict[str, Any]) -> dict[str, Any]:

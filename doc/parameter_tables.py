@@ -1,9 +1,4 @@
-"""
-Write the YAML files of parameters and doc/reference/parameters.md from the tables.
-
-`python -m asi_analysis.parameter_tables` in the root of the repository; the tests check that the
-files are current.
-"""
+"""The YAML files of parameters and doc/reference/parameters.md, for `python doc/generate.py`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +16,7 @@ from asi_controller.parameters import (
     REFERENCE_PARAMETERS,
 )
 
-COMMAND: Final = 'python -m asi_analysis.parameter_tables'
+COMMAND: Final = 'python doc/generate.py'
 
 
 class NodeTables(NamedTuple):
@@ -92,9 +87,3 @@ def files() -> dict[Path, str]:
     """Return the text of each file by its path in the repository."""
     return {Path(node.file): yaml_text(node) for node in NODES} | {
         Path('doc/reference/parameters.md'): markdown_text()}
-
-
-if __name__ == '__main__':
-    for path, text in files().items():
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text, encoding='utf-8')

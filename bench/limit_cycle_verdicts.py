@@ -1,9 +1,12 @@
 """
-`asi limit-cycle --check`: validation of the limit-cycle analysis on synthetic signals.
+`python -m bench.limit_cycle_verdicts [--count 100 --seed 1]`: the verdicts on synthetic signals.
 
 Sines for the accuracy, relative to the Cramér-Rao bound; families of signals for the verdicts.
+Printed: a JSON document with `accuracy`, `verdicts` and `robustness`.
 """
 
+import argparse
+import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,8 +20,6 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.measures.sinusoid import fit
-from asi_analysis.reporting.result import Result, Table, table_of
-from asi_analysis.terminal import Progress
 
 Random = np.random.Generator
 
@@ -255,44 +256,22 @@ def check_robustness(family: str, count: int, seed: int) -> dict[str, Any]:
     return {'family': family, 'count': count, 'sure': len(sure), 'survived': survived}
 
 
-class DetectionCheck(Result):
-    """Accuracy and verdicts on synthetic signals: the keys of `asi limit-cycle --check --json`."""
-
-    rows = 'verdicts'
-
-    def parts(self) -> Iterator[str | Table]:
-        yield table_of(self.accuracy, {
-            'cycles': '{cycles:g}', 'samples a cycle': '{samples_a_cycle:g}',
-            'SNR dB': '{snr_db:g}', 'frequency error / bound': '{frequency_error_over_bound:.2f}',
-            'amplitude error / bound': '{amplitude_error_over_bound:.2f}',
-            'frequency coverage': '{frequency_coverage:.3f}',
-            'amplitude coverage': '{amplitude_coverage:.3f}'},
-            'errors over the Cramér-Rao bound, coverage of the 95 % intervals')
-        yield table_of(self.verdicts, {
-            'family': '{family}', 'truth': '{truth}', 'right': '{right:d}', 'of': '{count:d}',
-            'false limit cycles': '{false_limit_cycles:d}'}, 'verdicts')
-        yield table_of(self.robustness, {
-            'family': '{family}', 'of': '{count:d}', 'sure': '{sure:d}',
-            'survived': '{survived:d}'},
-            f'verdicts of {SURE:g} or more that survive a cut of 10 % at either end, every second '
-            'sample, an offset')
-
-
-def check(count: int, seed: int, report: Progress) -> DetectionCheck:
+def check(count: int, seed: int) -> dict[str, list[dict[str, Any]]]:
     """Return accuracy and verdicts, from `count` signals for each row."""
     grid = [(cycles, samples, snr) for cycles in (3.0, 10.0, 100.0, 300.0)
             for samples in (5.0, 12.0, 40.0) for snr in (10.0, 25.0, 40.0)]
-    rows = len(grid) + 2 * len(FAMILIES)
-    accuracy = []
-    for row, case in enumerate(grid):
-        report(f'sines of {case[0]:g} cycles, {case[1]:g} samples a cycle', row / rows)
-        accuracy.append(check_accuracy(*case, count, seed + row))
-    verdicts = []
-    for row, family in enumerate(FAMILIES):
-        report(family, (len(grid) + row) / rows)
-        verdicts.append(check_verdicts(family, count, seed + row))
-    robustness = []
-    for row, family in enumerate(FAMILIES):
-        report(f'{family}, changed', (len(grid) + len(FAMILIES) + row) / rows)
-        robustness.append(check_robustness(family, max(count // CHANGED, 1), seed + row))
-    return DetectionCheck({'accuracy': accuracy, 'verdicts': verdicts, 'robustness': robustness})
+    return {'accuracy': [check_accuracy(*case, count, seed + row)
+                         for row, case in enumerate(grid)],
+            'verdicts': [check_verdicts(family, count, seed + row)
+                         for row, family in enumerate(FAMILIES)],
+            'robustness': [check_robustness(family, max(count // CHANGED, 1), seed + row)
+                           for row, family in enumerate(FAMILIES)]}
+
+
+if __name__ == '__main__':
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     prog='python -m bench.limit_cycle_verdicts')
+    parser.add_argument('--count', type=int, default=100, help='signals of each row')
+    parser.add_argument('--seed', type=int, default=1)
+    given = parser.parse_args()
+    print(json.dumps(check(given.count, given.seed), indent=1))

@@ -26,10 +26,6 @@ from asi_common.jit import jit
 
 Random = np.random.Generator
 
-CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuning',
-                 'disturbance')
-# Faults of the valve.
-VALVE_FAULTS: Final = CAUSES[:3]
 # Largest ratio of the measured frequency to that of the simulated oscillation.
 VISIBLE: Final = 1.5
 # Share of the loops that are inner loops of a cascade.
