@@ -26,7 +26,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from asi_analysis.bags.bag_writer import INFORMATION, MESSAGE
+from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.errors import InputError
 
 # What the libraries raise for damaged files.
@@ -37,6 +37,9 @@ BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.Zst
 _RECORD: Final = struct.Struct('<BQ')
 _MESSAGE: Final = struct.Struct('<HIQQ')
 _INDEX: Final = struct.Struct('<HI')
+# What precedes the bytes of a message in MCAP.
+_HEAD: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
+                           ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
 _MESSAGE_OPCODE: Final = bytes([Opcode.MESSAGE])
 # Chunks are decoded in batches of about this size, which fits a processor's cache.
 BATCH_BYTES: Final = 2**20
@@ -429,8 +432,8 @@ def _index_offsets(index: bytes) -> tuple[int, npt.NDArray[np.int64]]:
 
 def _headers(data: bytes, starts: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
     """Return the record and message headers at these offsets."""
-    rows = sliding_window_view(np.frombuffer(data, np.uint8), MESSAGE.itemsize)[starts]
-    return rows.view(MESSAGE)[:, 0]
+    rows = sliding_window_view(np.frombuffer(data, np.uint8), _HEAD.itemsize)[starts]
+    return rows.view(_HEAD)[:, 0]
 
 
 def _covers_all_bytes(data: bytes, offsets: Mapping[int, npt.NDArray[np.int64]]) -> bool:
@@ -441,7 +444,7 @@ def _covers_all_bytes(data: bytes, offsets: Mapping[int, npt.NDArray[np.int64]])
     channels = np.repeat(list(offsets), [len(found) for found in offsets.values()])
     order = np.argsort(starts)
     starts, channels = starts[order], channels[order]
-    if starts[0] != 0 or starts[-1] > len(data) - MESSAGE.itemsize:
+    if starts[0] != 0 or starts[-1] > len(data) - _HEAD.itemsize:
         return False
     headers = _headers(data, starts)
     ends = starts + _RECORD.size + headers['length'].astype(np.int64)
@@ -456,7 +459,7 @@ def _extract(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
     headers = _headers(data, starts)
     log_ns, publish_ns = headers['log_ns'].astype(np.int64), headers['publish_ns'].astype(np.int64)
     lengths = headers['length'].astype(np.int64) - _MESSAGE.size
-    begins = starts + MESSAGE.itemsize
+    begins = starts + _HEAD.itemsize
     if (lengths == lengths[0]).all() and lengths[0]:
         windows = sliding_window_view(np.frombuffer(data, np.uint8), lengths[0])
         return Messages(log_ns, publish_ns, windows[begins])

@@ -7,6 +7,8 @@ and has neither sequence numbers nor custom metadata; mcap-ros2-support leaves o
 
 import copy
 import functools
+import heapq
+import itertools
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,10 +20,8 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 from mcap.writer import Writer
-from numpy.lib.stride_tricks import sliding_window_view
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -33,10 +33,6 @@ from asi_common.files import write_text
 CHUNK_BYTES: Final = 64 * 1024
 CHUNK_NS: Final = 250_000_000
 INFORMATION: Final = 'asi.run'
-# What precedes the bytes of a message in MCAP.
-MESSAGE: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
-                           ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
-
 _NEVER: Final = {'sec': 9223372036, 'nsec': 854775807}
 # QoS as a subscriber sees it: DDS does not transmit the history.
 RELIABLE: Final[dict[str, Any]] = {
@@ -57,17 +53,6 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _records(channel: int, log_ns: npt.NDArray[np.int64], count: int, data: npt.NDArray[np.uint8]
-             ) -> npt.NDArray[np.uint8]:
-    """Return the MCAP records of messages, n x length; count: of those before on the channel."""
-    head = np.zeros(len(data), MESSAGE)
-    head['opcode'], head['length'], head['channel'] = (
-        Opcode.MESSAGE, MESSAGE.itemsize - 9 + data.shape[1], channel)
-    head['sequence'] = np.arange(count + 1, count + 1 + len(data))
-    head['log_ns'] = head['publish_ns'] = log_ns
-    return np.hstack([head.view(np.uint8).reshape(len(data), -1), data])
-
-
 class _ChunkIndices:
     """
     The chunk indices as bytes, which are written at the end of the file.
@@ -86,23 +71,6 @@ class _ChunkIndices:
 
     def write(self, stream: RecordBuilder) -> None:
         stream.write(self._records.end())
-
-
-class _MessageIndex:
-    """Times and offsets of a channel's messages in a chunk; mcap writes each number by itself."""
-
-    def __init__(self, channel: int) -> None:
-        self.channel = channel
-        # Pairs, as mcap appends them, and arrays n x 2.
-        self.records: list[Any] = []
-
-    def write(self, stream: RecordBuilder) -> None:
-        data = np.vstack(self.records).astype('<u8').tobytes()
-        stream.start_record(Opcode.MESSAGE_INDEX)
-        stream.write2(self.channel)
-        stream.write4(len(data))
-        stream.write(data)
-        stream.finish_record()
 
 
 class BagWriter:
@@ -174,71 +142,12 @@ class BagWriter:
         Add messages in the order of their times, those of one time in the order of the channels.
 
         messages: by channel, log times of n messages (ns), rising, and their bytes, n x length.
-        Times of publication are equal to log times. The file is that of as many calls of `write`.
+        Times of publication are equal to log times.
         """
-        tables = {channel: _records(channel, log_ns, self._counts[channel], data)
-                  for channel, (log_ns, data) in messages.items()}
-        if not tables:
-            return
-        channels = np.concatenate([np.full(len(table), channel)
-                                   for channel, table in tables.items()])
-        log_ns = np.concatenate([times for times, _ in messages.values()])
-        lengths = np.concatenate([np.full(len(table), table.shape[1])
-                                  for table in tables.values()])
-        order = np.lexsort((channels, log_ns))
-        channels, log_ns = channels[order], log_ns[order]
-        ends = np.cumsum(lengths[order])
-        begins = ends - lengths[order]
-        stream = np.empty(ends[-1], np.uint8)
-        for channel, table in tables.items():
-            self._counts[channel] += len(table)
-            places = sliding_window_view(stream, table.shape[1], writeable=True)
-            places[begins[channels == channel]] = table
-        self._start_ns = min(self._start_ns, int(log_ns[0]))
-        self._end_ns = max(self._end_ns, int(log_ns[-1]))
-        # Private names of mcap 1.6.0, guarded by a test.
-        chunk = self._writer._Writer__chunk_builder   # type: ignore[attr-defined]
-        first, count = 0, len(channels)
-        while first < count:
-            if log_ns[first] - self._chunk_ns > CHUNK_NS:
-                self._writer.flush()
-                self._chunk_ns = int(log_ns[first])
-            begin = int(begins[first])
-            full = int(np.searchsorted(ends, begin + CHUNK_BYTES - chunk.count, 'right')) + 1
-            late = int(np.searchsorted(log_ns, self._chunk_ns + CHUNK_NS, 'right'))
-            last = min(full, late, count)
-            part = slice(first, last)
-            self._add_to_chunk(chunk, channels[part], log_ns[part],
-                               begins[part] - begin + chunk.count)
-            chunk.record_writer.write(stream[begin:ends[last - 1]])
-            if last == full:
-                self._writer.flush()
-            first = last
-
-    def _add_to_chunk(self, chunk: Any, channels: npt.NDArray[np.int64],
-                      log_ns: npt.NDArray[np.int64], offsets: npt.NDArray[np.int64]) -> None:
-        """Count messages, and add them to the indices of a chunk."""
-        statistics = self._writer._Writer__statistics   # type: ignore[attr-defined]
-        first_ns, last_ns = int(log_ns[0]), int(log_ns[-1])
-        if not statistics.message_count:
-            statistics.message_start_time = first_ns
-        if not chunk.num_messages:
-            chunk.message_start_time = first_ns
-        for each in (statistics, chunk):
-            each.message_start_time = min(each.message_start_time, first_ns)
-            each.message_end_time = max(each.message_end_time, last_ns)
-        statistics.message_count += len(channels)
-        chunk.num_messages += len(channels)
-        found, firsts = np.unique(channels, return_index=True)
-        for channel in found[np.argsort(firsts)].tolist():
-            own = channels == channel
-            index = chunk.message_indices.get(channel)
-            if not isinstance(index, _MessageIndex):
-                chunk.message_indices[channel] = _MessageIndex(channel)
-                chunk.message_indices[channel].records += index.records if index else []
-            chunk.message_indices[channel].records.append(
-                np.column_stack([log_ns[own], offsets[own]]))
-            statistics.channel_message_counts[channel] += int(own.sum())
+        for log_ns, channel, data in heapq.merge(*(
+                zip(times.tolist(), itertools.repeat(channel), map(bytes, table))
+                for channel, (times, table) in messages.items())):
+            self.write(channel, log_ns, log_ns, self._counts[channel] + 1, data)
 
     def flush(self) -> None:
         """Hand the finished chunks to the operating system, so that a kill does not lose them."""

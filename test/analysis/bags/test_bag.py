@@ -59,9 +59,8 @@ def wrench(stamp_ns: int, force: float, frame: str = 'piston') -> bytes:
     return bytes(STORE.serialize_cdr(message, STAMPED))
 
 
-@pytest.mark.parametrize('name', ['chunk_indices', 'chunk_builder', 'statistics'])
-def test_the_writer_of_mcap_keeps_what_ours_uses_where_it_was(name: str) -> None:
-    assert hasattr(McapWriter(BytesIO()), f'_Writer__{name}'), (
+def test_the_writer_of_mcap_keeps_what_ours_uses_where_it_was() -> None:
+    assert hasattr(McapWriter(BytesIO()), '_Writer__chunk_indices'), (
         f'mcap {version("mcap")} has it elsewhere (1.6.0 had it here): see '
         'asi_analysis/bags/bag_writer.py')
 
