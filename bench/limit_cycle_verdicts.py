@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
-from asi_analysis.measures.sinusoid import fit
+from asi_analysis.measures.sinusoids.sinusoid import fit
 
 Random = np.random.Generator
 

@@ -1,10 +1,10 @@
 """
 The sim-to-real gap: where it lies, which effect causes it, how far it shrinks, what is next.
 
-`prepare` (uniform sampling, noise, parts of the data) -> `model`: `blocks`, each driven by its
-measured input and with all `effects`, null by default, and `simulator`, with them in the `forms`
-of its own parameters; `predict`; `group` (channels fitted together) -> `inference`: `search` and
-`posterior` (the simulator), then `fit`, `initial_guesses`, `hypotheses`, `probability`, `shrink`,
-`localisation`, `uncertainty` -> `experiment` (what to record next) -> `answer` (document, report).
+In the order of the data: `parts`, `sampling`, `motion` -> `prepare` (recordings ready to compare)
+-> `model` (predicts a channel, by `blocks` driven by measured inputs or by the `simulator`; every
+effect is null by default) -> `inference` (fits and probabilities of the hypotheses) -> `findings`
+(where the gap lies, how far it shrinks) and `experiment` (what to record next) -> `diagnose` ->
+`answer` (document, report, export) -> `check` (on blind cases).
 How it works and where it fails: doc/explanation/gap.md.
 """

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
@@ -19,7 +20,7 @@ from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 
 LEAST_SPREAD: Final = 1e-3    # of a parameter: the resolution
 # Times the range, in which 95 % lie: of some twenty parameters all do.

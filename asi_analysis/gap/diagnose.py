@@ -16,14 +16,15 @@ from asi_analysis.gap.baseline import Healthy, against, changed_only, healthy_of
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_course import choose_course
 from asi_analysis.gap.experiment.next_motion import choose_motion
-from asi_analysis.gap.inference import localisation, plausibility
-from asi_analysis.gap.inference.edges import PLACED, placed
+from asi_analysis.gap.findings import localisation
+from asi_analysis.gap.findings.edges import PLACED, placed
+from asi_analysis.gap.findings.one_rate import at_one_rate
+from asi_analysis.gap.findings.shrink import Shrink, shrink_of
+from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
-from asi_analysis.gap.inference.one_rate import at_one_rate
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
 from asi_analysis.gap.inference.search import explained_by_simulator
-from asi_analysis.gap.inference.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference.uncertainty import (
     Likelihood,
     at_limit,

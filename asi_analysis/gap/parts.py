@@ -1,13 +1,10 @@
 """Parts of a recording: to fit on, to choose a hypothesis by, and to report on."""
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.floating[Any]]
-Mask = npt.NDArray[np.bool_]
+from asi_analysis.arrays import Array, Mask
 
 BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
 BURN_OUT_S = 0.1        # and at the end, since the motion after it is not known

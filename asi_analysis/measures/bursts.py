@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.measures.sinusoid import analytic_signal, dominant_frequency, on_grid
+from asi_analysis.measures.sinusoids.sinusoid import analytic_signal, dominant_frequency, on_grid
 
 # Phases of the drive at which the envelope is averaged.
 PHASES: Final = 24

@@ -19,7 +19,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.bursts import FEWEST_DRIVEN, bursts
 from asi_analysis.measures.drives import drives
-from asi_analysis.measures.sinusoid import dominant_frequency, fits, least_squares
+from asi_analysis.measures.sinusoids.sinusoid import dominant_frequency, fits, least_squares
 from asi_analysis.measures.step_response import hold_last
 from asi_analysis.reporting.result import finite
 from asi_common.jit import jit
@@ -190,7 +190,8 @@ def _steady_part(run: Run) -> slice:
     start = 0
     if run.reference_n is not None:
         reference = hold_last(run.reference_n)
-        large = np.flatnonzero(np.abs(np.diff(reference)) > 0.2 * max(np.ptp(reference), 1e-12))
+        least = 0.2 * max(float(np.ptp(reference)), 1e-12)
+        large = np.flatnonzero(np.abs(np.diff(reference)) > least)
         start = int(large[-1]) + 1 if large.size else 0
     return slice(start + int((1.0 - STEADY_SHARE) * (n - start)), n)
 
@@ -255,7 +256,7 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
     time, output = time[valid], output[valid]
     if time.size < 50:
         return Oscillation(None, reason='the steady part is shorter than 50 samples')
-    noise_floor = LEAST_SHARE * np.ptp(whole[np.isfinite(whole)])
+    noise_floor = LEAST_SHARE * float(np.ptp(whole[np.isfinite(whole)]))
     if noise_floor == 0.0:
         return Oscillation()
     output, periods = signal.detrend(output), []

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.diagnose import Diagnosis
@@ -13,7 +14,6 @@ from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
 from asi_analysis.gap.model.joint import RIGID_ERROR
-from asi_analysis.gap.prepare import Array
 from asi_analysis.gap.words import (
     SIZES,
     UNIT_OF_SCALE,

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from asi_analysis.gap.prepare import Array, Mask
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.words import chance
 from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, WIDTH_IN, style
 

@@ -5,10 +5,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.joint_model import JointModel
 from asi_analysis.gap.diagnose import Diagnosis
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 
 # A motion that a force makes drifts from the recorded one: it is played in pieces from measured
 # states, of at most the first; none shorter than the second.

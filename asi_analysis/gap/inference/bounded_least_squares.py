@@ -6,13 +6,11 @@ times the cost, since they hold parameters at a bound or move along it slowly.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
-Array = npt.NDArray[np.floating[Any]]
+from asi_analysis.arrays import Array
 
 LONGEST_STEP = 0.3    # step, as a share of the way between bounds
 TRIES = 5        # of a step, with more damping each

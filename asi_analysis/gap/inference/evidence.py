@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import Found, mean_squares
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group
-from asi_analysis.gap.prepare import Array
 
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.

@@ -16,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.parameters import ACTUATOR_DTYPE
+from asi_analysis.arrays import Array
 from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL
 
 STEP = 1e-3          # of a parameter's range, for the derivatives

@@ -47,7 +47,8 @@ from asi_analysis.gap.model.effects import (
 )
 from asi_analysis.gap.model.group import Group, Values, acts_on, channels_of, with_lower_noise
 from asi_analysis.gap.model.predict import propagated_noise
-from asi_analysis.gap.model.static import as_limit, at_the_end, in_step
+from asi_analysis.gap.model.static import as_limit, at_the_end
+from asi_analysis.gap.model.static_course import in_step
 from asi_common.record import field_name
 
 NOISE_UNCERTAINTY = 0.2   # of the mean square of the propagated noise

@@ -12,16 +12,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
 
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import dead_zone, in_steps
 from asi_analysis.gap.model.effects import MOTIONS, of_recording
 from asi_analysis.gap.model.group import Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
-
-Complex = npt.NDArray[np.complexfloating]
 
 CORNERS = 400      # start and end times in the coarse search for a pulse
 FINER = 50         # factor of each refinement

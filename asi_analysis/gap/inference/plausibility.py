@@ -10,21 +10,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import correlate
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import MOTIONS
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import (
-    MEASURED,
-    Array,
-    Recording,
-    agree,
-    clipped,
-    noise_of,
-    velocity_of,
-    velocity_over_derivative,
-)
+from asi_analysis.gap.motion import agree, velocity_over_derivative
+from asi_analysis.gap.prepare import MEASURED, Recording, velocity_of
+from asi_analysis.gap.sampling import clipped, noise_of
 from asi_common.jit import FULL
 from asi_common.parameter import Value
 

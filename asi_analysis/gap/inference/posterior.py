@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
 from asi_analysis.gap.inference.probability import Names
@@ -23,7 +24,6 @@ from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.model.group import exact
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.model.start import MEMORIES
-from asi_analysis.gap.prepare import Array
 
 STEP = 1e-4       # of a parameter's range, for the derivatives
 ROUNDS = 12       # of the optimiser

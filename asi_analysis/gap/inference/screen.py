@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.posterior import Found, Posterior
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.group import channels_of
-from asi_analysis.gap.prepare import Array
 
 LARGEST = 3.0   # of an effect's start
 RIDGE = 1e-9

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.beyond_tolerance import with_null_named
 from asi_analysis.gap.inference.evidence import ODDS_AGAINST, weigh
 from asi_analysis.gap.inference.fit import Fitted
@@ -39,7 +40,6 @@ from asi_analysis.gap.model.group import (
 )
 from asi_analysis.gap.model.predict import measured
 from asi_analysis.gap.model.start import SEAL
-from asi_analysis.gap.prepare import Array
 from asi_common.record import field_name
 
 REACH = 50.0      # of the log posterior: farther from the best, a fit need not be completed

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
 from asi_analysis.gap.inference.posterior import Posterior
 from asi_analysis.gap.inference.probability import CONSTANTS
-from asi_analysis.gap.prepare import Array
 
 RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the cost, at the end of a 95 % interval
 HALVINGS = 24

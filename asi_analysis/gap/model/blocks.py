@@ -13,10 +13,8 @@ at zero.
 """
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from asi_actuator.model.delay import delay, delay_steps
 from asi_actuator.model.force_sensor import CARD_DAMPING
@@ -33,10 +31,8 @@ from asi_actuator.model.valve_hysteresis import (
     valve_hysteresis,
 )
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
+from asi_analysis.arrays import Array, Complex
 from asi_common.jit import FULL, LINEAR, jit
-
-Array = npt.NDArray[np.floating[Any]]
-Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 EFFECT_FIELDS = (
     'command_delay',            # s

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model import forms, simulator
 from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effect, Free, Variant, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
@@ -15,7 +16,7 @@ from asi_analysis.gap.model.start import (
     start_parameters,
     with_start_fields,
 )
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL, LINEAR
 
 Values = dict[str, float]

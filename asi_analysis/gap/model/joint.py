@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
@@ -32,7 +33,8 @@ from asi_analysis.gap.model.servo import (
     with_servo,
 )
 from asi_analysis.gap.model.stepped import Steps, in_steps, steps_of
-from asi_analysis.gap.prepare import Array, Recording, judged, prepare
+from asi_analysis.gap.motion import judged
+from asi_analysis.gap.prepare import Recording, prepare
 from asi_common.jit import FULL, jit
 from asi_common.parameter import Value
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
+from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model import blocks, simulator, static_blocks
-from asi_analysis.gap.model.blocks import Complex
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
-from asi_analysis.gap.prepare import Array, Recording, judged
+from asi_analysis.gap.motion import judged
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 

@@ -14,8 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model import blocks
-from asi_analysis.gap.prepare import Array, Motion, Recording, judged
+from asi_analysis.gap.motion import Motion, judged
+from asi_analysis.gap.prepare import Recording
 
 # Gaps that are tried, half widths as a share of the range of motion; then around the best.
 GAPS: Final = np.geomspace(0.003, 0.09, 14)

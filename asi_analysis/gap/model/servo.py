@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.arrays import Array
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
 
 # Share of the held-out power that a delay and a lag leave, below which a second order is taken;

@@ -26,9 +26,11 @@ from asi_actuator.model.actuator import (
 )
 from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_start
+from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
-from asi_analysis.gap.prepare import Array, Recording, extended
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from asi_actuator.model.actuator import STATE_DTYPE
 from asi_actuator.model.friction import BEHIND_SENSOR
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, of_recording
 from asi_analysis.gap.parts import BURN_IN_S
-from asi_analysis.gap.prepare import START_S, Array, Recording
+from asi_analysis.gap.prepare import START_S, Recording
 from asi_common.jit import FULL
 
 # The first two as shares of what the loop of the hysteresis, or a seal, can hold; m; m/s.

@@ -7,7 +7,6 @@ their range, so nothing depends on their origin; sizes are in units of their hal
 nothing depends on their units.
 """
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model import static_blocks
@@ -30,8 +30,10 @@ from asi_analysis.gap.model.effects import (
 )
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import for_recordings
+from asi_analysis.gap.model.static_course import at_rest, cycle, one_rate, passes, turning_points
 from asi_analysis.gap.parts import reported, split
-from asi_analysis.gap.prepare import SHARED, Array, Mask, Recording, noise_of, recorded, uniform
+from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.sampling import SHARED, noise_of, recorded, uniform
 from asi_common.parameter import Value
 
 CHANNEL: Final = 'static'
@@ -47,14 +49,7 @@ SEARCHED: Final = 400
 WIDTHS: Final = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45)
 CENTRES: Final = tuple(round(0.08 * number, 2) for number in range(-10, 11))
 MODEL_ERROR: Final = 0.003          # of the output (rms): general error of any model
-TURN: Final = 0.05    # of the range: a smaller reversal of the input is noise
-REPEATS: Final = 0.05   # of the range (rms): how well an input must repeat its cycle
-IN_STEP, IN_STEP_SLOW = 0.2, 0.5   # of 1 / duration: a wave so near a harmonic is one
 LINE: Final = 0.5     # of the power: a line of so much is a disturbance, no noise
-SAME_RATE: Final = 1.4   # ratio of the rates of two passes that cannot be told apart
-REST: Final = 0.05    # of the time: an input that rests for so long lets a lag end
-SLOW: Final = 0.1     # of the usual rate: what is slower is at rest
-SLOW_OF_SINE: Final = 2.0 / math.pi * math.asin(SLOW * 2.0 / math.pi)   # share of a sine
 # Numbers of parts of a recording; prime, so that no cycle fits.
 DIVISIONS: Final = (13, 17, 19, 23, 29, 31, 37, 41, 43)
 SHORTEST_PART_S: Final = 0.2
@@ -164,94 +159,6 @@ def static_signals(run: Run, wanted_in: str | None = None, wanted_out: str | Non
         raise InputError(f'{run.source}: a characteristic takes an input and an output that move; '
                          f'there are: {", ".join(moving) or "none"}')
     return given, got
-
-
-def turning_points(values: Array, least: float = TURN) -> list[int]:
-    """Return the samples at which a signal turns by more than a share of its range."""
-    threshold = least * float(np.ptp(values))
-    turns, extreme, way = [0], 0, 0
-    for k in range(1, values.size):
-        ahead = values[k] - values[extreme]
-        if way == 0:
-            if abs(ahead) > threshold:
-                way, extreme = 1 if ahead > 0.0 else -1, k
-        elif ahead * way >= 0.0:
-            extreme = k
-        elif abs(ahead) > threshold:
-            turns.append(extreme)
-            way, extreme = -way, k
-    return [*turns, extreme] if way else turns
-
-
-def passes(recording: Recording) -> list[tuple[int, int]]:
-    """Return the stretches of samples over which the input moves one way."""
-    assert recording.command is not None
-    return list(itertools.pairwise(turning_points(recording.command)))
-
-
-def rates(recording: Recording) -> Array:
-    """Return the mean speed of the input (units/s) in each of its passes."""
-    assert recording.command is not None
-    return np.array([abs(recording.command[end] - recording.command[start])
-                     / ((end - start) * recording.period_s)
-                     for start, end in passes(recording)])
-
-
-def one_rate(recordings: Sequence[Recording]) -> bool:
-    """Return whether the input moves at one speed only, and never rests: see `SAME_RATE`."""
-    found = np.concatenate([rates(r) for r in recordings])
-    if found.size == 0:
-        return True
-    if any(_at_rest(r) > REST + SLOW_OF_SINE for r in recordings):
-        return False
-    return bool(found.max() < SAME_RATE * float(np.quantile(found, 0.1)))
-
-
-def _at_rest(recording: Recording) -> float:
-    """Return the share of the time in which the input hardly moves, for its passes."""
-    assert recording.command is not None
-    usual = float(np.median(rates(recording))) if len(passes(recording)) else 0.0
-    return float(np.mean(np.abs(np.gradient(recording.command, recording.period_s))
-                         <= SLOW * usual))
-
-
-def _to_and_fro(given: Array) -> float:
-    """Return how many samples an input takes to and fro; 0: it does not come back."""
-    turns = np.array(turning_points(given)[1:-1])
-    if turns.size < 2:
-        return 0.0
-    return float(np.median(turns[2:] - turns[:-2]) if turns.size > 2 else 2 * np.diff(turns)[0])
-
-
-def cycle(given: Array) -> int:
-    """Return after how many samples an input repeats; 0: it does not, or less than twice."""
-    guess = int(_to_and_fro(given))
-    if not guess:
-        return 0
-    span = float(np.ptp(given))
-
-    def missed(lag: int) -> float:
-        return float(np.sqrt(np.mean((given[lag:] - given[:-lag]) ** 2))) / span
-
-    near = range(max(int(0.97 * guess), 1), min(int(1.03 * guess) + 2, given.size // 2 + 1))
-    best = min(near, key=missed, default=0)
-    return best if best and missed(best) < REPEATS else 0
-
-
-def in_step(recording: Recording, frequency: float) -> bool:
-    """
-    Return whether a wave (Hz) keeps step with an input that goes to and fro.
-
-    Such a wave is of the characteristic, not of something else. What changes slowly from cycle to
-    cycle shifts the slowest waves.
-    """
-    assert recording.command is not None
-    lag = cycle(recording.command) or _to_and_fro(recording.command)
-    if not lag:
-        return False
-    times = frequency * lag * recording.period_s
-    off = abs(times - round(times)) / lag * recording.command.size   # in 1 / duration
-    return off < (IN_STEP_SLOW if times < 3.5 else IN_STEP)
 
 
 def _unrepeated(given: Array, got: Array, slope: float) -> float:
@@ -442,7 +349,7 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
         effects.append(GAIN)
     if 'offset' in known:
         effects.append(OFFSET)
-    if all(_at_rest(r) > HELD for r in recordings):
+    if all(at_rest(r) > HELD for r in recordings):
         effects = [each for each in effects if each.name != 'command_quantisation']
     if count > 1:
         effects = [_with_own_zero(each) if each.name == 'sensor_drift' else each

@@ -11,9 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model.blocks import dead_zone, lag_weights
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
 
 PLAYS: Final = 8

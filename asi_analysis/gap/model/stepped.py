@@ -13,8 +13,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model.servo import Servo, left_by
-from asi_analysis.gap.prepare import Array, Recording
+from asi_analysis.gap.prepare import Recording
 
 LEVELS: Final = 2000       # of the reference, in the spectrum of what is left over it
 PADDED: Final = 8

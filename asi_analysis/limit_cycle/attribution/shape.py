@@ -14,9 +14,9 @@ from asi_analysis.arrays import Array, Complex
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.attribution.hammerstein import Explanation, explain, without_drift
 from asi_analysis.limit_cycle.detection.drive import flat_share
-from asi_analysis.measures.noise import autoregression
-from asi_analysis.measures.record import reduce
-from asi_analysis.measures.sinusoid import analytic_signal, on_grid, valid_samples
+from asi_analysis.measures.sinusoids.noise import autoregression
+from asi_analysis.measures.sinusoids.record import reduce
+from asi_analysis.measures.sinusoids.sinusoid import analytic_signal, on_grid, valid_samples
 
 FEWEST_CYCLES: Final = 3.5
 MOST_CYCLES: Final = 20.0

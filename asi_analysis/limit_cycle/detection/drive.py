@@ -8,8 +8,8 @@ import numpy as np
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.drives import drives
-from asi_analysis.measures.record import reduce
-from asi_analysis.measures.sinusoid import (
+from asi_analysis.measures.sinusoids.record import reduce
+from asi_analysis.measures.sinusoids.sinusoid import (
     HarmonicFit,
     analytic_signal,
     fit,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from asi_analysis.arrays import Array
-from asi_analysis.measures.sinusoid import least_squares
+from asi_analysis.measures.sinusoids.sinusoid import least_squares
 
 MOST_WINDOWS: Final = 250
 # Windows for the decay of the swing; with more of them noise has more influence.

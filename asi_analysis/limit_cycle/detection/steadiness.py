@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.measures.noise import autoregression, surrogates
-from asi_analysis.measures.sinusoid import analytic_signal, on_grid
+from asi_analysis.measures.sinusoids.noise import autoregression, surrogates
+from asi_analysis.measures.sinusoids.sinusoid import analytic_signal, on_grid
 
 SURROGATES: Final = 200
 FIRST: Final = 40

@@ -19,10 +19,10 @@ from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
 from asi_analysis.limit_cycle.detection.steadiness import steadiness
-from asi_analysis.measures.noise import Autoregression, autoregression
 from asi_analysis.measures.quality import check_size, check_time
-from asi_analysis.measures.record import reduce
-from asi_analysis.measures.sinusoid import (
+from asi_analysis.measures.sinusoids.noise import Autoregression, autoregression
+from asi_analysis.measures.sinusoids.record import reduce
+from asi_analysis.measures.sinusoids.sinusoid import (
     HarmonicFit,
     analytic_signal,
     dominant_frequency,

@@ -19,9 +19,9 @@ from asi_analysis.gap.answer.command import (
 )
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
+from asi_analysis.gap.findings.localisation import by_block, explained
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
-from asi_analysis.gap.inference.localisation import by_block, explained
 from asi_analysis.gap.model.effects import BLOCKS, BY_NAME
 from asi_analysis.gap.words import between, in_words, sentences, unit_of, with_id
 

@@ -15,7 +15,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joints import Rest, _coupled, diagnose_joints
-from asi_analysis.gap.prepare import clipped
+from asi_analysis.gap.sampling import clipped
 from asi_analysis.parallel import workers
 
 MAPPING = ('time=t', 'position=q_{joint}[rad]', 'command=tau_{joint}*2[Nm]')

@@ -16,9 +16,9 @@ from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.loop.closed_loop import simulate_loop
-from asi_analysis.measures.noise import BLOCK, _triangle_of_lags
-from asi_analysis.measures.record import compressed, reduce, uncompressed
-from asi_analysis.measures.sinusoid import analytic_signal, fit_record
+from asi_analysis.measures.sinusoids.noise import BLOCK, _triangle_of_lags
+from asi_analysis.measures.sinusoids.record import compressed, reduce, uncompressed
+from asi_analysis.measures.sinusoids.sinusoid import analytic_signal, fit_record
 from bench.limit_cycle_verdicts import (
     FAMILIES,
     check_accuracy,

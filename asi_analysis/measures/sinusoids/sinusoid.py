@@ -15,8 +15,8 @@ import numpy as np
 from scipy import fft, signal, stats
 
 from asi_analysis.arrays import Array, Complex
-from asi_analysis.measures.noise import triangle
-from asi_analysis.measures.record import Record, compressed, legendre
+from asi_analysis.measures.sinusoids.noise import triangle
+from asi_analysis.measures.sinusoids.record import Record, compressed, legendre
 
 MOST_HARMONICS: Final = 15
 # Highest harmonic that may be above half the sampling rate (aliased).
@@ -189,7 +189,8 @@ def _solve(record: Record, drift: Array, nonlinear: Array, harmonics: int, grows
     span = record.span_s
     most = np.array([0.2 / span, 2.0 / span, 1.0 / span**2])
     best: _Solution | None = None
-    trial, damping, step, decrease = nonlinear, 1.0, np.zeros(3), 0.0
+    step: Array = np.zeros(3)
+    trial, damping, decrease = nonlinear, 1.0, 0.0
     for _ in range(STEPS):
         waves = _waves(record.t, trial, harmonics)
         columns = _columns(record, drift, waves)

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Array
 
 STRETCHES = 24   # of the report samples: longer than the correlation time of the errors
 DRAWS = 1000

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
@@ -15,7 +16,8 @@ from asi_analysis.gap.model.blocks import impedance, load_constants
 from asi_analysis.gap.model.effects import BLOCKS, MOTIONS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.prepare import Array, Mask, Recording, low_pass, velocity_of
+from asi_analysis.gap.motion import low_pass
+from asi_analysis.gap.prepare import Recording, velocity_of
 
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
 # Blocks of each channel: they share its gap if no effect is named.

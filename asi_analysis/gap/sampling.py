@@ -1,0 +1,125 @@
+"""Uniform sampling of a run: missing samples bridged, noise of a signal, where it is cut off."""
+
+import math
+
+import numpy as np
+
+from asi_analysis.arrays import Array, Mask
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
+from asi_analysis.gap.parts import BURN_OUT_S
+from asi_analysis.measures.quality import check_size, check_time
+
+SHORTEST_S = 1.0
+MOST_MISSING = 0.05     # share of missing samples that is still bridged
+LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
+JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
+MOST_JUMPED = 0.5       # share of a recording that is left out for that
+SMALL = 0.1             # of the usual step of a signal: with those it comes to rest
+CLIPPED_SAMPLES = 4
+CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
+SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
+CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
+
+
+def noise_of(signal: Array) -> float:
+    """
+    Return the standard deviation of a signal's white noise.
+
+    From the fourth differences, in which a smooth signal vanishes; the median, because jumps and
+    corners are rare. At least that of the steps in which the signal comes.
+    """
+    white = float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
+    levels = np.unique(signal)
+    if 1 < levels.size < SHARED * signal.size:   # of an encoder: each value many times
+        white = max(white, float(np.median(np.diff(levels))) / math.sqrt(12.0))
+    return white
+
+
+def clipped(signal: Array) -> Mask:
+    """
+    Return where a signal stands still at its largest or smallest value.
+
+    A measured signal rarely repeats a value: frequent samples at its extreme are clipped, unless
+    it comes there and leaves in small steps, as from rest to rest. A quantised signal cannot be
+    checked.
+    """
+    cut = np.zeros(signal.size, bool)
+    if np.unique(signal).size > SHARED * signal.size:
+        steps = np.abs(np.diff(signal))
+        least = SMALL * float(np.median(steps[steps > 0.0]))
+        for extreme in (signal.max(), signal.min()):
+            at = signal == extreme
+            beside = steps[at[1:] != at[:-1]]
+            often = at.sum() >= CLIPPED_SAMPLES and at.mean() > CLIPPED
+            if often and beside.max(initial=0.0) > least:
+                cut |= at
+    return cut
+
+
+def _bridged(name: str, values: Array, source: str) -> Array:
+    """Return a signal with its missing samples bridged; refuse one that misses too many."""
+    missing = ~np.isfinite(values)
+    if missing.mean() > MOST_MISSING:
+        raise InputError(f'{source}: signal {name} misses {100 * missing.mean():.0f} % of its '
+                         f'samples (NaN or infinite); at most {100 * MOST_MISSING:.0f} % can be '
+                         'bridged')
+    if not missing.any():
+        return values
+    index = np.arange(values.size)
+    return np.interp(index, index[~missing], values[~missing])
+
+
+def uniform(run: Run) -> tuple[float, dict[str, Array]]:
+    """Return the period (s) and the signals at equal distances in time."""
+    time = run.time_s
+    if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
+        raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, it '
+                         f'takes at least {SHORTEST_S:g} s')
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if back.size:
+        raise InputError(f'{run.source}: time does not rise at sample {int(back[0]) + 2}')
+    check_time(time, run.source)
+    check_size(run)
+    steps = round((time[-1] - time[0]) / run.period_s)
+    period = float((time[-1] - time[0]) / steps)
+    even = time[0] + period * np.arange(steps + 1)
+    # Samples that are all there, late by a little at most, are taken as they come.
+    complete = len(run) == steps + 1 and np.abs(time - even).max() < period
+    signals = {}
+    for name, values in run.signals().items():
+        whole = _bridged(name, np.asarray(values, float), run.source)
+        if complete:
+            signals[name] = whole
+        elif name in ('command', 'reference'):   # held from sample to sample
+            before = np.searchsorted(time, even + 1e-6 * period, side='right') - 1
+            signals[name] = whole[np.clip(before, 0, None)]
+        else:
+            signals[name] = np.interp(even, time, whole)
+    return period, signals
+
+
+def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
+    """
+    Return at which of `count` samples, `period` s apart, no signal has a long gap.
+
+    Interpolation over a long gap holds no information. Where a command jumped in a single missing
+    sample, the time of the jump is unknown: left out too, unless too little data would remain.
+    """
+    even = run.time_s[0] + period * np.arange(count)
+    far, jumps = np.zeros((2, count), bool)
+    for name, values in run.signals().items():
+        known = run.time_s[np.isfinite(values)]
+        if known.size > 1 and (name != 'reference' or drive == 'position'):
+            after = np.clip(np.searchsorted(known, even), 1, known.size - 1)
+            distance = np.minimum(np.abs(even - known[after - 1]), np.abs(known[after] - even))
+            far |= distance > LONGEST_BRIDGE * max(period, run.period_s)
+            if name in ('command', 'reference'):
+                there = values[np.isfinite(values)]
+                jumped = np.abs(np.diff(there)) > JUMPED * np.ptp(there)
+                lost = np.diff(known) > 1.5 * max(period, run.period_s)
+                jumps |= (jumped & lost)[after - 1] & (distance > 0.25 * period)
+    about = np.ones(2 * int(BURN_OUT_S / period) + 1)
+    plain, careful = (np.convolve(out, about)[about.size // 2:][:count] < 0.5
+                      for out in (far, far | jumps))
+    return careful if careful.mean() > 1.0 - MOST_JUMPED else plain

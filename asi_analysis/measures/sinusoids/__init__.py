@@ -1,0 +1,1 @@
+"""Fits of sinusoids in coloured noise to samples at any times, however many."""
