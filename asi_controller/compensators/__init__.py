@@ -7,15 +7,21 @@ YAML file, documentation (the docstring of the file) and tests follow; nothing e
 
 from importlib import import_module
 from pkgutil import iter_modules
+from types import ModuleType
 from typing import Final
 
 from asi_controller.design import Compensator
 
-_MODULES: Final = [import_module(f'{__name__}.{module.name}') for module in iter_modules(__path__)]
 
+def _declared() -> list[ModuleType]:
+    """Return the files here that declare a compensator, in the order of lists."""
+    return sorted((import_module(f'{__name__}.{file.name}') for file in iter_modules(__path__)),
+                  key=lambda module: module.COMPENSATOR.order)
+
+
+_MODULES: Final = _declared()
 COMPENSATORS: Final[dict[str, Compensator]] = {
-    module.COMPENSATOR.name: module.COMPENSATOR
-    for module in sorted(_MODULES, key=lambda module: module.COMPENSATOR.order)}
+    module.COMPENSATOR.name: module.COMPENSATOR for module in _MODULES}
 
 # What each is, in Markdown, by name.
 DOCUMENTATION: Final[dict[str, str]] = {

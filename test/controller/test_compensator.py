@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import control
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import signal
 from asi_actuator.model.actuator import measure, rest, step
 from asi_actuator.parameters import as_record
 from asi_common.parameter import ParameterError, Value
+from asi_controller import compensators
 from asi_controller.compensator import (
     OWN_GAIN,
     PREWARP_HZ,
@@ -32,8 +34,37 @@ UNSTABLE_ZERO: dict[str, Value] = {'compensator': 'custom', 'custom.zeros': '200
                                    'custom.poles': '-2, -900'}
 ADDED: dict[str, Value] = {
     'integrator.rate': 20.0, 'hysteresis_inverse.size': 20.0, 'reference_model.bandwidth': 100.0}
+# The file of a newcomer: CONTRIBUTING.md.
+LEAD_LAG_WITH_NOTCH = """
+import math
+from asi_common.parameter import Parameter
+from asi_controller.compensators import lead_lag
+from asi_controller.design import Compensator, Design
+
+def design(gain, notch_frequency, **settings):
+    zeros, poles, gain = lead_lag.design(gain, **settings)
+    omega = 2.0 * math.pi * notch_frequency
+    return Design((*zeros, 1j * omega, -1j * omega), (*poles, -omega, -omega), gain)
+
+COMPENSATOR = lead_lag.COMPENSATOR._replace(
+    name='lead_lag_notch', order=99, design=design,
+    parameters=(*lead_lag.COMPENSATOR.parameters,
+                Parameter('notch_frequency', 90.0, 'Hz', 'Centre of the notch', 0.1, 1e4)))
+"""
 ALL: list[dict[str, Value]] = [*({'compensator': name} for name in OWN_GAIN), NOTCH,
                                COMPLEX_POLES, UNSTABLE_ZERO]
+
+
+def test_a_compensator_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'lead_lag_notch.py').write_text(LEAD_LAG_WITH_NOTCH)
+    monkeypatch.setattr(compensators, '__path__', [*compensators.__path__, str(tmp_path)])
+    *others, last = (module.COMPENSATOR for module in compensators._declared())
+    assert others == list(COMPENSATORS.values())
+    assert [each.name for each in last.table][-1] == 'lead_lag_notch.notch_frequency'
+    ours = {each.name.rpartition('.')[2]: each.default for each in last.table}
+    zeros, poles, gain = last.design(5.0, **ours)
+    notched = control.zpk(zeros, poles, 1.0)(2j * np.pi * 90.0)
+    assert abs(notched) < 1e-9 and (len(zeros), len(poles), gain) == (3, 4, 5.0)
 
 
 def exact(values: dict[str, Value], frequencies_hz: npt.NDArray[np.float64]

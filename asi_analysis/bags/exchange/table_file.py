@@ -9,7 +9,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Final
@@ -28,6 +28,8 @@ BROKEN: Final = (OSError, ValueError, EOFError, NotImplementedError, TypeError, 
                  IndexError, MemoryError, OverflowError, RecursionError, csv.Error, zlib.error,
                  lzma.LZMAError, zipfile.BadZipFile,
                  SyntaxError, tokenize.TokenError)    # headers of numpy
+
+TEXTS: Final = ('.csv', '.tsv', '.txt', '.dat')
 
 # column name → its values; a scalar of a MAT file is a column of one value
 Table = dict[str, npt.NDArray]
@@ -50,16 +52,10 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
     try:
         if dataset:
             return read_dataset(path, episode, guess)
-        if kind in ('.json', *LINES):
-            return read_json(path)
-        if kind == '.mat':
-            return _read_mat(path)
-        if kind == '.npz':
-            return _read_npz(path)
-        if kind == '.parquet':
-            return _read_parquet(path)
-        if kind in ('.csv', '.tsv', '.txt', '.dat'):
+        if kind in TEXTS:
             return read_text(path, skip_lines, delimiter, columns)
+        if kind in READERS:
+            return READERS[kind](path)
     except BROKEN as error:
         if isinstance(error, InputError):
             raise
@@ -67,8 +63,8 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
         raise InputError(f'{path} cannot be read: '
                          + (why or ' '.join(str(error).split()) or type(error).__name__)
                          ) from None
-    raise InputError(f'{path}: expected a .csv, .tsv, .txt, .dat, .json, .jsonl (also '
-                     '.gz), .mat, .npz or .parquet file, or the folder of a LeRobot dataset')
+    raise InputError(f'{path}: expected a {", ".join((*TEXTS, *READERS))} file (a text also as '
+                     '.gz), or the folder of a LeRobot dataset')
 
 
 def _refuse_large(path: Path, size: int) -> None:
@@ -198,3 +194,9 @@ def _read_parquet(path: Path) -> Table:
         found |= listed
         left_out += more
     return _told(found, left_out, path)
+
+
+# By the suffix of a file; a format is added here.
+READERS: Final[Mapping[str, Callable[[Path], Table]]] = {
+    **dict.fromkeys(('.json', *LINES), read_json), '.mat': _read_mat, '.npz': _read_npz,
+    '.parquet': _read_parquet}
