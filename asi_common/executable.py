@@ -4,7 +4,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 
 
 def end_quietly_while_importing() -> None:
@@ -45,3 +46,24 @@ def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=watch, daemon=True).start()
     return end
+
+
+@contextmanager
+def interrupt_later() -> Iterator[None]:
+    """
+    Let SIGINT wait until the end of the context; for the start of a process.
+
+    Python calls functions of modules beside a fork, such as those of logging, and ignores what
+    they raise: a KeyboardInterrupt in them would be lost, and the command would run on.
+    """
+    if threading.current_thread() is not threading.main_thread():   # it gets no signals
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)

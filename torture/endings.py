@@ -58,7 +58,8 @@ def commands() -> list[Command]:
         executable(nodes, 'can_actuator', '--pty'),
         executable(bags, 'recorder', '--ros-args', '-p', 'output:=new_bag'),
         executable(bags, 'replay', '--ros-args', '-p', 'bag:=bag', '-p', 'loop:=true'),
-        asi('live', '--simulate', '--no-browser', '--port', '18731', statuses=SERVES),
+        # Before it serves, it is a command that has not answered.
+        asi('live', '--simulate', '--no-browser', '--port', '18731', statuses=SERVES | ANSWERS),
         asi('run', '--duration', '60', '--out', 'new_run'), asi('demo', '--out', 'new_demo'),
         asi('analyze', 'bag'), asi('limit-cycle', 'bag'), asi('gap', 'bag'), asi('attribute'),
         asi('predict'), asi('quench'), asi('reproduce'), asi('calibrate'),

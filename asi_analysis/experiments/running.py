@@ -25,6 +25,7 @@ from asi_analysis.experiments.experiment import Experiment, checked, information
 from asi_analysis.measures.analysis import Analysis, analyze
 from asi_analysis.reporting.result import Table
 from asi_analysis.terminal import Progress, silent
+from asi_common.executable import interrupt_later
 from asi_common.parameter import Value
 from asi_common.parameter_file import write_parameters
 
@@ -153,7 +154,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
     nodes: dict[str, subprocess.Popen] = {}
     try:
         for name, module in MODULES.items():
-            with open(out / 'log' / f'{name}.log', 'w') as log:
+            with open(out / 'log' / f'{name}.log', 'w') as log, interrupt_later():
                 # In a new session, so that Ctrl-C in the terminal reaches only this process.
                 nodes[name] = subprocess.Popen(
                     [sys.executable, '-m', module, '--ros-args', *arguments[name]],

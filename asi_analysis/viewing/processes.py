@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.running import PATIENCE_S, end_with_parent, free_directory
+from asi_common.executable import interrupt_later
 
 RUNS: Final = Path('runs')
 # As `ros2 run` starts them; they end quietly at any time.
@@ -32,14 +32,15 @@ class NodeProcess:
         """Start actuator, controller or recorder with parameters."""
         given = [part for key, value in parameters.items() for part in ('-p', f'{key}:={value}')]
         space = ['-r', f'__ns:={namespace}', '-r', '/clock:=clock'] if namespace else []
-        self.process = subprocess.Popen(
-            [sys.executable, '-c', f'import sys; from {EXECUTABLES[name]} import {name}; '
-             f'sys.exit({name}())', '--ros-args', *given, *space],
-            stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent)
+        with interrupt_later():
+            self.process = subprocess.Popen(
+                [sys.executable, '-c', f'import sys; from {EXECUTABLES[name]} import {name}; '
+                 f'sys.exit({name}())', '--ros-args', *given, *space],
+                stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent)
 
     def stop(self) -> None:
         """End it and wait for that."""
-        self.process.send_signal(signal.SIGINT)
+        self.process.terminate()   # of SIGINT, a Python that only begins prints a traceback
         try:
             self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:

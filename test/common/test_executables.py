@@ -154,3 +154,18 @@ def test_every_executable_says_what_it_cannot_do(name, module, function):
 def test_every_executable_is_tried():
     assert {name for name, *_ in EXECUTABLES} == {
         'actuator', 'can_actuator', 'controller', 'recorder', 'replay'}
+
+
+def test_ctrl_c_beside_a_fork_is_not_lost() -> None:
+    """Python ignores what functions beside a fork raise, a KeyboardInterrupt too."""
+    said = subprocess.run([sys.executable, '-c', """
+import os, signal, subprocess
+from asi_common.executable import interrupt_later
+os.register_at_fork(after_in_parent=lambda: signal.raise_signal(signal.SIGINT))
+try:
+    with interrupt_later():
+        subprocess.Popen(['true'], preexec_fn=lambda: None).wait()
+except KeyboardInterrupt:
+    print('interrupted')
+"""], capture_output=True, text=True, check=True)
+    assert (said.stdout, said.stderr) == ('interrupted\n', '')
