@@ -38,7 +38,6 @@ from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import read_parameters
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
-from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
 from asi_common.parameter import ParameterError
@@ -90,9 +89,9 @@ def cycle() -> Run:
 
 def with_a_gap() -> Run:
     """Return the simulator's run with twice the mass that `of_gap` expects."""
-    return Run(*simulate_loop({'load.type': 'spring', 'load.mass': 0.6}, {
+    return simulate({'load.type': 'spring', 'load.mass': 0.6}, {
         'compensator': 'lead_lag', 'reference.shape': 'multisine',
-        'reference.amplitude': 150.0}, 1.5, 1000.0))
+        'reference.amplitude': 150.0}, 1.5, 1000.0)
 
 
 def with_command() -> Run:

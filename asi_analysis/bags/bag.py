@@ -37,6 +37,7 @@ LOST: Final = 'lost samples'     # key of the status of a loop, in that module t
 # A message may come so many messages late, and so many stamps may be wrong.
 MOST_LATE: Final = 10
 MOST_WRONG: Final = 2
+LONGER: Final = 0.05    # share of a recording by which another topic may outlast the first
 IRREGULAR: Final = 0.1  # share of intervals that are not the usual one, if messages are missing
 CROWDED: Final = 1.5   # times as many messages in a time as usual: those of two times
 BLOCK_SAMPLES: Final = 20_000
@@ -281,6 +282,11 @@ def _wrong_stamps(series: Mapping[str, Series], source: str) -> list[str]:
         if one.stamp_ns.any() and len(stamps) < 0.5 * len(one.stamp_ns):
             found.append(f'{source}: {len(one.stamp_ns)} messages of {name} have {len(stamps)} '
                          'different stamps: their times are wrong')
+        longer = int(stamps[-1] - ticks[-1])
+        if longer > max(MOST_LATE * period, LONGER * (ticks[-1] - ticks[0])) and (
+                stamps[0] <= ticks[-1]):    # else those of another clock
+            found.append(f'{source}: the messages of {first} end {1e-9 * longer:.3g} s before '
+                         f'those of {name}')
         stamps = stamps[(stamps >= ticks[0]) & (stamps <= ticks[-1])]
         if not len(stamps):     # none, or those of another clock
             continue

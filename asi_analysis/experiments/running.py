@@ -152,6 +152,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
         'actuator': ['--params-file', str(out / 'actuator.yaml')],
     }
     nodes: dict[str, subprocess.Popen] = {}
+    ended_by: float | None = None
     try:
         for name, module in MODULES.items():
             with open(out / 'log' / f'{name}.log', 'w') as log, interrupt_later():
@@ -163,24 +164,27 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
         yield nodes
     except KeyboardInterrupt:
         # All at once, as by ros2 launch: who presses Ctrl-C does not want to wait for each.
+        ended_by = time.monotonic() + PATIENCE_S
         for process in nodes.values():
             process.send_signal(signal.SIGINT)
         raise
     finally:
-        _stop(nodes)
+        _stop(nodes, ended_by)
     failed = [name for name, process in nodes.items() if process.returncode]
     if failed:
         raise RunFailedError(_failure(failed[0], nodes[failed[0]], out))
 
 
-def _stop(nodes: Mapping[str, subprocess.Popen]) -> None:
+def _stop(nodes: Mapping[str, subprocess.Popen], ended_by: float | None) -> None:
+    """End the nodes one after the other, all of them until a time, if one is given."""
     for name in reversed(MODULES):
         process = nodes.get(name)
         if process is None or process.poll() is not None:
             continue
         process.send_signal(signal.SIGINT)
         try:
-            process.wait(PATIENCE_S)
+            process.wait(PATIENCE_S if ended_by is None else
+                         max(0.0, ended_by - time.monotonic()))
         except (subprocess.TimeoutExpired, KeyboardInterrupt):
             process.kill()
             process.wait()

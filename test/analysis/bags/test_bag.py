@@ -228,6 +228,7 @@ def test_stamps_that_stand_still_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize('published, stamped, told', [
     (range(1, 101), [k + 30 for k in range(1, 101)], 'of force_reference are up to 0.03 s off'),
     (range(1, 101), [k - 30 * (k > 50) for k in range(1, 101)], 'are up to 0.03 s off those of'),
+    (range(1, 141), [], 'the messages of force end 0.04 s before those of force_reference'),
     ([1, 2, 4, 7, 8, 9, 11, 15, 16, 20, 90], [], 'force_reference are missing: 11 came, at no')])
 def test_stamps_of_another_time_and_lost_messages_are_told(
         published: Sequence[int], stamped: list[int], told: str, tmp_path: Path) -> None:
