@@ -189,7 +189,26 @@ def read_contents(path: Path, select: Callable[[str], bool]) -> Contents:
             what = ('it ends too early' if isinstance(error, EndOfFile) else
                     ' '.join(str(error).split()))
             contents.problems.append(f'{file} is damaged or was cut off ({what})')
+    if path.is_dir() and not contents.problems:
+        contents.problems.extend(_not_there(path, contents.topics))
     return contents
+
+
+def _not_there(path: Path, topics: Mapping[str, Topic]) -> Iterator[str]:
+    """Yield a sentence for each topic of which the metadata.yaml counts more messages."""
+    with suppress(OSError, *BROKEN):    # also where it has another form
+        for each in _described(path)['topics_with_message_count']:
+            name, count = each['topic_metadata']['name'], int(each['message_count'])
+            if name in topics and len(topics[name]) < count:
+                yield (f'{path}: {count - len(topics[name])} of the {count} messages of {name} '
+                       'that its metadata.yaml counts are missing')
+
+
+def _described(path: Path) -> dict[str, Any]:
+    """Return what the metadata.yaml of a bag says of it; raises one of BROKEN or OSError."""
+    metadata = with_a_file_as_metadata(path) / 'metadata.yaml'
+    return dict(yaml.safe_load(metadata.read_text(encoding='utf-8'))[
+        'rosbag2_bagfile_information'])
 
 
 def _files(path: Path, problems: list[str]) -> list[Path]:
@@ -204,9 +223,7 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
             raise InputError(f'{path} is empty: expected a .mcap or .db3 file')
         return [path]
     try:
-        metadata = with_a_file_as_metadata(path) / 'metadata.yaml'
-        described = yaml.safe_load(metadata.read_text(encoding='utf-8'))
-        described = described['rosbag2_bagfile_information']
+        described = _described(path)
         if described['storage_identifier'] != 'mcap' or described.get('compression_mode'):
             return [path]
         files = [path / Path(os.fsdecode(name.encode())).name
@@ -227,9 +244,8 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
 
 def is_empty(path: Path) -> bool:
     """Return whether the metadata.yaml of a bag says that it has no message."""
-    with suppress(OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
-        metadata = yaml.safe_load((with_a_file_as_metadata(path) / 'metadata.yaml').read_bytes())
-        return bool(metadata['rosbag2_bagfile_information']['message_count'] == 0)
+    with suppress(OSError, *BROKEN):
+        return bool(_described(path)['message_count'] == 0)
     return False
 
 

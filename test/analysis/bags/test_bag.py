@@ -241,6 +241,18 @@ def test_stamps_of_another_time_and_lost_messages_are_told(
         read_bag(bag)
 
 
+def test_messages_that_the_metadata_counts_and_the_bag_lacks_are_told(tmp_path: Path) -> None:
+    ticks = [10**6 * k for k in range(1, 101)]
+    bag = foreign_bag(tmp_path / 'bag', {'/force': [(t, wrench(t, 1.0)) for t in ticks]})
+    assert read_bag(bag).problems == ()
+    metadata = bag / 'metadata.yaml'
+    metadata.write_text(metadata.read_text().replace('message_count: 100', 'message_count: 130'))
+    with pytest.warns(InputWarning, match='30 of the 130 messages of /force that its metadata'):
+        read_bag(bag)
+    metadata.write_text(metadata.read_text().replace('message_count: 130', 'message_count: many'))
+    assert read_bag(bag).problems == ()
+
+
 def numbered_bag(path: Path, numbers: Sequence[int], other: Sequence[int]) -> Path:
     """Write forces with these numbers, and as many references."""
     writer = BagWriter(path)
