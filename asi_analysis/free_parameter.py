@@ -51,10 +51,6 @@ class FreeParameter(NamedTuple):
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
 
-    def prior_residual(self, share: float) -> float:
-        """Return how many standard deviations of the prior a share is from the nominal."""
-        return (share - self.share(self.nominal)) / self.prior
-
 
 def to_vector(parameters: Sequence[FreeParameter], values: Mapping[str, float]) -> Array:
     """Return n shares, each 0 to 1, of values by name; of the nominal where there is none."""

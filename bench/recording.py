@@ -23,8 +23,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from asi_analysis.bags.bag import read_bag, write_bag
-from asi_analysis.bags.bag_file import Topic, read_contents
+from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.run import Run
+from asi_analysis.bags.topic_messages import Topic
 from asi_analysis.experiments.experiment import planned
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.in_process import run_in_process

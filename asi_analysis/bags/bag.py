@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags import cdr
-from asi_analysis.bags.bag_file import Topic, read_contents
+from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.bag_writer import BagWriter, typestore
 from asi_analysis.bags.encoding import (
     SIGNAL_TOPICS,
@@ -24,6 +24,7 @@ from asi_analysis.bags.encoding import (
 )
 from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run, StateChange
+from asi_analysis.bags.topic_messages import Topic
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.topics import JOINTS, TOPICS
 
@@ -60,8 +61,13 @@ def read_bag(path: str | Path) -> Run:
     with another stamp holds until the next one. Of a damaged file the readable part is returned,
     with an InputWarning. Raises InputError if no message can be read.
 
+    >>> import tempfile
     >>> import asi_analysis as asi
-    >>> run = asi.read_bag('runs/demo/lead_lag/bag')                      # doctest: +SKIP
+    >>> bag = f'{tempfile.mkdtemp()}/bag'
+    >>> asi.write_bag(asi.simulate({}, {'reference.amplitude': 100.0}, 0.2), bag)
+    >>> run = asi.read_bag(bag)
+    >>> list(run.signals())
+    ['reference', 'command', 'force', 'valve_position', 'position', 'velocity']
     """
     path = Path(path)
     contents = read_contents(path, lambda name: _base_name(name) in (*SIGNAL_TOPICS, DIAGNOSTICS))

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.bag import Series, assemble, decode
-from asi_analysis.bags.bag_file import Topic
 from asi_analysis.bags.run import Run
+from asi_analysis.bags.topic_messages import Topic
 from asi_common.topics import TOPICS
 
 # joint_states, which holds all but the reference, comes last: then there is something to show.

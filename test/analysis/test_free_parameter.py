@@ -1,13 +1,11 @@
-"""Free parameters: vector and dictionary are each other's inverse; priors and bounds."""
-
-import math
+"""Free parameters: vector and dictionary are each other's inverse; bounds."""
 
 import numpy as np
 import pytest
 
 from asi_analysis.free_parameter import FreeParameter, Scale, to_values, to_vector
 
-SOME = (FreeParameter('a', 2.0, 1.0, 100.0, Scale.LOG, prior=0.1),
+SOME = (FreeParameter('a', 2.0, 1.0, 100.0, Scale.LOG),
         FreeParameter('b', -1.0, -3.0, 5.0))
 
 
@@ -21,10 +19,3 @@ def test_vector_and_values_are_inverse():
 def test_outside_the_bounds_and_missing():
     assert to_vector(SOME, {'a': 0.5}) == pytest.approx([0.0, 0.25])
     assert to_values(SOME, np.array([-1.0, 2.0])) == {'a': 1.0, 'b': 5.0}
-
-
-def test_prior():
-    a, b = SOME
-    assert a.prior_residual(a.share(2.0)) == 0.0
-    assert a.prior_residual(a.share(2.0) + 0.2) == pytest.approx(2.0)
-    assert math.isinf(b.prior) and b.prior_residual(0.9) == 0.0

@@ -11,11 +11,12 @@ from rosbags.typesys import TypesysError, get_types_from_msg
 
 from asi_analysis.bags import cdr
 from asi_analysis.bags.bag import Series, align, decode, time_base
-from asi_analysis.bags.bag_file import BROKEN, Topic, read_contents, with_files_only
+from asi_analysis.bags.bag_file import BROKEN, read_contents, with_files_only
 from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.lerobot import is_dataset
 from asi_analysis.bags.exchange.ros1_bag import read_ros1_table
 from asi_analysis.bags.exchange.table_file import Table
+from asi_analysis.bags.topic_messages import Topic
 from asi_analysis.errors import InputError, InputWarning
 
 

@@ -16,8 +16,9 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
-from asi_analysis.bags.bag_file import Topic, read_contents
+from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.qos import as_profile
+from asi_analysis.bags.topic_messages import Topic
 from asi_analysis.errors import InputError
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunFinished, run_node

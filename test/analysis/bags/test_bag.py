@@ -21,11 +21,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from asi_analysis.bags.bag import read_bag, write_bag
-from asi_analysis.bags.bag_file import Contents, Topic
+from asi_analysis.bags.bag_file import Contents
 from asi_analysis.bags.bag_writer import BagWriter
 from asi_analysis.bags.exchange import bag_table
 from asi_analysis.bags.exchange.importing import import_recording, read_joint, read_joints
 from asi_analysis.bags.run import Run
+from asi_analysis.bags.topic_messages import Topic
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.measures.analysis import analyze
 from asi_common.node import messages as wire
