@@ -21,6 +21,30 @@ from asi_common.node.topics import message_class
 from asi_common.topics import FRAME, JOINTS, TOPICS
 
 CONFIG = Path(__file__).parents[1] / 'config'
+# What Lichtblick reads of a layout (lichtblick-suite/lichtblick, 66adecb: PlotConfig and PlotPath
+# of panels/Plot/utils/config.ts, DiagnosticSummaryConfig, LayoutData): keys, those it needs, and
+# the values of those that are a choice.
+PLOT = {'paths', 'minXValue', 'maxXValue', 'minYValue', 'maxYValue', 'showLegend',
+        'legendDisplay', 'showPlotValuesInLegend', 'showXAxisLabels', 'showYAxisLabels',
+        'isSynced', 'xAxisVal', 'xAxisPath', 'xAxisLabel', 'yAxisLabel', 'followingViewWidth',
+        'sidebarDimension', 'lichtblickPanelTitle', 'foxglovePanelTitle'}
+PATH = {'value', 'enabled', 'color', 'label', 'timestampMethod', 'showLine', 'lineSize'}
+SUMMARY = {'minLevel', 'pinnedIds', 'topicToRender', 'hardwareIdFilter', 'sortByLevel',
+           'secondsUntilStale'}
+LAYOUT = {'configById', 'layout', 'globalVariables', 'playbackConfig', 'userNodes', 'version'}
+CHOICES = {'legendDisplay': {'floating', 'top', 'left', 'none'},
+           'xAxisVal': {'timestamp', 'index', 'custom', 'currentCustom'},
+           'timestampMethod': {'receiveTime', 'headerStamp'}}
+# What PlotJuggler reads (facontidavide/PlotJuggler, ddcbd05: xmlLoadState of mainwindow.cpp,
+# tabbedplotwidget.cpp, plot_docker.cpp and plotwidget.cpp): parent and attributes of each element.
+PLOTJUGGLER = {
+    'tabbed_widget': ('root', {'name', 'parent'}),
+    'Tab': ('tabbed_widget', {'tab_name', 'containers'}),
+    'Container': ('Tab', set()), 'DockSplitter': ('Container', {'orientation', 'sizes', 'count'}),
+    'DockArea': ('DockSplitter', {'name'}), 'plot': ('DockArea', {'mode', 'style'}),
+    'curve': ('plot', {'name', 'color'}), 'currentTabIndex': ('tabbed_widget', {'index'}),
+    'use_relative_time_offset': ('root', {'enabled'})}
+STYLES = {'Lines', 'Dots', 'LinesAndDots', 'Sticks', 'Steps', 'StepsInv'}
 
 
 def paths(file: str) -> list[str]:
@@ -58,6 +82,34 @@ def test_foxglove_shows_each_panel_of_its_layout_once() -> None:
               for name, each in layout['configById'].items() if name.startswith('Plot!')]
     assert all(len(title) == 1 and None not in title for title in titles)
     assert layout['configById']['DiagnosticSummary!health']['topicToRender'] in TOPICS
+
+
+def test_lichtblick_knows_every_key_of_the_layout() -> None:
+    layout = json.loads((CONFIG / 'foxglove_layout.json').read_text())
+    assert {'configById', 'globalVariables', 'playbackConfig'} <= layout.keys() <= LAYOUT
+    for name, panel in layout['configById'].items():
+        known = {'Plot': PLOT, 'DiagnosticSummary': SUMMARY}[name.partition('!')[0]]
+        assert panel.keys() <= known
+        for each in (panel, *panel.get('paths', [])):
+            assert all(each[key] in values for key, values in CHOICES.items() if key in each)
+        for path in panel.get('paths', []):
+            assert {'value', 'enabled', 'timestampMethod'} <= path.keys() <= PATH
+
+
+def test_plotjuggler_reads_every_element_of_the_layout() -> None:
+    root = ElementTree.parse(CONFIG / 'plotjuggler_layout.xml').getroot()
+    for parent in root.iter():
+        for child in parent:
+            expected, attributes = PLOTJUGGLER[child.tag]
+            assert (parent.tag, set(child.keys())) == (expected, attributes)
+    window, = root.iter('tabbed_widget')
+    assert (window.get('name'), window.get('parent')) == ('Main Window', 'main_window')
+    for splitter in root.iter('DockSplitter'):
+        sizes = [float(size) for size in splitter.get('sizes', '').split(';')]
+        assert splitter.get('orientation') in ('-', '|') and sum(sizes) == 1.0
+        assert int(splitter.get('count', '')) == len(sizes) == len(splitter)
+    assert all(plot.get('mode') == 'TimeSeries' and plot.get('style') in STYLES
+               for plot in root.iter('plot'))
 
 
 def test_the_joints_and_the_frame_of_the_topics_are_in_one_tree() -> None:
