@@ -1,21 +1,26 @@
 """Folders of other packages in HOME, where that cannot be written."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from asi_common.jit_cache import temporary_folder
 
 
 def choose_folder(variable: str, usual: str | Path) -> None:
-    """Set an environment variable to a temporary folder if unset and `usual` is not writable."""
+    """
+    Set an environment variable to a temporary folder if unset and `usual` is not writable.
+
+    So too without HOME, which others take from the environment alone.
+    """
     if os.environ.get(variable):
         return
-    folder = Path(os.path.expanduser(usual))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        writable = os.access(folder, os.W_OK)
-    except OSError:
-        writable = False
+    writable = False
+    if os.environ.get('HOME') or not str(usual).startswith('~'):
+        folder = Path(os.path.expanduser(usual))
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            writable = os.access(folder, os.W_OK)
     if not writable:
         os.environ[variable] = str(temporary_folder() / variable.lower())
 

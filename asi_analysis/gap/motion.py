@@ -126,7 +126,7 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
     source = velocity if velocity is not None else position
     if source is None:
         return None, None
-    pad = min(int(PAD_S / period), source.size - 2)
+    pad = min(max(int(PAD_S / period), 1), source.size - 2)
     count = source.size + 2 * pad
     frequency = np.fft.rfftfreq(count, period)
     omega = 2.0 * np.pi * frequency

@@ -109,7 +109,8 @@ def test_node_that_hangs_as_it_ends_says_where_and_exits(ros_environment):
     assert 'in destroy_node' in result.stderr
 
 
-def test_node_starts_where_no_home_can_be_written(ros_environment, tmp_path):
+@pytest.mark.parametrize('home', ['/proc/none', None])
+def test_node_starts_where_no_home_can_be_written(home, ros_environment, tmp_path):
     code = ('from rclpy.node import Node; from asi_common.node import executor as spin\n'
             'class Done(Node):\n'
             '    def __init__(self):\n'
@@ -119,9 +120,9 @@ def test_node_starts_where_no_home_can_be_written(ros_environment, tmp_path):
             '        raise spin.RunFinished\n'
             'raise SystemExit(spin.run_node(Done))')
     given = {name: value for name, value in ros_environment.items()
-             if name not in ('ROS_LOG_DIR', 'ROS_HOME')}
+             if name not in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')} | ({'HOME': home} if home else {})
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, env={
-        **given, 'PYTHONPATH': str(ROOT), 'HOME': '/proc/none', 'TMPDIR': str(tmp_path)})
+        **given, 'PYTHONPATH': str(ROOT), 'TMPDIR': str(tmp_path)})
     assert (result.returncode, result.stderr) == (0, '')
     assert list(tmp_path.glob('*/ros_log_dir/*'))
 

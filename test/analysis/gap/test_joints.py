@@ -15,6 +15,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joints import Rest, _coupled, diagnose_joints
+from asi_analysis.gap.motion import motion_of
 from asi_analysis.gap.sampling import clipped
 from asi_analysis.parallel import workers
 
@@ -118,3 +119,10 @@ def test_three_seconds_of_a_servo_at_30_hz_are_answered():
         'signals': {'position': 'rad', 'reference': 'rad'}})], plant='joint')
     assert 0.0 <= gap.gap['after_nrmse'] <= gap.gap['before_nrmse'] < 1.0
     assert 'The gap' in str(gap) and 'cut off' not in str(gap)
+
+
+@pytest.mark.parametrize('period_s', [2.0, 2000.0])
+def test_a_joint_whose_time_is_in_a_wrong_unit_is_answered_or_refused(period_s):
+    hip = joint()[SHORT]
+    slow = motion_of(hip.position_m, None, 0.1 / period_s, period_s)[0]
+    assert np.isfinite(slow.velocity).all()
