@@ -84,6 +84,9 @@ def compare(
         help='Conditions of the attack of `asi quench`; 0: none', min=0)] = 300,
     seed: Annotated[int, typer.Option(
         help='Seed of plants and attack', min=0, max=MOST_SEED)] = 1,
+    gains: Annotated[str, typer.Option(
+        help='Factors of gain and integrator at which the impedance is taken, for the Z-width: '
+             "0.5,1,1.5; '': none")] = '',
     markdown: Annotated[Path | None, typer.Option(
         callback=new_file, help='File for the tables as Markdown')] = None,
     report: Report = None,
@@ -103,7 +106,8 @@ def compare(
         result = compare_controllers(
             {name: {**each, **values['controller']} for name, each in controllers.items()},
             recordings, values['actuator'], numbers('--rates', rates),
-            numbers('--springs', springs), plants, noise, conditions, seed, progress)
+            numbers('--springs', springs), plants, noise, conditions, seed,
+            numbers('--gains', gains), progress)
         if report:
             progress('report', None)
             result.write_report(report)

@@ -18,6 +18,7 @@ from asi_analysis.reporting.result import Pictures, Result, Table, filled, numbe
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import (
     BAND_HZ,
+    IMPEDANCE_HZ,
     ROWS,
     STEP_S,
     Responses,
@@ -29,6 +30,8 @@ from asi_analysis.tuning.figures import (
     step_figures,
 )
 from asi_analysis.tuning.overlays import recorded, simulated
+from asi_analysis.tuning.z_width import rows as z_rows
+from asi_analysis.tuning.z_width import z_width
 from asi_common.files import write_text
 from asi_controller.compensators import COMPENSATORS
 
@@ -86,6 +89,8 @@ class Comparison(Result):
                 condition, ['to reach', *self.controllers])
             if condition == self['figures'][0]['condition']:
                 yield self._steps(condition)
+        if self['z_width']:
+            yield self._z_width()
         if self['recordings']:
             names = [each['source'] for each in self['recordings']]
             yield Table(['', '', *names], [
@@ -95,6 +100,23 @@ class Comparison(Result):
                   for key, text, unit, factor in RECORDED),
                 ['oscillation', '', *(in_words(each['oscillation'], each['unit'])
                                       for each in self['recordings'])]], 'recordings', names)
+
+    def _z_width(self) -> Table:
+        frequencies = [f'{each:g} Hz' for each in IMPEDANCE_HZ]
+        lines: dict[tuple[str, str], list[str]] = {}
+        for each in self['z_width']:
+            known = lines.setdefault((each['controller'], f'{each["factor"]:g}'), [
+                filled('{least_re_z_n_s_m:.3g}', each)])
+            known.append(filled('{size_n_s_m:.3g}', each))
+        for each in self['z_width']:
+            width = lines.setdefault((each['controller'], 'Z-width, dB'), [''])
+            if len(width) <= len(frequencies):
+                width.append(filled('{width_db:.3g}', each))
+        return Table(['', 'gain times', 'least Re Z, N s/m', *frequencies],
+                     [[*key, *cells] for key, cells in lines.items()],
+                     f'size of the impedance (N s/m) at {self.rates_hz[0]:g} Hz, and its range '
+                     'over the gains that are passive',
+                     ['gain times', 'least Re Z, N s/m', *frequencies])
 
     def _notes(self) -> Iterator[str]:
         if self['figures'] and self['recordings']:
@@ -139,7 +161,8 @@ def compare_controllers(
         controllers: Mapping[str, Values], recordings: Mapping[str, Run] | None = None,
         actuator: Values | None = None, rates_hz: Sequence[float] = (5000.0, 2000.0, 1000.0),
         springs_n_m: Sequence[float] = (1e4, 1e5, 1e6), plants: int = 12, noise_n: float = 1.0,
-        attacks: int = 300, seed: int = 1, progress: Progress = silent) -> Comparison:
+        attacks: int = 300, seed: int = 1, gains: Sequence[float] = (),
+        progress: Progress = silent) -> Comparison:
     """
     Return the figures of controllers on an actuator, and those of recordings.
 
@@ -147,7 +170,8 @@ def compare_controllers(
     their defaults. Each controller is simulated at each of the rates (Hz), and at the first of
     them with sensor noise (N rms; 0: not), on `plants` actuators whose parameters have errors of
     up to 20 %, on springs (N/m) and free; and attacked as by `asi quench`, under so many
-    conditions at all the rates. Raises InputError for parameters that are not allowed.
+    conditions at all the rates. gains: factors of gain and integrator at which the impedance is
+    taken, for the Z-width. Raises InputError for parameters that are not allowed.
 
     >>> import asi_analysis as asi
     >>> found = asi.compare_controllers({'P': {'gain': 3.0}, 'lead4': {'compensator': 'lead4'}},
@@ -166,7 +190,10 @@ def compare_controllers(
     if min(rates_hz) <= 2.0 * BAND_HZ[-1]:
         raise InputError(f'rates = {min(rates_hz):g} Hz is not allowed: a gain at '
                          f'{BAND_HZ[-1]:g} Hz needs more than {2.0 * BAND_HZ[-1]:g} Hz')
+    if not all(each > 0.0 for each in gains):
+        raise InputError('gains: factors of the gain are above 0')
     chosen = conditions(actuator, rates_hz, springs_n_m, plants, noise_n, seed)
+    widths: list[dict[str, object]] = []
     rows: list[dict[str, Any]] = []
     nominal: dict[str, Responses] = {}
     for begun, (name, controller) in enumerate(controllers.items()):
@@ -176,12 +203,15 @@ def compare_controllers(
             found.append(_attacked(search(actuator, controller, tuple(rates_hz), attacks, seed,
                                           tell), rates_hz))
         rows += [row | {'controller': name} for row in found]
+        if gains:
+            widths += z_rows(name, z_width(actuator, controller, gains, rates_hz[0]))
     recordings = recordings or {}
     return Comparison({
         'controllers': list(controllers), 'rates_hz': rates_hz, 'plants': plants,
         'noise_n': noise_n, 'figures': rows,
         'steps': [{'controller': name, **step._asdict()} for name, runs in nominal.items()
                   for step in step_figures(runs.steps, rates_hz[0])],
+        'z_width': widths,
         'recordings': [_recording(name, run) for name, run in recordings.items()],
         'quality': quality_of(list(recordings.values())),
     }, responses=nominal, runs=recordings)

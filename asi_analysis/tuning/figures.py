@@ -119,17 +119,22 @@ def _moved(actuator: Values, velocity: float, frequency: float) -> dict[str, Any
             'load.frequency': frequency}
 
 
-def responses(actuator: Values, controller: Values, rate_hz: float) -> Responses:
-    """Return the runs of a loop: on the locked piston, and moved."""
-    motions = {name: moved(actuator, controller, name, rate_hz) for name in MOTIONS}
+def impedance(actuator: Values, controller: Values, rate_hz: float) -> Array:
+    """Return the impedance felt (complex, N s/m): IMPEDANCE_M_S x IMPEDANCE_HZ."""
     cases = [(velocity, frequency) for velocity in IMPEDANCE_M_S for frequency in IMPEDANCE_HZ]
     found = _runs([_moved(actuator, *case) for case in cases],
                   [_references(controller, 'step', amplitude=0.0)] * len(cases), rate_hz, 1.5)
-    impedance = np.array([
+    return np.array([
         -_harmonic(run[2], frequency, rate_hz) / _harmonic(run[5], frequency, rate_hz)
-        for run, (_, frequency) in zip(found, cases, strict=True)])
-    return Responses(*held({**actuator, 'load.type': 'locked'}, controller, rate_hz), motions,
-                     impedance.reshape(len(IMPEDANCE_M_S), -1))
+        for run, (_, frequency) in zip(found, cases, strict=True)]
+        ).reshape(len(IMPEDANCE_M_S), -1)
+
+
+def responses(actuator: Values, controller: Values, rate_hz: float) -> Responses:
+    """Return the runs of a loop: on the locked piston, and moved."""
+    return Responses(*held({**actuator, 'load.type': 'locked'}, controller, rate_hz),
+                     {name: moved(actuator, controller, name, rate_hz) for name in MOTIONS},
+                     impedance(actuator, controller, rate_hz))
 
 
 def figures(actuator: Values, controller: Values, rate_hz: float = 5000.0,

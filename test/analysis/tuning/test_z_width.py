@@ -1,0 +1,25 @@
+"""Z-width: of an ideal actuator with a damper it is known."""
+
+import numpy as np
+import pytest
+from test_tuning import IDEAL
+
+from asi_analysis.tuning.z_width import z_width
+
+DAMPER = IDEAL | {'hydraulic_damping.model': 'linear', 'hydraulic_damping.linear_gain': 500.0}
+
+
+def test_a_gain_divides_the_impedance_of_a_damper():
+    """500 N s/m over 1 + gain: the range from gain 0.1 to 0.5 is 1.5 / 1.1."""
+    found = z_width(DAMPER, {'gain': 0.2, 'feedforward': 0.0}, [0.5, 2.5], 5000.0)
+    assert [each.passive for each in found.gains] == [True, True]
+    for each, gain in zip(found.gains, (0.1, 0.5), strict=True):
+        assert each.size_n_s_m[:4] == pytest.approx([500.0 / (1.0 + gain)] * 4, rel=0.01)
+    assert found.width_db[:4] == pytest.approx([20.0 * np.log10(1.5 / 1.1)] * 4, rel=0.05)
+
+
+def test_what_pushes_along_is_not_passive_and_has_no_width():
+    pushing = {'gain': 0.2, 'velocity_feedforward.share': 0.5}   # 725 N s/m of 500
+    found = z_width(DAMPER, pushing, [1.0], 5000.0)
+    assert not found.gains[0].passive and found.gains[0].least_re_z_n_s_m < 0.0
+    assert found.width_db is None
