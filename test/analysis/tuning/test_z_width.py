@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from test_tuning import IDEAL
 
-from asi_analysis.tuning.z_width import z_width
+from asi_analysis.tuning.compare import Comparison
+from asi_analysis.tuning.z_width import AtGain, ZWidth, rows, z_width
 
 DAMPER = IDEAL | {'hydraulic_damping.model': 'linear', 'hydraulic_damping.linear_gain': 500.0}
 
@@ -23,3 +24,14 @@ def test_what_pushes_along_is_not_passive_and_has_no_width():
     found = z_width(DAMPER, pushing, [1.0], 5000.0)
     assert not found.gains[0].passive and found.gains[0].least_re_z_n_s_m < 0.0
     assert found.width_db is None
+
+
+def test_table_has_a_row_for_each_gain_and_the_width():
+    found = ZWidth([AtGain(1.0, 5.0, True, (500.0,) * 7), AtGain(2.0, -1.0, False, (300.0,) * 7)],
+                   (0.0,) * 7)
+    compared = Comparison({'figures': [], 'recordings': [], 'rates_hz': [5000.0],
+                           'controllers': ['P'], 'z_width': rows('P', found)})
+    table, = compared.tables('{} *')
+    assert [row[:4] for row in table.rows] == [
+        ['P', '1', '5', '500'], ['P', '2', '-1', '300'], ['P', 'Z-width, dB', '', '0']]
+    assert {len(row) for row in table.rows} == {len(table.columns)} == {10}
