@@ -5,6 +5,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -22,6 +23,7 @@ from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
+from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
 from asi_analysis.gap.inference.search import explained_by_simulator
@@ -255,6 +257,11 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             elif plant == 'joint':
                 plausibility.check_joint(group)
         weighed = weigh_groups(groups, tick)
+        if plant == 'joint' and healthy is None:
+            weighed, more = with_hidden_load(weighed, partial(
+                joint_groups, runs, dict(model), tolerance, out, drive or drive_of(runs),
+                hidden=True), own, tick)
+            notes += more
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:

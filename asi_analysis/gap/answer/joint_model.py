@@ -127,6 +127,7 @@ def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     delay = float(p['drive_delay'])
     if delay:   # a command that is held is late by half a sample without any
         delay += float(p['drive_hold']) - 0.5 * recording.period_s * (run.force_n is None)
+    lag, second = _poles(p, 'drive_lag')
     sine, cosine = (taken.get(name, 0.0) + float(p[name])
                     for name in ('gravity_sine', 'gravity_cosine'))
     driving = 'command' if run.force_n is None else 'force'
@@ -151,13 +152,19 @@ def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
         notes['too_small'] = 'the inertia is too small to show: that of a sample is taken'
     return JointModel(
         unit.startswith('rad'), mass, damping, level, spring, origin, sine,
-        cosine, bias=-constant, delay_s=delay, lag_s=float(p['drive_lag']),
+        cosine, bias=-constant, delay_s=delay + second, lag_s=lag,
         period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
         seen_push=pushed,
         seen_speed=_most(motion.velocity[motion.pad:-motion.pad]), notes=notes, unit=force,
         loads=tuple(loads),
         unsaid=tuple(f'constant load of recording {number}, {digits(each, force)} more'
                      for number, each in enumerate(loads, 1) if abs(each) > RIGID_ERROR * pushed))
+
+
+def _poles(p: np.void, field: str) -> tuple[float, float]:
+    """Return the time constants of a lag, s; the second, which is shorter, acts as a delay."""
+    time, split = float(p[field]), float(p[f'{field}_split'])
+    return time * (1.0 - split), time * split
 
 
 def _origin(run: Run) -> float:
@@ -169,9 +176,10 @@ def _driven(moved: JointModel, p: np.void) -> JointModel:
     """Return a joint whose force is what a drive makes of its command."""
     gain = float(p['valve_characteristic_gain'])
     shift, most = float(p['command_bias']), (float(p['valve_limit']) or np.inf) / abs(gain)
+    lag, second = _poles(p, 'valve_lag')
     return moved._replace(
-        gain=gain, bias=moved.bias + gain * shift, delay_s=float(p['command_delay']),
-        lag_s=float(p['valve_lag']), least_command=-most - shift, most_command=most - shift)
+        gain=gain, bias=moved.bias + gain * shift, delay_s=float(p['command_delay']) + second,
+        lag_s=lag, least_command=-most - shift, most_command=most - shift)
 
 
 def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
@@ -180,7 +188,8 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     assert run.reference_n is not None and run.position_m is not None
     taken, gain = recording.taken, float(p['valve_characteristic_gain'])
     origin = float(np.nanmean(run.reference_n))
-    delay, lag = float(p['command_delay']), float(p['valve_lag'])
+    lag, second = _poles(p, 'valve_lag')
+    delay = float(p['command_delay']) + second
     most_push, rate = taken.get('acceleration', np.inf), taken.get('rate', np.inf)
     limited = bool(np.isfinite(rate))
     unsaid: tuple[str, ...] = ()

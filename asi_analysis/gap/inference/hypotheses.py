@@ -4,6 +4,7 @@ Fit the hypotheses: the nominal model, each effect, and combinations of the best
 Each group of channels is weighed by itself, since each block is driven by its measured input.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -64,6 +65,8 @@ AS_WELL = 0.003    # of the cost: what a further parameter of a form must save
 # Of the probability of something unknown of a characteristic: that a disturbance explains it that
 # keeps step with the input, or three effects that each change its shape.
 STRANGE = 0.4
+# A delay and a lag, of a servo or of the drive of a joint.
+LATE = ('command_delay', 'valve_lag', 'drive_delay', 'drive_lag')
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # Of a servo: a fit that leaves at most this multiple of the noise (mean squares) shows that the
 # model error is small: the floor is then what it leaves, with this margin.
@@ -141,6 +144,27 @@ def _refitted_kin(group: Group, found: dict[Names, Candidate]) -> dict[Names, Ca
         if kin.fitted.cost < candidate.fitted.cost:
             better[names] = candidate._replace(
                 fitted=refit(group, candidate.fitted, [kin.fitted]))
+    return better | _refitted_late(group, found)
+
+
+def _refitted_late(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """
+    Return a lag or a delay with a higher cost than the other, fitted again from that.
+
+    What is late may be split between it and a servo in several ways, each a local minimum.
+    """
+    late = {name: names for names, each in found.items() if len(names) == 1
+            for name in LATE if each.fitted.record[name] != 0.0}
+    better: dict[Names, Candidate] = {}
+    for field, other in itertools.permutations(late, 2):
+        own, rival = found[late[field]], found[late[other]]
+        if rival.fitted.cost < own.fitted.cost:
+            p = rival.fitted.record.copy()
+            p[field], p[other] = p[other], 0.0
+            if f'{field}_split' in own.fitted.values:   # two equal poles are most like a delay
+                p[f'{field}_split'] = 0.5
+            again = rival.fitted._replace(record=p)
+            better[late[field]] = own._replace(fitted=refit(group, own.fitted, [again]))
     return better
 
 

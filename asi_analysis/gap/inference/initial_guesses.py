@@ -38,6 +38,7 @@ OFFSET_RANGE = 1e3  # times the residual: the range of a free offset
 MOST_LINES, LINE_POWER, LINES_POWER = 3, 0.1, 0.8
 ORDER = 3          # highest order of harmonics
 MOSTLY = 0.3       # share of a line's power; three quarters of the samples are used
+MAINLY = 0.5       # share of what is left
 REGULAR = 1e-12    # of the energy of all parameters: less is rounding
 STATIC_BINS = 2000  # of the input of a characteristic, in the search for its steps
 RESPONSE_S = 0.2   # length of the step response of a valve
@@ -125,7 +126,8 @@ def _wave(residual: Array, recording: Recording) -> Values:
 
     The lines of a line excitation are excluded, where a disturbance cannot be separated from a
     gain error, and their harmonics, which come from nonlinearities. A line of the force that the
-    fit mostly leaves is none of them: a loop answers a disturbance with such a force.
+    fit mostly leaves is none of them: a loop answers a disturbance with such a force. Nor is a
+    wave that makes most of what is left of several lines: an error would show in them all.
     """
     count = 8 * residual.size   # padded, for a frequency as fine as the wave's phase at the end
     lobe = 4 * count // residual.size + 1   # as wide as a wave is in these spectra
@@ -135,6 +137,10 @@ def _wave(residual: Array, recording: Recording) -> Values:
     lowest = count // residual.size   # one wave in the recording
     power[:lowest] = 0.0
     lines = [_lines(each, lobe) for each in driven]
+    found = int(np.argmax(power))
+    if lines and (not all(lines) or min(map(len, lines)) > 1 and power[
+            max(found - lobe // 2, 0):found + lobe // 2 + 1].sum() > MAINLY * power.sum()):
+        lines = []
     if lines:   # the first are those of the force, in units of the residual
         lines[0] = [line for line in lines[0]
                     if (near := slice(max(line - lobe // 2, 0), line + lobe // 2 + 1))

@@ -107,7 +107,8 @@ EFFECT_FIELDS = (
     'gravity_cosine',           # N m, of cos q
     'drive_hold',               # s, how late a joint's command acts, held as it is: below a sample
     'drive_delay',              # s, more than that
-    'drive_lag',                # s, the same
+    'drive_lag',                # s, the same; of two poles
+    'drive_lag_split',          # share of the second
 )
 EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
@@ -689,7 +690,9 @@ def sensor_response(omega: Array, p: np.void) -> Complex:
 def drive_inverse(omega: Array, p: np.void) -> Complex:
     """Return command over force of a joint's drive: the command comes before its force."""
     s = 1j * omega
-    return np.exp(s * (p['drive_hold'] + p['drive_delay'])) * (1.0 + s * p['drive_lag'])
+    split = p['drive_lag_split']
+    return (np.exp(s * (p['drive_hold'] + p['drive_delay']))
+            * (1.0 + s * p['drive_lag'] * (1.0 - split)) * (1.0 + s * p['drive_lag'] * split))
 
 
 def impedance(omega: Array, p: np.void) -> Complex:

@@ -27,12 +27,13 @@ from asi_analysis.gap.model.servo import (
     LAG_SPLIT,
     Servo,
     error_of,
+    second_order,
     servo_of,
     slow_servo,
     thinned,
     with_servo,
 )
-from asi_analysis.gap.model.stepped import Steps, in_steps, steps_of
+from asi_analysis.gap.model.stepped import Steps, in_steps, placed_by, steps_of
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import Recording, prepare
 from asi_common.jit import FULL, jit
@@ -112,12 +113,14 @@ def drive_of(runs: Sequence[Run]) -> str:
 
 def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
                  held_out: Sequence[bool], drive: str, healthy: Sequence[Run] = (),
-                 weight: tuple[float, float] = (0.0, 0.0)) -> tuple[list[Group], list[str]]:
+                 weight: tuple[float, float] = (0.0, 0.0), hidden: bool = False
+                 ) -> tuple[list[Group], list[str]]:
     """
     Return the groups of channels that a joint has, and notes.
 
     healthy: recordings that servo, gravity, spring and mean force are identified on; none: `runs`;
-    weight: what their fit adds to that gravity, N m of sin q and of cos q.
+    weight: what their fit adds to that gravity, N m of sin q and of cos q; hidden: what the
+    position makes is in every fit, although it does not show without an effect.
     """
     recordings = prepare(runs, drive, held_out)
     of = prepare(healthy, drive) if healthy else recordings
@@ -151,9 +154,11 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
-    weighs = turns and (bool(healthy) or bool(found.sine or found.cosine))
+    holds = hidden and not turns and stiffness is None and all(
+        run.position_m is not None for run in runs)
+    weighs = turns and (hidden or bool(healthy) or bool(found.sine or found.cosine))
     mechanics = _mechanics(recordings, given, tolerance, force_measured, weighs, bool(healthy),
-                           bool(found.stiffness) and not found.given, rattling)
+                           holds or bool(found.stiffness) and not found.given, rattling)
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
@@ -202,7 +207,9 @@ def _identified_servo(recordings: Sequence[Recording]
     slow = slow_servo(few)
     steps = steps_of(few, slow)
     stepped = in_steps(few, steps)
-    if steps:
+    if steps:   # they were placed without the response of second order, which moves them
+        steps = placed_by(second_order(stepped), few, steps)
+        stepped = in_steps(few, steps)
         slow = slow_servo(stepped)
     moved = float(np.std(np.concatenate([r.valve_position for r in few
                                          if r.valve_position is not None])))
@@ -408,10 +415,14 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
                if (variants := tuple(rattling if ('backlash_floating', 1.0) in v.fixed else
                                      scaled(v) for v in effect.variants if applies(v)))]
     if not force_measured:
-        effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=(
-            Variant((Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '',
-                          's'),), ('load',)),))
-            for name, field in (('transport_delay', 'drive_delay'), ('valve_lag', 'drive_lag'))]
+        late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
+                for field in ('drive_delay', 'drive_lag')}
+        # A second pole only if it needs one: a form with more parameters is less probable.
+        forms = {'transport_delay': [(late['drive_delay'],)], 'valve_lag': [
+            (late['drive_lag'],),
+            (late['drive_lag'], Free('drive_lag_split', 0.0, 0.5, (0.3,)))]}
+        effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=tuple(
+            Variant(form, ('load',)) for form in forms[name])) for name in forms]
     return tuple(effects)
 
 

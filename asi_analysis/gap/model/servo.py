@@ -158,6 +158,11 @@ def slow_servo(recordings: Sequence[Recording]) -> Servo:
     return _best(recordings, LAG, ('pulsation', 'delay'))
 
 
+def second_order(recordings: Sequence[Recording]) -> Servo:
+    """Return a servo of second order with a delay, fitted."""
+    return _best(recordings, DAMPING, ('pulsation', 'damping', 'delay'))
+
+
 def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
     """Return what a servo leaves of held-out parts (rms), if that is hardly more than noise."""
     left = math.sqrt(_power(servo, recordings))
@@ -178,7 +183,7 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     simple = min(at_once, _power(slow, recordings))
     if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
         return []
-    delayed = _best(recordings, DAMPING, ('pulsation', 'damping', 'delay'))
+    delayed = second_order(recordings)
     lagging = [_fitted(each, ('pulsation', 'damping', 'lag'), recordings)
                for each in _with_lag(delayed)]
     behind = min(lagging, key=lambda each: _power(each, recordings))

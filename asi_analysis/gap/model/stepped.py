@@ -6,7 +6,7 @@ second order looks like one of first order and noise.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.servo import Servo, left_by
+from asi_analysis.gap.model.servo import Servo, left_by, left_of
 from asi_analysis.gap.prepare import Recording
 
 LEVELS: Final = 2000       # of the reference, in the spectrum of what is left over it
@@ -63,18 +63,29 @@ def steps_of(recordings: Sequence[Recording], servo: Servo) -> Steps | None:
         responses = [_response(servo, r) for r in in_steps(recordings, steps)]
         return float(np.mean(left_by(responses, recordings, part) ** 2))
 
-    def nearby(steps: Steps, reach: float) -> Steps:
-        return min((Steps(steps.quantum * (1.0 + reach * wider),
-                          steps.phase + PHASE * reach * later)
-                    for wider in NEARBY for later in NEARBY), key=left)
-
     plain = left(None, 'held_out')
     if plain < FOLLOWED * power:
         return None
-    best = min((nearby(each, FINER[0]) for each in _strongest(servo, fitted[0])), key=left)
-    for reach in FINER[1:]:
-        best = nearby(best, reach)
+    best = min((_placed(each, FINER[:1], left) for each in _strongest(servo, fitted[0])),
+               key=left)
+    best = _placed(best, FINER[1:], left)
     return best._replace(phase=best.phase % 1.0) if left(best, 'held_out') < LEFT * plain else None
+
+
+def placed_by(servo: Servo, recordings: Sequence[Recording], steps: Steps) -> Steps:
+    """Return the steps of a reference, placed again by a servo of second order."""
+    best = _placed(steps, FINER, lambda each: float(np.mean(
+        left_of(servo, in_steps(recordings, each), 'fit') ** 2)))
+    return best._replace(phase=best.phase % 1.0)
+
+
+def _placed(steps: Steps, reaches: Sequence[float], left: Callable[[Steps], float]) -> Steps:
+    """Return the steps near by that leave least."""
+    for reach in reaches:
+        steps = min((Steps(steps.quantum * (1.0 + reach * wider),
+                           steps.phase + PHASE * reach * later)
+                     for wider in NEARBY for later in NEARBY), key=left)
+    return steps
 
 
 def _response(servo: Servo, recording: Recording) -> Array:

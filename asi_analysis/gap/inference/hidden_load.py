@@ -1,0 +1,41 @@
+"""Gravity or a spring of a joint that an effect hides, so that it did not show without that."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, weigh_groups
+from asi_analysis.gap.model.group import Group, with_tolerances
+from asi_analysis.gap.model.joint import LEFT_WITHOUT
+
+
+def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence[Group], object]],
+                     tolerances: Mapping[str, float], tick: Callable[[], None]
+                     ) -> tuple[list[Weighed], list[str]]:
+    """
+    Return the groups of a joint, with gravity or a spring in every fit if needed, and notes.
+
+    weighed: without; groups: makes those with it; it is needed if nothing else explains the gap,
+    and the best fit then leaves less than LEFT_WITHOUT of its power. tolerances: by field.
+    """
+    without = weighed[-1]
+    if without.group.channels != ('load',):
+        return weighed, []
+    left = _best(without).fitted.held_out['load']
+    if left < without.group.error_floor['load']:
+        return weighed, []
+    group = with_tolerances(groups()[0][-1], tolerances)
+    if len(group.nuisance) == len(without.group.nuisance):
+        return weighed, []
+    again, = weigh_groups([group], tick)
+    best = _best(again)
+    share = best.fitted.held_out['load'] / left
+    if not best.names or share > LEFT_WITHOUT:
+        return weighed, []
+    turns = 'gravity_sine' in best.fitted.values
+    return [*weighed[:-1], again], [
+        f'the joint {"has gravity" if turns else "is held by a spring"}, which shows beside an '
+        f'effect only: it leaves {100.0 * share:.2g} % of what that leaves without']
+
+
+def _best(weighed: Weighed) -> Candidate:
+    """Return the hypothesis that fits best."""
+    return min(weighed.candidates.values(), key=lambda each: each.fitted.cost)
