@@ -334,7 +334,8 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     effective = effective_hypotheses(found)
     evidence = evidence_of(group, effective)
     constants = (STATIC if group.channels == ('static',) else
-                 CONSTANTS if evidence.error_floor == group.error_floor else SERVO)
+                 SERVO if group.channels == ('valve',)
+                 and evidence.error_floor != group.error_floor else CONSTANTS)
     return Weighed(group, effective, probabilities(evidence, constants))
 
 

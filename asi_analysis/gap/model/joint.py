@@ -337,7 +337,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     elif weighs:   # it was identified without the effects
         nuisance += [free._replace(starts=(0.0,)) for free in GRAVITY.variants[0].free]
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
-                      model_error=RIGID_ERROR)
+                      model_error=RIGID_ERROR, floor_by_best=True)
 
 
 def rattling_in(rattling: Rattling | None) -> Variant:
@@ -418,9 +418,10 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
                 for field in ('drive_delay', 'drive_lag')}
         # A second pole only if it needs one: a form with more parameters is less probable.
-        forms = {'transport_delay': [(late['drive_delay'],)], 'valve_lag': [
-            (late['drive_lag'],),
-            (late['drive_lag'], Free('drive_lag_split', 0.0, 0.5, (0.3,)))]}
+        forms: dict[str, list[tuple[Free, ...]]] = {
+            'transport_delay': [(late['drive_delay'],)],
+            'valve_lag': [(late['drive_lag'],),
+                          (late['drive_lag'], Free('drive_lag_split', 0.0, 0.5, (0.3,)))]}
         effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=tuple(
             Variant(form, ('load',)) for form in forms[name])) for name in forms]
     return tuple(effects)
