@@ -29,8 +29,8 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
     LEAST_RESIDUAL,
+    OWN_MODEL,
     SERVO,
-    STATIC,
     Evidence,
     Names,
     join_probabilities,
@@ -333,9 +333,10 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     """Return a group with the probability of every hypothesis, `unknown` among them."""
     effective = effective_hypotheses(found)
     evidence = evidence_of(group, effective)
-    constants = (STATIC if group.channels == ('static',) else
-                 SERVO if group.channels == ('valve',)
-                 and evidence.error_floor != group.error_floor else CONSTANTS)
+    constants = CONSTANTS
+    if group.floor_by_best or group.channels == ('static',):
+        quiet = evidence.error_floor != group.error_floor
+        constants = SERVO if quiet and group.channels == ('valve',) else OWN_MODEL
     return Weighed(group, effective, probabilities(evidence, constants))
 
 

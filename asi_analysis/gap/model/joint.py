@@ -54,6 +54,7 @@ OF_A_SERVO = (0.2, 5.0)
 SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
 # General model error, share of a signal: a rigid model of gears, belts and cables,
 RIGID_ERROR = 0.02
+SECOND_ORDER = 0.002   # of its tracking error: what a servo is not of second order
 SERVO_ERROR = 0.03   # and a drive without dynamics,
 FEW = 2.0            # or that many times what a delay and a lag leave
 BIASED = 0.5        # of the standard deviation of a force: a larger mean is removed
@@ -259,9 +260,13 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         for variant in effect.variants
         if not any(free.field.startswith('valve_flexure') for free in variant.free)))
         for effect in EFFECTS)
-    return make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics), effects=effects,
-                      model_error=MODEL_ERROR if dynamics else model_error,
-                      floor_by_best=not proportional)
+    group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
+                       effects=effects, model_error=MODEL_ERROR if dynamics else model_error,
+                       floor_by_best=not proportional)
+    error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
+        [r.command - r.valve_position for r in recordings
+         if r.command is not None and r.valve_position is not None])))
+    return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
 
 
 def stepping(steps: Steps) -> Variant:
