@@ -162,7 +162,8 @@ UNCERTAIN = {
     'valve': ('valve_characteristic_gain', 'valve_flexure_coil_frequency',
               'valve_flexure_natural_frequency', 'valve_flexure_damping_ratio',
               'valve_flexure_delay', 'valve_hysteresis_radius', 'valve_hysteresis_lag_time',
-              'valve_hysteresis_linear_gain', 'valve_flexure_linear_gain'),
+              'valve_hysteresis_saturation', 'valve_hysteresis_linear_gain',
+              'valve_flexure_linear_gain'),
     'force': ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force',
               *_HYDRAULIC, *(f'hydraulic_damping_{name}' for name in (
                   'linear_gain', 'width_growth', 'saturation_shift', 'saturation_narrowing')),

@@ -30,7 +30,8 @@ SIMULATOR_ERROR = 0.001   # the same of the simulator's prediction
 UNCERTAIN = {
     'valve': ('valve_characteristic_gain', 'valve_flexure_coil_frequency',
               'valve_flexure_natural_frequency', 'valve_flexure_damping_ratio',
-              'valve_flexure_delay', 'valve_hysteresis_radius', 'valve_hysteresis_lag_time'),
+              'valve_flexure_delay', 'valve_hysteresis_radius', 'valve_hysteresis_lag_time',
+              'valve_hysteresis_saturation'),
     'force': ('valve_characteristic_full_opening', 'valve_characteristic_maximum_force',
               'hydraulic_damping_linear_gain', 'hydraulic_damping_maximum_force',
               'hydraulic_damping_viscous', 'hydraulic_damping_saturation_velocity',
@@ -40,7 +41,8 @@ UNCERTAIN = {
               'friction_linear_gain', 'friction_coulomb', 'friction_stiction_push',
               'friction_stiction_pull', 'force_sensor_natural_frequency', 'force_sensor_delay'),
     'load': ('load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
-             'load_locked_damping', 'force_sensor_natural_frequency', 'force_sensor_delay'),
+             'load_locked_damping', 'force_sensor_mass_share', 'force_sensor_natural_frequency',
+             'force_sensor_delay'),
 }
 # Formulation error of a nonlinearity of the nominal model, as a share of its contribution (the
 # difference with and without these fields); set, as MODEL_ERROR, on blind cases without effects.
@@ -412,7 +414,7 @@ def acts_on(field: str, channel: str, group: Group) -> bool:
         return channel == 'force' or (channel in MOTIONS and (
             not field.startswith('force_sensor_')))
     through = channel == 'force' and not group.measures_valve and 'valve' in ACTS_ON[field]
-    inert = (field in ('load_mass', 'piston_share')
+    inert = (field in ('load_mass', 'piston_share', 'force_sensor_mass_share')
              and group.nominal['force_sensor_mass_share'] != 0.0)
     carried = (channel == 'force' and field in UNCERTAIN['load']
                and not all(map(has_motion, group.recordings)))

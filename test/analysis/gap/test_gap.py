@@ -100,6 +100,15 @@ def test_nominal_parameter_beyond_its_tolerance_is_fitted():
     assert fitted.values['friction_coulomb'] == pytest.approx(40.0, rel=0.1)
 
 
+def test_what_was_calibrated_is_uncertain_too():
+    """A wrong share of the mass was called a compliance, early iron something unknown."""
+    full = {'load.type': 'spring', 'load.stiffness': 6e4, 'load.damping': 80.0, 'load.mass': 2.0}
+    real = {**full, 'force_sensor.mass_share': 0.7, 'valve_hysteresis.saturation': 1070.0}
+    valve, rest = map(fit_null, actuator_groups([recorded(real=real)], full, 0.2, [False])[0])
+    assert valve.values['valve_hysteresis_saturation'] == pytest.approx(1070.0, rel=0.02)
+    assert rest.values['force_sensor_mass_share'] == pytest.approx(0.7, rel=0.04)
+
+
 def test_static_gain_keeps_its_tolerance_where_the_valve_opens_fully():
     nominal = {**TEXTBOOK, 'valve_characteristic.model': 'full',
                'valve_characteristic.maximum_force': 300.0}
