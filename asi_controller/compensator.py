@@ -25,7 +25,6 @@ from asi_controller.additions.hysteresis_inverse import follow
 from asi_controller.additions.integrator import integrate
 from asi_controller.additions.notch import with_notch
 from asi_controller.additions.reference_model import approach, extrapolated, model_drive
-from asi_controller.additions.sampling import share_of_gain
 from asi_controller.additions.velocity_feedforward import advanced, compensation, followed
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
@@ -174,9 +173,6 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     c['period'] = 1.0 / rate_hz
     for parameter in ADDITION_PARAMETERS:
         c[field_name(parameter.name)] = as_number(parameter, v[parameter.name])
-    share = share_of_gain(float(v['sampling.delay']), 1.0 / rate_hz)
-    c['gain'] *= share
-    c['integrator_rate'] *= share
     if running is not None:
         for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre',
                      'velocity', 'observed'):

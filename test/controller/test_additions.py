@@ -121,17 +121,6 @@ def test_gain_falls_with_the_velocity() -> None:
     assert floor == pytest.approx(100.0 * (0.2 + 0.8 * 0.25))
 
 
-def test_gain_and_integrator_fall_with_the_control_period() -> None:
-    values: dict[str, Value] = {'gain': 2.0, 'integrator.rate': 50.0}
-    for rate_hz in (5000.0, 1000.0):
-        plain, held = (compensator(values | {'sampling.delay': delay}, rate_hz)
-                       for delay in (0.0, 0.001))
-        share = 0.001 / (0.001 + 0.5 / rate_hz)
-        f = np.array([3.0, 40.0])
-        assert frequency_response(held, f, rate_hz) == pytest.approx(
-            share * frequency_response(plain, f, rate_hz))
-
-
 def test_disturbance_observer_removes_what_its_model_does_not_explain() -> None:
     """The model's own lag is no disturbance; a force added to it is gone after 1/(2 pi 10 Hz)."""
     values: dict[str, Value] = BARE | {
