@@ -154,7 +154,7 @@ def _refitted_late(group: Group, found: dict[Names, Candidate]) -> dict[Names, C
     What is late may be split between it and a servo in several ways, each a local minimum.
     """
     late = {name: names for names, each in found.items() if len(names) == 1
-            for name in LATE if each.fitted.record[name] != 0.0}
+            for name in LATE if each.fitted.values.get(name)}
     better: dict[Names, Candidate] = {}
     for field, other in itertools.permutations(late, 2):
         own, rival = found[late[field]], found[late[other]]

@@ -1,7 +1,6 @@
 """A run without nodes: in pieces and as a whole the same, and complete after Ctrl-C."""
 
 import resource
-import warnings
 from pathlib import Path
 
 import pytest
@@ -39,9 +38,9 @@ def test_after_ctrl_c_the_bag_so_far_is_complete(
     with pytest.raises(KeyboardInterrupt):
         in_process.run_in_process(planned({}, {}, 0.2, 'lockstep', 5000.0), tmp_path / 'run',
                                   interrupt)
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
+    with pytest.warns(InputWarning, match='600 of the 1000 samples') as told:
         assert len(asi.read_bag(tmp_path / 'run/bag')) == 400
+    assert len(told) == 1
 
 
 def test_a_full_disk_is_told_with_the_bag(tmp_path: Path) -> None:
