@@ -333,8 +333,8 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     """Return a group with the probability of every hypothesis, `unknown` among them."""
     effective = effective_hypotheses(found)
     evidence = evidence_of(group, effective)
-    constants = CONSTANTS
-    if group.floor_by_best or group.channels == ('static',):
+    constants = CONSTANTS   # with a baseline, too: the model error is measured then
+    if group.channels == ('static',) or group.floor_by_best and not group.floor_measured:
         quiet = evidence.error_floor != group.error_floor
         constants = SERVO if quiet and group.channels == ('valve',) else OWN_MODEL
     return Weighed(group, effective, probabilities(evidence, constants))
