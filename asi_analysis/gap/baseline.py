@@ -182,7 +182,8 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         variant._replace(free=tuple(map(_nearer, variant.free))) for variant in effect.variants))
         for effect in group.effects)
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
-                   error_floor=floor, effects=effects, floor_measured=True)
+                   error_floor=floor, effects=effects, floor_measured=True,
+                   floor_by_best=False)
 
 
 def _nearer(free: Free) -> Free:

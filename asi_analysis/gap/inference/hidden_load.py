@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, weigh_groups
+from asi_analysis.gap.inference.probability import marginals
+from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group, with_tolerances
 from asi_analysis.gap.model.joint import LEFT_WITHOUT
 
@@ -13,8 +15,9 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
     """
     Return the groups of a joint, with gravity or a spring in every fit if needed, and notes.
 
-    weighed: without; groups: makes those with it; it is needed if nothing else explains the gap,
-    and the best fit then leaves less than LEFT_WITHOUT of its power. tolerances: by field.
+    weighed: without; groups: makes those with it; it is needed if no effect explains the gap
+    without it and one does with it, which leaves less than LEFT_WITHOUT of the power. tolerances:
+    by field.
     """
     without = weighed[-1]
     if without.group.channels != ('load',):
@@ -28,7 +31,8 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
     again, = weigh_groups([group], tick)
     best = _best(again)
     share = best.fitted.held_out['load'] / left
-    if not best.names or share > LEFT_WITHOUT:
+    unknown = marginals(again.probability)[UNKNOWN] > 0.5
+    if not best.names or share > LEFT_WITHOUT or unknown:
         return weighed, []
     turns = 'gravity_sine' in best.fitted.values
     return [*weighed[:-1], again], [

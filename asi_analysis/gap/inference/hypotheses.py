@@ -334,7 +334,7 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     effective = effective_hypotheses(found)
     evidence = evidence_of(group, effective)
     constants = CONSTANTS   # with a baseline, too: the model error is measured then
-    if group.channels == ('static',) or group.floor_by_best and not group.floor_measured:
+    if group.channels == ('static',) or group.floor_by_best:
         quiet = evidence.error_floor != group.error_floor
         constants = SERVO if quiet and group.channels == ('valve',) else OWN_MODEL
     return Weighed(group, effective, probabilities(evidence, constants))
