@@ -549,8 +549,10 @@ def test_command_that_is_no_number_is_a_fault_until_the_reset(
     # This test is the controller: it answers every state, the tenth with nan.
     ros_node.create_subscription(Clock, '/clock', lambda message: None, 10)
     command = WrenchStamped()
+    applied = {}
 
     def answer(state: JointState) -> None:
+        applied[nanoseconds(state.header.stamp)] = state.effort[1]
         command.header.stamp = state.header.stamp
         tenth = nanoseconds(state.header.stamp) == 2_000_000
         command.wrench.force.x = np.nan if tenth else 500.0
@@ -561,7 +563,6 @@ def test_command_that_is_no_number_is_a_fault_until_the_reset(
     actuator.wait_for('fault, the valve command is 0: valve_command = nan N')
     # In lock-step the ticks go on, with a valve that is shut.
     states.wait(50)
-    applied = {nanoseconds(m.header.stamp): m.effort[1] for m in states.messages}
     assert [applied[200_000 * k] for k in range(8, 14)] == [500.0, 500.0, 500.0, 0.0, 0.0, 0.0]
     assert not any(m.effort[1] for m in states.messages[-20:])
     assert ask('reset') == (True, 'reset: enabled')
