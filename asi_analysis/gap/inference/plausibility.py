@@ -195,6 +195,8 @@ def check_against_model(group: Group) -> list[str]:
             if max(np.std(real[valid]), np.std(model[valid])) < LEAST_SWING * group.noise[channel]:
                 continue   # it hardly moves, as the force of a free piston
             output, driven = COMPARED[channel]
+            if driven == 'valve_position' and recording.valve_position is None:
+                driven = 'command'
             where = f'{recording.source}: {output} against what the model makes of {driven}'
             if np.std(model[valid]) == 0.0:
                 raise InputError(f'{where}: the model says that it never moves')
