@@ -25,6 +25,7 @@ from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
+from asi_analysis.gap.inference.lower_band import with_lower_band
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
 from asi_analysis.gap.inference.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import (
@@ -258,10 +259,12 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
                 plausibility.check_joint(group)
         weighed = weigh_groups(groups, tick)
         if plant == 'joint' and healthy is None:
-            weighed, more = with_hidden_load(weighed, partial(
-                joint_groups, runs, dict(model), tolerance, out, drive or drive_of(runs),
-                hidden=True), own, tick)
-            notes += more
+            made = partial(joint_groups, runs, dict(model), tolerance, out,
+                           drive or drive_of(runs))
+            weighed, more = with_hidden_load(weighed, partial(made, hidden=True), own, tick)
+            weighed, rattles = with_lower_band(
+                weighed, lambda band_hz: made(band_hz=band_hz)[0], own, tick)
+            notes += more + rattles
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:

@@ -174,14 +174,15 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
     return period, moving, origin
 
 
-def prepare(runs: Sequence[Run], drive: str = 'valve',
-            held_out: Sequence[bool] | None = None) -> list[Recording]:
+def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] | None = None,
+            band_hz: float = RIGID_BAND_HZ) -> list[Recording]:
     """
     Return runs ready for the diagnosis; those with `held_out` are not used in fits.
 
     drive: what the command is: 'valve' (the hydraulic actuator), 'force' (a joint whose force or
     torque is commanded or measured), 'position' (a joint that follows a position, velocity or
-    force), 'drive' (what makes a joint's force of its command).
+    force), 'drive' (what makes a joint's force of its command). band_hz: up to which a joint whose
+    force is commanded is judged at most.
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
     read = [_signals(run, drive) for run in runs]
@@ -192,7 +193,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve',
     if drive == 'force':
         # Beyond, a controller makes the force of the noise: coherent, but no motion.
         everywhere = np.zeros(1)
-        bands += [RIGID_BAND_HZ, *(
+        bands += [band_hz, *(
             max(clear_band(motion, everywhere, np.array([noise_of(motion) ** 2]), period, 2048),
                 LEAST_BAND_HZ) for motion, _, period in moved)]
     recordings: list[Recording] = []

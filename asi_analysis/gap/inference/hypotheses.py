@@ -46,7 +46,14 @@ from asi_analysis.gap.model.effects import (
     of_recording,
     parameter_error,
 )
-from asi_analysis.gap.model.group import Group, Values, acts_on, channels_of, with_lower_noise
+from asi_analysis.gap.model.group import (
+    Group,
+    Values,
+    acts_on,
+    channels_of,
+    with_less_noisy_valve,
+    with_lower_noise,
+)
 from asi_analysis.gap.model.predict import propagated_noise
 from asi_analysis.gap.model.static import as_limit, at_the_end
 from asi_analysis.gap.model.static_course import in_step
@@ -363,7 +370,8 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
         known = weighed and marginals(weighed[0].probability)[UNKNOWN] < 0.5
         if known and weighed[0].group.channels == ('valve',):
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
-            group = with_known_gain(group, weighed[0].candidates[best].fitted)
+            valve = weighed[0].candidates[best].fitted
+            group = with_less_noisy_valve(with_known_gain(group, valve), valve.record)
         null = fit_null(group)
         # That of a characteristic is measured, or that of a perfect line, which leaves nothing.
         if group.channels != ('static',) and (

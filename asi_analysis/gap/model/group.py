@@ -213,6 +213,25 @@ def with_simulated_valve(group: Group, valve: np.void) -> Group:
     return replace(group, recordings=recordings)
 
 
+def with_less_noisy_valve(group: Group, valve: np.void) -> Group:
+    """
+    Return a group that takes the valve position from a fit of the valve and its measurement.
+
+    The noise of the position alone would hide what little changes the force.
+    """
+    if 'force' not in group.channels or not group.measures_valve:
+        return group
+    recordings = []
+    for recording in group.recordings:
+        estimate, left = simulator.less_noisy_valve(recording, predict(recording, 'valve', valve))
+        recordings.append(replace(recording, valve_estimate=estimate, cache={}, noise={
+            **recording.noise, 'valve_position': min(left, recording.noise['valve_position'])}))
+    noise = max(_noise(recording, 'force', group.nominal) for recording in recordings)
+    floor = group.error_floor['force'] + noise ** 2 - group.noise['force'] ** 2
+    return replace(group, recordings=recordings, noise={**group.noise, 'force': noise},
+                   error_floor={**group.error_floor, 'force': floor})
+
+
 def with_fitted_start(group: Group, p: np.void) -> Group:
     """Return a group whose recordings begin as those of a record do."""
     def begun(record: np.void) -> np.void:

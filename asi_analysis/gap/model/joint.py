@@ -35,7 +35,7 @@ from asi_analysis.gap.model.servo import (
 )
 from asi_analysis.gap.model.stepped import Steps, in_steps, placed_by, steps_of
 from asi_analysis.gap.motion import judged
-from asi_analysis.gap.prepare import Recording, prepare
+from asi_analysis.gap.prepare import RIGID_BAND_HZ, Recording, prepare
 from asi_common.jit import FULL, jit
 from asi_common.parameter import Value
 
@@ -114,16 +114,17 @@ def drive_of(runs: Sequence[Run]) -> str:
 
 def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
                  held_out: Sequence[bool], drive: str, healthy: Sequence[Run] = (),
-                 weight: tuple[float, float] = (0.0, 0.0), hidden: bool = False
-                 ) -> tuple[list[Group], list[str]]:
+                 weight: tuple[float, float] = (0.0, 0.0), hidden: bool = False,
+                 band_hz: float = RIGID_BAND_HZ) -> tuple[list[Group], list[str]]:
     """
     Return the groups of channels that a joint has, and notes.
 
     healthy: recordings that servo, gravity, spring and mean force are identified on; none: `runs`;
     weight: what their fit adds to that gravity, N m of sin q and of cos q; hidden: what the
-    position makes is in every fit, although it does not show without an effect.
+    position makes is in every fit, although it does not show without an effect; band_hz: up to
+    which the force is judged at most.
     """
-    recordings = prepare(runs, drive, held_out)
+    recordings = prepare(runs, drive, held_out, band_hz)
     of = prepare(healthy, drive) if healthy else recordings
     if drive == 'position':
         servos, steps, error = _identified_servo(of)
@@ -345,11 +346,12 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
                       model_error=RIGID_ERROR, floor_by_best=True)
 
 
-def rattling_in(rattling: Rattling | None) -> Variant:
+def rattling_in(rattling: Rattling | None) -> list[Variant]:
     """
-    Return a backlash whose load flies, touches, and hardly rebounds, from where it was found.
+    Return forms of a backlash whose load flies, touches, and hardly rebounds.
 
-    rattling: so; None if it was not found.
+    rattling: where it was found; None if it was not. The joint's damping is the load's; in the
+    second form the motor has damping, too.
     """
     if rattling is None:
         gap = Free('backlash', 0.001, 0.7, (0.004, 0.015, 0.05, 0.15), 'position', 'm')
@@ -359,9 +361,10 @@ def rattling_in(rattling: Rattling | None) -> Variant:
                    tuple(factor * rattling.gap for factor in (1.0, 0.92, 1.08)), '', 'm')
         share, most = 1.0 - rattling.share, 2.0 * (abs(rattling.constant) + abs(rattling.weight))
         weight = [Free('load_weight', -most, most, (rattling.weight,), '', 'N')]
-    return Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
-                    Free('piston_share', 0.05, 0.9, (share,)), *weight), ('load',),
-                   (('backlash_floating', 1.0),))
+    return [Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
+                     Free('piston_share', 0.05, 0.9, (share,)), *damped, *weight), ('load',),
+                    (('backlash_floating', 1.0),))
+            for damped in ((), (Free('viscous', 0.0, 1.0, (0.0,), 'damping'),))]
 
 
 def rattling_mechanics(rattling: Rattling, springs: bool) -> dict[str, float]:
@@ -383,7 +386,7 @@ def _rattling(recordings: Sequence[Recording], runs: Sequence[Run]) -> Rattling 
 
 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
-                  rattling: Variant) -> tuple[Effect, ...]:
+                  rattling: Sequence[Variant]) -> tuple[Effect, ...]:
     """
     Return the effects that may be at work between the force and the motion of a joint.
 
@@ -417,8 +420,9 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
         return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *BEHIND * behind))
 
     effects = [effect._replace(variants=variants) for effect in EFFECTS
-               if (variants := tuple(rattling if ('backlash_floating', 1.0) in v.fixed else
-                                     scaled(v) for v in effect.variants if applies(v)))]
+               if (variants := tuple(
+                   form for v in effect.variants if applies(v) for form in (
+                       rattling if ('backlash_floating', 1.0) in v.fixed else (scaled(v),))))]
     if not force_measured:
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
                 for field in ('drive_delay', 'drive_lag')}

@@ -67,7 +67,8 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
         return _load(recording, p)
     if channel == 'valve':
         return _valve(recording, p)
-    position = recording.valve_position
+    position = (recording.valve_position if recording.valve_estimate is None else
+                recording.valve_estimate)
     if position is None:
         position = _cached(recording, VALVE_FIELDS, p, (), lambda: _valve(recording, p))
     velocity = _velocity(recording, p, position)
@@ -133,8 +134,9 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
     rng = np.random.default_rng(0)
     noisy: dict[str, Any] = {}
     if recording.valve_position is not None:
-        noisy['valve_position'] = recording.valve_position + recording.noise[
-            'valve_position'] * rng.standard_normal(recording.fit.size)
+        noise = recording.noise['valve_position'] * rng.standard_normal(recording.fit.size)
+        name = 'valve_position' if recording.valve_estimate is None else 'valve_estimate'
+        noisy[name] = getattr(recording, name) + noise
     motion = recording.motion
     if motion is not None:
         shaken = np.fft.rfft(rng.standard_normal(motion.velocity.size)) * np.sqrt(motion.noise)

@@ -145,25 +145,33 @@ def _deflection(recording: Recording, p: np.void) -> Array:
 
 
 def estimated_valve(recording: Recording, p: np.void) -> Array | None:
-    """
-    Return the measured valve position (m, n samples) with the noise that the simulator shows.
-
-    A Wiener filter of what the simulated position misses: where its power is that of the noise,
-    the simulated position is kept.
-    """
+    """Return the measured valve position (m, n samples), with less noise by the simulator."""
     if recording.valve_position is None:
         return None
-    simulated = simulated_valve(recording, p)
-    missed = recording.valve_position - simulated
+    return less_noisy_valve(recording, simulated_valve(recording, p))[0]
+
+
+def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, float]:
+    """
+    Return the measured valve position (m, n samples) with less noise, and what is left of that.
+
+    A Wiener filter of what the predicted position misses: where its power is that of the noise,
+    the predicted position is kept. What is left (m, rms) is the noise that passes, and what of
+    the prediction's error does not.
+    """
+    assert recording.valve_position is not None
+    missed = recording.valve_position - predicted
     if not recording.at_rest:   # what it was before still shows
         missed[:int(BURN_IN_S / recording.period_s)] = 0.0
     frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
     noise = 2.0 * recording.noise['valve_position'] ** 2
     keep = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
+    keep[keep <= LEAST_KEPT] = 0.0
+    left = keep ** 2 * noise + (1.0 - keep) ** 2 * np.maximum(power - noise, 0.0)
     spectrum = np.fft.rfft(missed)
-    keep = np.interp(np.fft.rfftfreq(missed.size), frequency,
-                     np.where(keep > LEAST_KEPT, keep, 0.0))
-    return simulated + np.fft.irfft(spectrum * keep, missed.size)
+    keep = np.interp(np.fft.rfftfreq(missed.size), frequency, keep)
+    return (predicted + np.fft.irfft(spectrum * keep, missed.size),
+            math.sqrt(0.5 * float(np.mean(left))))
 
 
 def simulated_motion(recording: Recording, p: np.void) -> Array:

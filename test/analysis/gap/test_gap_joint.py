@@ -168,8 +168,13 @@ def test_a_pulse_at_steps_is_no_gravity():
 
 
 @numba.njit(cache=True)
-def _soft_joint(reference, gravity, spring, out):
-    """Put command (N m) and position (rad) of a motor that drives an arm by a spring into out."""
+def _soft_joint(reference, gravity, spring, gap, out):
+    """
+    Put command (N m) and position (rad) of a motor that drives an arm by a spring into out.
+
+    gap: half of that within which it does not touch, rad; it hardly rebounds then.
+    """
+    damper = 0.03 if gap == 0.0 else 3.0
     step = 1.0 / RATE_HZ / SUB_STEPS
     angle, speed, arm, arm_speed, before, rate = reference[0], 0.0, reference[0], 0.0, 0.0, 0.0
     before = reference[0]
@@ -179,7 +184,8 @@ def _soft_joint(reference, gravity, spring, out):
         out[0, k] = 6.0 * (reference[k] - angle) - 0.3 * rate
         out[1, k] = angle
         for _ in range(SUB_STEPS):
-            between = spring * (angle - arm) + 0.03 * (speed - arm_speed)
+            bent = angle - arm - min(max(angle - arm, -gap), gap)
+            between = spring * bent + damper * (speed - arm_speed) * (gap == 0.0 or bent != 0.0)
             speed += step / (0.25 * INERTIA) * (out[0, k] - DAMPING * speed - between)
             arm_speed += step / (0.75 * INERTIA) * (between - gravity * np.sin(arm))
             angle += step * speed
@@ -190,7 +196,7 @@ def _soft_joint(reference, gravity, spring, out):
 def test_an_arm_behind_a_spring_is_told_while_it_still_swings(gravity):
     """It hangs off its spring at first; gravity is the arm's, most damping the motor's."""
     out = np.empty((2, TIME_S.size))
-    _soft_joint(at_steps(3) + 0.5, gravity, 15.0, out)
+    _soft_joint(at_steps(3) + 0.5, gravity, 15.0, 0.0, out)
     count = 2.0 * np.pi / 2 ** 18
     run = Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
               source='arm', information=PENDULUM)
@@ -200,6 +206,21 @@ def test_an_arm_behind_a_spring_is_told_while_it_still_swings(gravity):
     assert 1.0 / found['compliance'] == pytest.approx(15.0, rel=0.02)
     assert found['piston_share'] == pytest.approx(0.25, rel=0.1)
     assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
+
+
+def test_a_load_that_rattles_is_judged_below_its_impacts():
+    """Above, small errors of its motion decide when it touches, and no fit explains the force."""
+    out = np.empty((2, TIME_S.size))
+    _soft_joint(WITH_RESTS, 0.0, 2000.0, 0.05, out)
+    count = 2.0 * np.pi / 2 ** 16
+    run = Run(TIME_S, command_n=out[0], position_m=count * np.round(out[1] / count),
+              source='arm', information=PENDULUM)
+    answer = asked([run], plant='joint').to_dict()
+    assert 'backlash' in answer['verdict']
+    assert any('rattles' in note for note in answer['notes'])
+    found = answer['which'][0]['parameters']
+    assert found['backlash'] == pytest.approx(0.05, rel=0.1)
+    assert found['piston_share'] == pytest.approx(0.25, rel=0.3)
 
 
 @pytest.mark.parametrize('damping', [0.1, 2.0])   # it swings; it creeps

@@ -16,11 +16,15 @@ from asi_actuator.model.actuator import (
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import actuator_groups, diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.search import explained_by_simulator, parameter_errors
 from asi_analysis.gap.model import simulator
-from asi_analysis.gap.model.group import simulator_group, with_simulated_valve
+from asi_analysis.gap.model.group import (
+    simulator_group,
+    with_less_noisy_valve,
+    with_simulated_valve,
+)
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import prepare as prepared
@@ -74,6 +78,24 @@ def test_what_the_true_parameters_leave_is_the_noise(load, rate_hz):
         recording = group.recordings[0]
         left = measured(recording, channel) - predict(recording, channel, group.nominal)
         assert np.std(left[recording.valid]) == pytest.approx(level, rel=0.06)
+
+
+@pytest.mark.parametrize('slow', [0.0, 3e-7])
+def test_the_valve_is_known_better_than_it_was_measured(slow):
+    """Whether its model is right, or misses a slow part that stands out of the noise."""
+    run = recorded({'load.type': 'spring'}, duration_s=6.0)
+    exact = recorded({'load.type': 'spring'}, noise=0.0, duration_s=6.0).valve_position_m
+    run = replace(run, valve_position_m=run.valve_position_m
+                  + slow * np.sin(2.0 * np.pi * 1.3 * run.time_s))
+    recording = prepared([run])[0]
+    truth = exact + slow * np.sin(2.0 * np.pi * 1.3 * run.time_s)
+    estimate, left = simulator.less_noisy_valve(recording, exact)
+    error = float(np.sqrt(np.mean((estimate - truth)[recording.valid] ** 2)))
+    assert error < 0.5 * NOISE['valve_position_m'] and 0.5 * error < left < 3.0 * error + 5e-8
+    groups, _ = actuator_groups([run], {'load.type': 'spring'}, 0.2, [False])
+    better = with_less_noisy_valve(groups[1], groups[0].nominal)
+    assert better.noise['force'] < 0.7 * groups[1].noise['force']
+    assert better.noise['load'] == groups[1].noise['load']
 
 
 def test_effects_of_a_free_load_are_sought_at_the_size_of_the_valve_force():
