@@ -24,6 +24,7 @@ from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
+from asi_common.files import write_text
 from asi_common.parameter_file import write_parameters
 from asi_examiner.cases import EFFECTS, Case, draw, excite
 from asi_examiner.joint import draw_joint
@@ -185,7 +186,8 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     elif not call.exists() or json.loads(call.read_text()) != arguments:
         raise InputError(f'{out} exists already: give another --out, or that directory as an '
                          'argument to check it again')
-    answers = _unsealed(sealed) if sealed.exists() else {}
+    answers = (json.loads(zlib.decompress(base64.b85decode(sealed.read_bytes())))
+               if sealed.exists() else {})
     first = len(answers)
     written = each(_write, ((out, number, seed + number, world, load, signals, recordings,
                                      beyond)
@@ -193,8 +195,8 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     for number, answer in enumerate(written, first):
         answers[f'case_{number:04d}'] = answer._asdict()
         seal(answers, sealed)
-        _replace(index, json.dumps([_entry(out, done, world, load, recordings)
-                                    for done in range(number + 1)], indent=1).encode())
+        write_text(index, json.dumps([_entry(out, done, world, load, recordings)
+                                      for done in range(number + 1)], indent=1))
         yield number + 1
 
 
@@ -213,15 +215,4 @@ def _entry(out: Path, number: int, world: str, load: str, recordings: int) -> di
 
 def seal(answers: Mapping[str, Any], path: Path) -> None:
     """Write answers compressed, so that they are not read by accident."""
-    _replace(path, base64.b85encode(zlib.compress(json.dumps(answers).encode())))
-
-
-def _unsealed(path: Path) -> dict[str, Any]:
-    return json.loads(zlib.decompress(base64.b85decode(path.read_bytes())))
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file atomically."""
-    part = path.with_suffix('.part')
-    part.write_bytes(content)
-    part.replace(path)
+    write_text(path, base64.b85encode(zlib.compress(json.dumps(answers).encode())).decode())
