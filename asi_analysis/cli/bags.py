@@ -120,8 +120,8 @@ def analyze(
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
 def import_(
     files: Annotated[list[Path], typer.Argument(
-        help='.csv, .tsv, .txt, .dat, .json, .jsonl (or .gz), .mat, .npz, .parquet, the folder of '
-             'a LeRobot dataset, a rosbag2 or ROS 1 .bag; or several tables, each with its time, '
+        help='A table (.csv, .txt, .json, .mat, .npz, .parquet and others), the folder of a '
+             'LeRobot dataset, a rosbag2 or ROS 1 .bag; or several tables, each with its time, '
              'of which the first gives the samples')],
     out: Annotated[Path | None, typer.Option(
         help='The bag to write; without it and without --map: a preview')] = None,

@@ -38,9 +38,9 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     r"""
     Return a recording of another system as a run; also written as the bag `out`, if given.
 
-    path: .csv, .tsv, .txt, .dat, .json, .jsonl (also .gz), .mat, .npz, .parquet, the folder of a
-    LeRobot dataset, a rosbag2, or a .bag of ROS 1; or several tables, each with its time, of which
-    the first gives the samples; mapping: texts `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for
+    path: a table (TEXTS and READERS of `table_file.py`), the folder of a LeRobot dataset, a
+    rosbag2, or a .bag of ROS 1; or several tables, each with its time, of which the first gives
+    the samples; mapping: texts `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for
     a file of `asi export`; rate_hz: sampling rate, if no column is mapped to time (a bag has its
     own times); skip_lines: lines before the header; columns: names for a file without a header;
     zero_s: subtract from each signal its mean over this time from the start, s; episode: of a
