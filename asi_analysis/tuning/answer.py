@@ -77,7 +77,7 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
     actuator, start: parameters by name, the rest at their defaults; the search begins at `start`.
     prefer: one of PREFERENCES. evaluations: settings tried; conditions: of the last attack; seed:
     of both. out: directory for `controller.yaml`. rate_hz: control rate of the figures; the attack
-    also tries lower ones. Raises InputError for another preference.
+    also tries lower ones. Takes a minute and more. Raises InputError for another preference.
 
     >>> import asi_analysis as asi
     >>> found = asi.tune_controller({}, {}, evaluations=100)  # doctest: +SKIP

@@ -88,7 +88,9 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     a little above the onset.
 
     >>> import asi_analysis as asi
-    >>> found = asi.attribute_model({}, {'reference.amplitude': 100.0})   # doctest: +SKIP
+    >>> found = asi.attribute_model({}, {'reference.amplitude': 100.0})
+    >>> [cause['nonlinearity'] for cause in found.causes if cause['necessary']]
+    ['valve_hysteresis']
     """
     controller = stepping(actuator, controller, rate_hz)
     progress('onset', 0.0)
