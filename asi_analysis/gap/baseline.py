@@ -108,7 +108,7 @@ def _spread(fitted: Fitted, field: str, values: Sequence[float], tolerance: floa
 
 
 def _alone(fitted: Fitted, recording: Recording) -> Values:
-    """Return the parameters of a fit, fitted anew to one of its recordings; {} of the only one."""
+    """Return the parameters of a fit to one of its recordings alone; {} if there is one only."""
     problem = fitted.problem
     if len(problem.group.recordings) == 1:
         return {}
@@ -129,7 +129,7 @@ def _anew(problem: Problem, group: Group, free: tuple[Free, ...], start: Array) 
 
 
 def _left(fitted: Fitted, recording: Recording, channel: str) -> tuple[float, float, float]:
-    """Return the mean square that a fit leaves, over that of the signal, and over its floor."""
+    """Return a fit's mean square residual, over that of the signal, and over its error floor."""
     used = recording.valid
     real = measured(recording, channel)[used]
     left = float(np.mean((real - predict(recording, channel, fitted.record)[used]) ** 2))

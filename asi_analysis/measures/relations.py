@@ -169,7 +169,7 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
 
 
 class _ByCommand(NamedTuple):
-    """What the command tells: findings, and what is surely right of signal and reference."""
+    """What follows from the command: findings, and what is surely right of signal and reference."""
 
     findings: list[Finding]
     same_unit: bool = False

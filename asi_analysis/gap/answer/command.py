@@ -107,7 +107,7 @@ def _line(given: Mapping[str, Value]) -> dict[str, Value]:
 
 def recorded_model(runs: Sequence[Run]) -> dict[str, Value]:
     """
-    Return the actuator's parameters that the first bag tells; {} if it tells none.
+    Return the actuator's parameters in the metadata of the first bag; {} without any.
 
     Raises InputError if one is not allowed.
     """
