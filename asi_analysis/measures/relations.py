@@ -169,7 +169,7 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
 
 
 class _ByCommand(NamedTuple):
-    """What follows from the command: findings, and what is surely right of signal and reference."""
+    """Results of the command: findings, and what is surely right of signal and reference."""
 
     findings: list[Finding]
     same_unit: bool = False
