@@ -17,7 +17,7 @@ from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, most_probable
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import OF_A_RECORDING, Free
+from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, freed
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
@@ -178,9 +178,7 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
         floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
                              healthy.share[channel] * power)
-    effects = tuple(effect._replace(variants=tuple(
-        variant._replace(free=tuple(map(_nearer, variant.free))) for variant in effect.variants))
-        for effect in group.effects)
+    effects = freed(group.effects, lambda frees: tuple(map(_nearer, frees)))
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
                    error_floor=floor, effects=effects, floor_measured=True,
                    floor_by_best=False)
