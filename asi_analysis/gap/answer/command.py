@@ -326,7 +326,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     answer['characteristic'] = plain(characteristic(diagnosis)) if plant == 'static' else None
     if baseline:
         answer['baseline'] = plain(changes(diagnosis))
-    doubtful = doubts([*baseline, *everything])
+    doubtful = doubts([*baseline, *everything], plant != 'static')
     answer['notes'] = [*(f'doubtful, because {each}' for each in doubtful), *notes,
                        *answer['notes']]
     if plant == 'actuator':

@@ -247,8 +247,15 @@ def test_a_signal_that_no_longer_answers_does_not_jump() -> None:
     assert findings(replace(force, reference_n=reference)) == []
 
 
-def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:
-    assert doubts([a_run(), DAMAGED['gap'](a_run())]) == []
+def test_doubts_about_whole_runs_leave_out_samples_lost_singly() -> None:
+    run, few = a_run(), [100, 200, *range(300, 305)]
+    assert doubts([run, without(run, few)]) == []
+    many = without(run, [*few, *range(400, 450)])
+    doubt, = doubts([many])
+    assert '57 samples are missing in 4 gaps' in doubt
+    assert doubts([many], in_time=False) == []
+    assert len(doubts([DAMAGED['missing'](run)])) == 1
+    assert doubts([with_force(run, lambda f: put(f, slice(0, 100), np.nan))]) == []
     doubt, = doubts([a_run(), replace(DAMAGED['unit'](a_run()), source='mine')])
     assert doubt.startswith('mine: the force moves 1.01e+03 times')
 
