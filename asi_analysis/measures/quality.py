@@ -46,7 +46,7 @@ LOSSES: Final = frozenset(('gap', 'missing'))
 # Lost samples in a row that are bridged: beyond, what moves meanwhile is not known.
 BRIDGED: Final = 7
 # Findings that say why the command is not the controller's.
-EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion'))
+EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion', 'copy'))
 
 
 def findings(run: Run) -> list[Finding]:

@@ -45,6 +45,7 @@ MOTION_SAMPLES: Final = 20
 MOST_GAIN: Final = 1000.0
 LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
+COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
 # Findings of a whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -66,6 +67,10 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         return
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
     whole = ((float(time[0]), float(time[-1])),)
+    if len(values) >= COPIED and np.ptp(values) > 0.0 and (values == reference).all():
+        yield Finding('copy', name, DOUBTFUL, whole,
+                      f'the {name_of(name)} equals its reference in every sample: is it measured?')
+        return
     ratio, strange = _ratio(run, reference, values, both)
     by_command = (_ByCommand([], True, True, True) if as_recorded else
                   _of_command(run, name, ratio, _correlation(reference, values)))
