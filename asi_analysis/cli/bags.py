@@ -114,7 +114,10 @@ def analyze(
     """Measure step response, bandwidth, delay and oscillation of a recorded run."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.measures.analysis import analyze as analyze_run
-    show(analyze_run(read_bag(bag), signal), as_json)
+    with bar() as progress:
+        progress('reading', None)
+        analysis = analyze_run(read_bag(bag), signal)
+    show(analysis, as_json)
 
 
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
@@ -183,6 +186,9 @@ def export(
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.bags.exchange.exporting import export as write_table
     from asi_analysis.bags.exchange.summary import Exported
-    run = read_bag(bag)
-    write_table(run, out)
+    with bar() as progress:
+        progress('reading', None)
+        run = read_bag(bag)
+        progress('writing', None)
+        write_table(run, out)
     show(Exported.of(run, out), as_json)

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, lines_of
+from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, lines_of, unpacked
 from asi_analysis.errors import InputError, InputWarning
 
 LINES: Final = ('.jsonl', '.ndjson')
@@ -97,7 +97,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _read_lines(path: Path) -> Columns:
     # Opened here, not by the generator: that is closed late when a record is refused.
-    with gzip.open(path) if path.suffix == '.gz' else path.open('rb') as raw:
+    with unpacked(path) as raw:
         return _records(enumerate(_lines(raw, path)), path)
 
 
