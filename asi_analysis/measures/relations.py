@@ -46,6 +46,7 @@ MOST_GAIN: Final = 1000.0
 LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
 COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
+FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 # Findings of a whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -70,6 +71,10 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     if len(values) >= COPIED and np.ptp(values) > 0.0 and (values == reference).all():
         yield Finding('copy', name, DOUBTFUL, whole,
                       f'the {name_of(name)} equals its reference in every sample: is it measured?')
+        return
+    if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES:
+        yield Finding('clipping', name, DOUBTFUL, whole,
+                      f'the {name_of(name)} only jumps, and stands still between: it is cut off')
         return
     ratio, strange = _ratio(run, reference, values, both)
     by_command = (_ByCommand([], True, True, True) if as_recorded else
@@ -167,10 +172,22 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
         change = high - low
         spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
         share = (values[jump - 1] - low) / change if change else 0.0
-        if abs(change) > 3.0 * spread and share > BEFORE:
+        if _there_before(reference, values, begin, jump, end):
+            found.append((float(time[begin]), float(time[jump])))
+        elif abs(change) > 3.0 * spread and share > BEFORE:
             first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
             found.append((float(time[first]), float(time[jump])))
     return tuple(found)
+
+
+def _there_before(reference: Array, values: Array, begin: int, jump: int, end: int) -> bool:
+    """Return whether a signal goes from the old to the new reference, and stays, before a jump."""
+    old, new = float(reference[jump - 1]), float(reference[jump])
+    share = (values[begin:end] - old) / (new - old)
+    half = (jump - begin) // 2
+    stays = np.quantile(share[half:], [0.05, 0.95])
+    return bool(np.median(share[:5]) < BEFORE and stays[0] > 1.0 - BEFORE
+                and stays[1] < 1.0 + BEFORE)
 
 
 class _ByCommand(NamedTuple):

@@ -169,6 +169,18 @@ def test_a_gap_of_recordings_of_which_nothing_is_left_is_refused() -> None:
         prepare([Run(time_s, None, force, force ** 3)])
 
 
+def test_an_output_that_is_long_there_before_its_reference_is_found() -> None:
+    run = a_run()
+    late = replace(run, reference_n=np.where(run.time_s < 1.5, 0.0, run.signal('reference')))
+    assert [each.kind for each in findings(late)] == ['order']
+
+
+def test_an_output_that_only_jumps_is_cut_off() -> None:
+    run = with_force(a_run(), lambda f: np.clip(f, 7.3, 8.5))
+    assert [each.kind for each in findings(run)] == ['clipping']
+    assert analyze(run).steady_state_error_n is None
+
+
 def test_an_output_that_comes_before_any_reference_is_found() -> None:
     reference = np.convolve(np.random.default_rng(1).normal(size=2000), np.ones(20), 'same')
     late, early = (Run(np.arange(2000) / 1000.0, reference, None, np.roll(reference, shift))
