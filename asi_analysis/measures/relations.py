@@ -184,10 +184,10 @@ def _there_before(reference: Array, values: Array, begin: int, jump: int, end: i
     """Return whether a signal goes from the old to the new reference, and stays, before a jump."""
     old, new = float(reference[jump - 1]), float(reference[jump])
     share = (values[begin:end] - old) / (new - old)
-    half = (jump - begin) // 2
-    stays = np.quantile(share[half:], [0.05, 0.95])
-    return bool(np.median(share[:5]) < BEFORE and stays[0] > 1.0 - BEFORE
-                and stays[1] < 1.0 + BEFORE)
+    until = jump - begin
+    low, high = np.quantile(share[until // 2:until], [0.05, 0.95])
+    return bool(np.median(share[:5]) < BEFORE and low > 1.0 - BEFORE and high < 1.0 + BEFORE
+                and abs(np.median(share[until:]) - 1.0) < BEFORE)
 
 
 class _ByCommand(NamedTuple):
