@@ -16,7 +16,14 @@ from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.answer import Answer, answer, late
 from asi_analysis.measures.breaks import frozen, jumps, spikes
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
-from asi_analysis.measures.finding import DOUBTFUL, Finding, Interval, name_of, place_of
+from asi_analysis.measures.finding import (
+    DOUBTFUL,
+    NOTE,
+    Finding,
+    Interval,
+    name_of,
+    place_of,
+)
 
 # Ratio of the standard deviations of a controlled signal and its reference from which on (or below
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
@@ -46,7 +53,10 @@ MOST_GAIN: Final = 1000.0
 LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
 COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
+FAR: Final = 30.0   # distance from a reference, in ranges of both: its zero is another
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
+BROKEN: Final = {'jump': 'jumps from one sample to the next',
+                 'frozen': 'stands still while it should move'}
 # Findings of a whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -76,6 +86,9 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         yield Finding('clipping', name, DOUBTFUL, whole,
                       f'the {name_of(name)} only jumps, and stands still between: it is cut off')
         return
+    if wrong := _rests(run, name, reference, values):
+        yield wrong
+        return
     ratio, strange = _ratio(run, reference, values, both)
     by_command = (_ByCommand([], True, True, True) if as_recorded else
                   _of_command(run, name, ratio, _correlation(reference, values)))
@@ -88,6 +101,8 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
                       'reference: is its unit right?')
         return
     if ratio < SAME_SIZE:
+        if failed := [part for part in frozen(values) if part[1] == len(values) - 1]:
+            yield _of_parts('frozen', name, time, failed)
         return
     against, lag = largest_correlation(reference, -values)
     if not by_command.same_sign and against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
@@ -98,6 +113,25 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     yield from _of_continuity(run, name, time, reference, values)
     if not by_command.same_time:
         yield from _of_order(run, name, time, reference, values)
+
+
+def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
+    """Return a finding on a signal that rests, or is far from its reference."""
+    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
+    asked, moved = float(np.ptp(reference)), float(np.ptp(values))
+    command = reference if run.command_n is None else run.command_n[np.isfinite(run.command_n)]
+    commanded = len(command) > 0 and np.ptp(command) > 0.0 and all(
+        each.state == 'enabled' for each in run.states)
+    if len(values) >= COPIED and asked > 0.0 and moved == 0.0 and commanded:
+        return Finding('frozen', name, NOTE, whole,
+                       f'the {name_of(name)} does not change at all: is it measured?')
+    away = float(np.median(np.abs(values - reference)))
+    if away > FAR * max(asked, moved) > 0.0:
+        return Finding('unit', name, DOUBTFUL, whole,
+                       f'the {name_of(name)} is {away:.4g} {run.unit(name)} from its reference, '
+                       f'{away / max(asked, moved):.3g} times as far as either moves: is its zero '
+                       'right?')
+    return None
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -122,13 +156,15 @@ def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: A
                    ) -> Iterator[Finding]:
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
-    for kind, parts, word in (
-            ('jump', jumps(time, reference, values), 'jumps from one sample to the next'),
-            ('frozen', frozen(values), 'stands still while it should move')):
+    for kind, parts in (('jump', jumps(time, reference, values)), ('frozen', frozen(values))):
         if parts:
-            where = tuple((float(time[first]), float(time[last])) for first, last in parts)
-            yield Finding(kind, name, DOUBTFUL, where,
-                          f'the {name_of(name)} {word} {place_of(where)}')
+            yield _of_parts(kind, name, time, parts)
+
+
+def _of_parts(kind: str, name: str, time: Array, parts: list[tuple[int, int]]) -> Finding:
+    where = tuple((float(time[first]), float(time[last])) for first, last in parts)
+    return Finding(kind, name, DOUBTFUL, where,
+                   f'the {name_of(name)} {BROKEN[kind]} {place_of(where)}')
 
 
 def _of_order(run: Run, name: str, time: Array, reference: Array, values: Array

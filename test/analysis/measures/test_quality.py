@@ -181,6 +181,19 @@ def test_an_output_that_only_jumps_is_cut_off() -> None:
     assert analyze(run).steady_state_error_n is None
 
 
+@pytest.mark.parametrize(('kind', 'change'), [
+    ('frozen', lambda f: np.full(len(f), 3.0)), ('unit', lambda f: f - 3.0e4),
+    ('frozen', lambda f: put(f, slice(STEP + 20, None), 0.0))])
+def test_an_output_that_was_not_measured_is_found(
+        kind: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    run = with_force(a_run(), change)
+    finding, = findings(run)
+    assert finding.kind == kind
+    assert analyze(run).steady_state_error_n is None or finding.severity == 'note'
+    # Where nothing is commanded, nothing moves.
+    assert findings(replace(with_force(run, lambda f: 0.0 * f), command_n=0.0 * run.time_s)) == []
+
+
 def test_an_output_that_comes_before_any_reference_is_found() -> None:
     reference = np.convolve(np.random.default_rng(1).normal(size=2000), np.ones(20), 'same')
     late, early = (Run(np.arange(2000) / 1000.0, reference, None, np.roll(reference, shift))
