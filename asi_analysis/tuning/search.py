@@ -100,7 +100,7 @@ def attacked_rates(rate_hz: float) -> tuple[float, ...]:
 
 
 def left(conditions: Sequence[Condition], actuator: Values, controller: Values,
-         rates_hz: tuple[float, ...] = RATES_HZ) -> float:
+         rates_hz: tuple[float, ...]) -> float:
     """Return the sum of log(amplitude / LEFT_N) of the oscillations that do not decay."""
     gain, delay = MARGIN
     table = defaults(ACTUATOR_PARAMETERS)
