@@ -1,7 +1,7 @@
-"""Time base of the actuator node: lock-step or real time."""
+"""Time base of the actuator node: lock-step or real time, which have the same methods."""
 
 import time
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -19,33 +19,6 @@ WATCH_PERIOD_S: Final = 0.005
 # Most periods that are caught up at once, in real time and in lock-step with a real_time_factor;
 # the others are lost.
 MOST_CATCH_UP: Final = 10
-
-
-class Loop(Protocol):
-    """Time base of the actuator: lock-step or real time."""
-
-    def __init__(self, node: 'ActuatorNode'): ...
-
-    def on_command(self, stamp_ns: int, command_n: float) -> None:
-        """Take a valve command that answers the state of `stamp_ns`."""
-
-    def on_pause(self) -> None:
-        """Follow node.paused, which has changed."""
-
-    def on_reset(self) -> None:
-        """Discard commands from before the reset."""
-
-    def on_parameters(self) -> None:
-        """Follow the node's parameters, which have changed."""
-
-    def next_stamp_ns(self) -> int:
-        """Return the stamp of the state that comes next, or, in real time, now."""
-
-    def health(self) -> tuple[bytes, str]:
-        """Return diagnostic level and message."""
-
-    def counts(self) -> dict[str, object]:
-        """Return what was counted, by name."""
 
 
 class LockStep:
@@ -75,6 +48,7 @@ class LockStep:
         self.on_parameters()
 
     def on_command(self, stamp_ns: int, command_n: float) -> None:
+        """Take a valve command that answers the state of `stamp_ns`."""
         node = self.node
         if stamp_ns != self.stamp_ns or self.command_n is not None:
             node.ignored += 1
@@ -92,13 +66,15 @@ class LockStep:
             self._advance(command_n, 1)
 
     def on_pause(self) -> None:
+        """Follow node.paused, which has changed."""
         self.silent_since_ns = self.sent_ns = time.monotonic_ns()
         self._go_on()
 
     def on_reset(self) -> None:
-        pass
+        """Discard commands from before the reset; here there are none."""
 
     def on_parameters(self) -> None:
+        """Follow the node's parameters, which have changed."""
         factor = float(self.node.parameters.values['real_time_factor'])
         self.step_ns = 1e9 * self.node.period_s / factor if factor else 0.0
         self.due_ns = time.monotonic_ns()
@@ -132,9 +108,11 @@ class LockStep:
             self._advance(command_n, 1)
 
     def next_stamp_ns(self) -> int:
+        """Return the stamp of the state that comes next, or, in real time, now."""
         return round((self.tick + 1) * 1e9 / self.node.rate_hz)
 
     def health(self) -> tuple[bytes, str]:
+        """Return diagnostic level and message."""
         if self.tick == 0:
             return WARN, 'waiting for ' + ', '.join(self._missing())
         silence = self._silence(time.monotonic_ns())
@@ -144,6 +122,7 @@ class LockStep:
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
+        """Return what was counted, by name."""
         return {'resent': self.resent}
 
     def _silence(self, now_ns: int) -> float:

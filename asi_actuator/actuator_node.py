@@ -8,7 +8,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from asi_actuator import calibration
-from asi_actuator.actuator_loop import LockStep, Loop, RealTime
+from asi_actuator.actuator_loop import LockStep, RealTime
 from asi_actuator.calibration import Rest
 from asi_actuator.driver import Health, make_driver
 from asi_actuator.driver.simulated import physical
@@ -67,7 +67,7 @@ class ActuatorNode(Node):
         self.state_changes = StateChanges(self)
         self.topics = [self.states, self.forces, self.valve_positions, self.velocities,
                        self.state_changes.publisher]
-        self.loop: Loop = (LockStep if lockstep else RealTime)(self)
+        self.loop: LockStep | RealTime = LockStep(self) if lockstep else RealTime(self)
         self.commands = create_subscription(self, 'valve_command', self._on_command)
         self.create_service(SetBool, '~/enable', self._enable)
         self.create_service(Trigger, '~/calibrate', self._calibrate)

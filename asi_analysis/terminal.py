@@ -1,14 +1,19 @@
 """Output of commands in the terminal: progress bar and tables."""
 
+import os
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final
 
 # progress(text, completed share or None if unknown)
 Progress = Callable[[str, float | None], None]
 # Columns of output to a file, a pipe or a notebook.
 WIDTH: Final = 160
+# Seconds between two lines of progress in such an output.
+LINE_S: Final = 30.0
 
 
 def silent(text: str, share: float | None) -> None:
@@ -17,9 +22,10 @@ def silent(text: str, share: float | None) -> None:
 
 @contextmanager
 def bar() -> Iterator[Progress]:
-    """Yield a progress function that shows a bar on stderr if that is a terminal."""
+    """Yield a progress function that shows a bar on stderr; a line now and then in a file."""
     if not sys.stderr.isatty():     # an old rich ends a bar that is disabled by an empty line
-        yield silent
+        with _lines() as progress:
+            yield progress
         return
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -34,6 +40,33 @@ def bar() -> Iterator[Progress]:
                         completed=share or 0.0)
 
         yield progress
+
+
+@contextmanager
+def _lines() -> Iterator[Progress]:
+    """Yield a progress function of whose newest text a line is written every LINE_S seconds."""
+    over, begin = threading.Event(), time.monotonic()
+    newest: list[tuple[str, float | None]] = []
+
+    def progress(text: str, share: float | None) -> None:
+        newest[:] = [(text, share)]
+
+    def write() -> None:
+        while not over.wait(LINE_S):
+            text, share = newest[0] if newest else ('computing', None)
+            done = '' if share is None else f', {share:.0%}'
+            # Not print: a process that is started meanwhile would inherit its lock.
+            with suppress(OSError, ValueError):
+                os.write(sys.stderr.fileno(), f'asi: {text}{done}, after '
+                         f'{time.monotonic() - begin:.0f} s\n'.encode())
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    try:
+        yield progress
+    finally:
+        over.set()
+        writer.join()
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()

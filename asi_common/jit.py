@@ -29,9 +29,13 @@ class _Compiling(event.Listener):
     """Counts the compilations that go on; one may begin another."""
 
     number = 0
+    tell: Callable[[], object] | None = None    # called when the first begins
 
     def on_start(self, event: Any) -> None:
         self.number += 1
+        if self.tell is not None:
+            tell, self.tell = self.tell, None
+            tell()
 
     def on_end(self, event: Any) -> None:
         self.number -= 1
@@ -44,6 +48,11 @@ event.register('numba:compile', _compiling)
 def compiling() -> bool:
     """Return whether numba compiles in this process now."""
     return _compiling.number > 0
+
+
+def when_compiling(tell: Callable[[], object]) -> None:
+    """Call a function when this process begins to compile; loading code from the cache is none."""
+    _compiling.tell = tell
 
 
 def compiled_for(function: Any, *arguments: object) -> Callable[..., Any]:

@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from typing import Final, Protocol
+from typing import Final
 
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
@@ -76,7 +76,7 @@ class ControllerNode(Node):
         self.referenced_ns: int | None = None
         self.commands = create_publisher(self, 'valve_command')
         self.references = create_publisher(self, 'force_reference')
-        self.loop: Loop = (LockStep if lockstep else RealTime)(self)
+        self.loop: LockStep | RealTime = LockStep(self) if lockstep else RealTime(self)
         create_subscription(self, 'joint_states', self._on_state)
         self.wanted: Subscription | None = None
         self._listen()
@@ -177,21 +177,6 @@ class ControllerNode(Node):
             'states ignored': self.ignored, **self.loop.counts()}
 
 
-class Loop(Protocol):
-    """Time base of the controller: lock-step or real time."""
-
-    def __init__(self, node: ControllerNode): ...
-
-    def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
-        """Take a state."""
-
-    def health(self) -> tuple[bytes, str]:
-        """Return diagnostic level and message."""
-
-    def counts(self) -> dict[str, object]:
-        """Return what was counted, by name."""
-
-
 class LockStep:
     """
     Answers each state once the clock has reached it (doc/explanation/lock_step.md).
@@ -224,6 +209,7 @@ class LockStep:
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
+        """Take a state."""
         if stamp_ns == self.answered_ns:
             # A repeated state: the answer was lost. It is sent again, not computed again.
             self.resent += 1
@@ -249,6 +235,7 @@ class LockStep:
         self._set_time(TimePoint(clock_ns, ROS_TIME))
 
     def health(self) -> tuple[bytes, str]:
+        """Return diagnostic level and message."""
         silence_s = self.node.statistics.silence_s()
         # Also if the last state came without its clock: the actuator has ended in between.
         if self.answered_ns is not None and silence_s > SILENT_S:
@@ -261,6 +248,7 @@ class LockStep:
         return OK, 'running'
 
     def counts(self) -> dict[str, object]:
+        """Return what was counted, by name."""
         return {'resent': self.resent}
 
     def _begins_anew(self, stamp_ns: int) -> bool:

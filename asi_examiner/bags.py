@@ -13,9 +13,9 @@ import base64
 import json
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.parallel import each
+from asi_common.files import write_text
 from asi_common.parameter_file import write_parameters
 from asi_examiner.cases import EFFECTS, Case, draw, excite
 from asi_examiner.joint import draw_joint
@@ -101,71 +102,67 @@ def _names(number: int, recordings: int) -> list[str]:
     return [first, *(f'{first}_{n}' for n in range(2, recordings + 1)), f'fresh_{number:04d}']
 
 
-def write_case(case: Case, out: Path, number: int, signals: str = 'all', recordings: int = 1
-               ) -> Answer:
-    """Write one case's bags, its fresh bag and its model; return the answer."""
+class _Made(NamedTuple):
+    """A case to be written: its answer, its recordings, the fresh one last, and its model."""
+
+    answer: Answer
+    runs: Sequence[Run]
+    nominal: Mapping[str, Any] | None = None
+
+
+def _made(case: Case, signals: str, recordings: int) -> _Made:
     made = [case.recording, *(fresh_recording(case, n) for n in range(2, recordings + 1)),
             fresh_recording(case)]
-    for name, recording in zip(_names(number, recordings), made, strict=True):
-        _write_new(as_run(recording, OMITTED[signals]), out / name)
-    write_parameters(out / model_name(case.world, case.load, number), '/**/asi_actuator',
-                     dict(sorted(case.nominal.items())))
-    return Answer(case.kind, list(case.effects),
-                  [EFFECTS[name] for name in case.effects if name in EFFECTS], case.excitation,
-                  case.world, case.load, signals, case.visibility,
-                  {name: float(case.plant[key]) for key, name in SHARED_PARAMETERS.items()
-                   if case.plant[key] != case.without[key]}, also=case.small)
+    return _Made(Answer(
+        case.kind, list(case.effects),
+        [EFFECTS[name] for name in case.effects if name in EFFECTS], case.excitation,
+        case.world, case.load, signals, case.visibility,
+        {name: float(case.plant[key]) for key, name in SHARED_PARAMETERS.items()
+         if case.plant[key] != case.without[key]}, also=case.small),
+        [as_run(recording, OMITTED[signals]) for recording in made],
+        dict(sorted(case.nominal.items())))
 
 
-def write_own(seed: int, out: Path, number: int, recordings: int = 1) -> Answer:
-    """Write one case of the simulator itself, its fresh bag and its model; return the answer."""
+def _own(seed: int, recordings: int) -> _Made:
     case = draw_own(seed, recordings)
-    for name, run in zip(_names(number, recordings), (case.run, *case.more, case.fresh),
-                         strict=True):
-        _write_new(run, out / name)
-    write_parameters(out / model_name('own', '', number), '/**/asi_actuator', case.nominal)
-    kind, effects, blocks = truth(case)
-    return Answer(kind, effects, blocks, case.excitation, 'own', str(case.nominal['load.type']),
-                  'all', case.visibility, {}, case.rate_hz)
+    return _Made(Answer(
+        *truth(case), case.excitation, 'own', str(case.nominal['load.type']), 'all',
+        case.visibility, {}, case.rate_hz),
+        # Without what they hold of their simulation.
+        [replace(run, information={}) for run in (case.run, *case.more, case.fresh)],
+        case.nominal)
 
 
-def write_joint(seed: int, out: Path, number: int, recordings: int = 1) -> Answer:
-    """Write the bags of one joint, which has no model and no fresh bag; return the answer."""
+def _joint(seed: int, recordings: int) -> _Made:
+    """Return a joint, which has no model and no fresh recording."""
     case = draw_joint(seed, recordings)
-    for name, run in zip(_names(number, recordings), case.runs, strict=False):
-        _write_new(run, out / name, run.information)
-    return Answer(case.kind, list(case.effects), list(case.blocks), case.excitation, 'joint', '',
-                  'all', case.visibility, {}, case.rate_hz, case.also)
+    return _Made(Answer(case.kind, list(case.effects), list(case.blocks), case.excitation, 'joint',
+                        '', 'all', case.visibility, {}, case.rate_hz, case.also), case.runs)
 
 
-def write_static(seed: int, out: Path, number: int) -> Answer:
-    """Write one case of a static characteristic, its fresh bag; return the answer."""
+def _static(seed: int) -> _Made:
     case = draw_static(seed)
-    names = _names(number, len(case.recordings))
     units = {'signals': {'command': 'A', 'pressure': 'Pa'}}
-    for name, made in zip(names, (*case.recordings, case.fresh), strict=True):
-        _write_new(Run(made.time_s, command_n=made.given, pressure_pa=made.got,
-                       information=units), out / name, units)
-    return Answer(**answer_of(case), world='static', load='', signals='all',
-                  visibility=case.visibility, sizes={})
-
-
-def _write_new(run: Run, path: Path, information: Mapping[str, Any] = MappingProxyType({})
-               ) -> None:
-    """Write a bag in place of an incomplete one of a call that was stopped."""
-    shutil.rmtree(path, ignore_errors=True)
-    write_bag(run, path, dict(information))
+    return _Made(Answer(**answer_of(case), world='static', load='', signals='all',
+                        visibility=case.visibility, sizes={}),
+                 [Run(made.time_s, command_n=made.given, pressure_pa=made.got, information=units)
+                  for made in (*case.recordings, case.fresh)])
 
 
 def _write(out: Path, number: int, seed: int, world: str, load: str, signals: str,
            recordings: int, beyond: float | None) -> Answer:
-    if world == 'own':
-        return write_own(seed, out, number, recordings)
-    if world == 'joint':
-        return write_joint(seed, out, number, recordings)
-    if world == 'static':
-        return write_static(seed, out, number)
-    return write_case(draw(seed, world, load, beyond=beyond), out, number, signals, recordings)
+    """Write a case, in place of an incomplete one of a call that was stopped."""
+    made = (_own(seed, recordings) if world == 'own' else
+            _joint(seed, recordings) if world == 'joint' else
+            _static(seed) if world == 'static' else
+            _made(draw(seed, world, load, beyond=beyond), signals, recordings))
+    count = len(made.runs) - (world != 'joint')
+    for name, run in zip(_names(number, count), made.runs, strict=False):
+        shutil.rmtree(out / name, ignore_errors=True)
+        write_bag(run, out / name)
+    if made.nominal is not None:
+        write_parameters(out / model_name(world, load, number), '/**/asi_actuator', made.nominal)
+    return made.answer
 
 
 def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load: str = 'spring',
@@ -185,7 +182,8 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     elif not call.exists() or json.loads(call.read_text()) != arguments:
         raise InputError(f'{out} exists already: give another --out, or that directory as an '
                          'argument to check it again')
-    answers = _unsealed(sealed) if sealed.exists() else {}
+    answers = (json.loads(zlib.decompress(base64.b85decode(sealed.read_bytes())))
+               if sealed.exists() else {})
     first = len(answers)
     written = each(_write, ((out, number, seed + number, world, load, signals, recordings,
                                      beyond)
@@ -193,8 +191,8 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     for number, answer in enumerate(written, first):
         answers[f'case_{number:04d}'] = answer._asdict()
         seal(answers, sealed)
-        _replace(index, json.dumps([_entry(out, done, world, load, recordings)
-                                    for done in range(number + 1)], indent=1).encode())
+        write_text(index, json.dumps([_entry(out, done, world, load, recordings)
+                                      for done in range(number + 1)], indent=1))
         yield number + 1
 
 
@@ -213,15 +211,4 @@ def _entry(out: Path, number: int, world: str, load: str, recordings: int) -> di
 
 def seal(answers: Mapping[str, Any], path: Path) -> None:
     """Write answers compressed, so that they are not read by accident."""
-    _replace(path, base64.b85encode(zlib.compress(json.dumps(answers).encode())))
-
-
-def _unsealed(path: Path) -> dict[str, Any]:
-    return json.loads(zlib.decompress(base64.b85decode(path.read_bytes())))
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file atomically."""
-    part = path.with_suffix('.part')
-    part.write_bytes(content)
-    part.replace(path)
+    write_text(path, base64.b85encode(zlib.compress(json.dumps(answers).encode())).decode())

@@ -205,7 +205,7 @@ def _course(rng: np.random.Generator, period: float, size: float, kind: str) -> 
 
 
 def _unexplained(shapes: Array, signal: Array) -> float:
-    """Return what linear least squares leave of a signal, as a share of it (rms)."""
+    """Return the residual of linear least squares, as a share of the signal (rms)."""
     columns = np.column_stack([shapes.T, np.ones(signal.size)])
     size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
     left = signal - columns @ (np.linalg.lstsq(columns / size, signal)[0] / size)

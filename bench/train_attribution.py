@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize
+from scipy import optimize, special
 
 from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
@@ -23,7 +23,6 @@ from asi_analysis.limit_cycle.attribution.classifier import (
     WEIGHTS,
     expanded,
     probabilities,
-    softmax,
 )
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
 from bench.valve_loops import loop
@@ -64,7 +63,7 @@ def train(features: Array, causes: Causes) -> dict[str, Any]:
 
     def loss(flat: Array) -> tuple[float, Array]:
         weights = flat.reshape(x.shape[1], len(CAUSES))
-        p = softmax(x @ weights)
+        p = special.softmax(x @ weights, axis=1)
         value = -np.log(np.maximum((p * truth).sum(1), 1e-12)).sum()
         value += 0.5 * RIDGE * (weights[1:] ** 2).sum()
         slope = x.T @ (p - truth)

@@ -25,7 +25,7 @@ PARAMETERS = {
     'rate_hz': ('rate_hz', float, NODES[:2],
                 'control rate; 0: 5000 in lock-step, 1000 in real time'),
     'duration': ('duration', float, ('actuator',), 'length of the run in s; 0: no end'),
-    'driver': ('driver', str, ('actuator',), 'simulated, can or replay'),
+    'driver': ('driver', str, ('actuator',), 'simulated, can, replay or another installed one'),
     'compensator': ('compensator', str, ('controller',),
                     'proportional, lead_lag, lead2, lead4 or custom; if neither this nor gain nor '
                     'params_file is given, config/force_control.yaml'),

@@ -268,7 +268,7 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
     kind = random.choice(('rows lost', 'cells empty', 'every nth empty', 'clipped', 'spike',
                           'early', 'unit', 'rows twice', 'clock set', 'quantised', 'sign',
                           'sign of a part', 'unit from there', 'frozen', 'cell cut',
-                          'spike of the reference',
+                          'spike of the reference', 'copied',
                           *(OF_COMMAND if run.command_n is not None else ())))
     if kind == 'rows lost':
         kept[part] = False
@@ -300,6 +300,8 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
         force[part] = force[place]
     elif kind in OF_COMMAND:
         force, reference = OF_COMMAND[kind](force, reference, random)
+    elif kind == 'copied':
+        force = reference.copy()
     elif kind == 'cell cut':
         force[-1] = force[-1] // 10.0
     else:

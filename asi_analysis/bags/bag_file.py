@@ -29,19 +29,19 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.bags.topic_messages import Messages, Topic
 from asi_analysis.errors import InputError
+from asi_common.jit import jit
 
 # What the libraries raise for damaged files.
 BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError,
                  RuntimeError, KeyError, IndexError, TypeError, AssertionError, MemoryError,
                  OverflowError, EOFError, AttributeError, RecursionError, yaml.YAMLError,
                  apsw.Error)
-_RECORD: Final = struct.Struct('<BQ')
-_MESSAGE: Final = struct.Struct('<HIQQ')
-_INDEX: Final = struct.Struct('<HI')
-# What precedes the bytes of a message in MCAP.
+# What precedes the contents of a record in MCAP, and the bytes of a message.
+_RECORD_BYTES: Final = 9
 _HEAD: Final = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                            ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
-_MESSAGE_OPCODE: Final = bytes([Opcode.MESSAGE])
+_MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
+_HEAD_BYTES: Final = _HEAD.itemsize
 # Chunks are decoded in batches of about this size, which fits a processor's cache.
 BATCH_BYTES: Final = 2**20
 # Limits: of the unpacked chunks of a file (bytes; times its size), and of metadata.yaml (bytes).
@@ -52,18 +52,12 @@ TOO_MUCH: Final = ('it unpacks to more than is allowed for a file of this size; 
                    'uncompressed if that is meant')
 
 
-class _Index(NamedTuple):
-    """Message index of one channel in the preceding chunk, not yet decoded."""
-
-    data: bytes
-
-
 class _Records(StreamReader):
-    """The records of a file; message indices stay bytes, as decoding them doubles the time."""
+    """The records of a file but the message indices, whose decoding doubles the time."""
 
     def _read_record(self, opcode: int, length: int) -> Any:
         if opcode == Opcode.MESSAGE_INDEX:
-            return _Index(self._stream.read(length))
+            return self._stream.read(length)
         return super()._read_record(opcode, length)
 
 
@@ -183,12 +177,8 @@ def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) ->
     with file.open('rb') as stream:
         try:
             for record in _Records(stream, emit_chunks=True, record_size_limit=size).records:
-                if isinstance(record, _Index):
-                    decoder.indices.append(record)
-                    continue
-                decoder.finish_chunk()
                 if isinstance(record, Chunk):
-                    decoder.begin_chunk(record)
+                    decoder.add_chunk(record)
                 elif isinstance(record, Message):
                     decoder.add(record.channel_id, record.sequence, record.log_time,
                                 record.publish_time, record.data)
@@ -202,7 +192,6 @@ def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) ->
                 elif isinstance(record, Statistics):
                     expected = record.message_count
         finally:
-            decoder.finish_chunk()
             decoder.finish()
     if expected not in (None, decoder.count):
         contents.problems.append(f'{file} is damaged: {decoder.count} of its {expected} messages '
@@ -213,9 +202,7 @@ class _McapDecoder:
     """
     Decodes the records of an MCAP file into `contents`.
 
-    Chunks that contain only messages are buffered; numpy extracts the messages of a batch at the
-    offsets in the message indices after the chunks. If these do not cover every byte, the chunks
-    are decoded record by record.
+    Chunks are buffered; numpy extracts the messages of a batch by channel.
     """
 
     def __init__(self, select: Callable[[str], bool], contents: Contents,
@@ -226,11 +213,9 @@ class _McapDecoder:
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, Topic | None] = {}     # None: not selected
         self.count = 0
-        self.indices: list[_Index] = []     # of the current chunk
-        self._chunk: bytes | None = None
         self._buffered: list[bytes] = []
+        self._starts: list[npt.NDArray[np.int64]] = []      # of their records
         self._size = 0
-        self._offsets: dict[int, list[npt.NDArray[np.int64]]] = {}
 
     def add(self, channel: int, number: int, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message."""
@@ -249,67 +234,62 @@ class _McapDecoder:
             topic.offered = _offered(channel, self.contents.problems)
             self.channels[channel.id] = topic
 
-    def begin_chunk(self, chunk: Chunk) -> None:
-        """Unpack a chunk, whose indices follow. Raises ValueError for a wrong checksum."""
+    def add_chunk(self, chunk: Chunk) -> None:
+        """Unpack a chunk. Raises ValueError for a wrong checksum, EndOfFile for a cut record."""
         plain = replace(chunk, compression='', data=_unpacked(chunk, self.most_bytes))
         stream, size = get_chunk_data_stream(plain, validate_crc=True)
         self.most_bytes -= size
-        self._chunk = stream.read(size)
-        self.indices = []
-
-    def finish_chunk(self) -> None:
-        """Buffer the chunk if its indices can be used; decode it by records otherwise."""
-        if self._chunk is None:
-            return
-        chunk, self._chunk = self._chunk, None
-        offsets = [_index_offsets(index.data) for index in self.indices]
-        if (offsets and chunk[:1] == _MESSAGE_OPCODE
-                and all(channel in self.channels for channel, _ in offsets)):
-            for channel, starts in offsets:
-                self._offsets.setdefault(channel, []).append(starts + self._size)
-            self._buffered.append(chunk)
-            self._size += len(chunk)
-            if self._size > BATCH_BYTES:
-                self.finish()
-        else:
+        data = stream.read(size)
+        starts, end = _records_of(np.frombuffer(data, np.uint8))
+        self._buffered.append(data)
+        self._starts.append(starts + self._size)
+        self._size += size
+        if end < size:
+            raise EndOfFile
+        if self._size > BATCH_BYTES:
             self.finish()
-            self._decode_records(chunk)
 
     def finish(self) -> None:
         """Decode the buffered chunks."""
-        chunks, self._buffered, self._size = self._buffered, [], 0
-        offsets = {channel: np.concatenate(starts) for channel, starts in self._offsets.items()}
-        self._offsets = {}
-        data = b''.join(chunks)
-        if _covers_all_bytes(data, offsets):
-            for channel, starts in offsets.items():
-                self.count += len(starts)
-                topic = self.channels[channel]
-                if topic is not None:
-                    topic.count(_headers(data, starts)['sequence'])
-                    topic.add_many(_extract(data, starts))
-        else:
-            for chunk in chunks:
-                self._decode_records(chunk)
-
-    def _decode_records(self, data: bytes) -> None:
-        """Decode a chunk record by record. Raises EndOfFile if the last one is incomplete."""
-        start, size = 0, len(data)
-        while start < size:
-            opcode, length = _RECORD.unpack_from(data, start)
-            start += _RECORD.size
-            end = start + length
-            if end > size:
-                raise EndOfFile
-            if opcode == Opcode.MESSAGE:
-                channel, number, log_ns, publish_ns = _MESSAGE.unpack_from(data, start)
-                self.add(channel, number, log_ns, publish_ns, data[start + _MESSAGE.size:end])
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(ReadDataStream(BytesIO(data[start:end])))
+        data, starts = b''.join(self._buffered), np.concatenate([np.array([], int), *self._starts])
+        self._buffered, self._starts, self._size = [], [], 0
+        opcodes, ends = np.frombuffer(data, np.uint8)[starts], np.append(starts[1:], len(data))
+        for k in np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)):
+            stream = ReadDataStream(BytesIO(data[starts[k] + _RECORD_BYTES:ends[k]]))
+            if opcodes[k] == Opcode.SCHEMA:
+                schema = Schema.read(stream)
                 self.schemas[schema.id] = schema.name
-            elif opcode == Opcode.CHANNEL:
-                self.add_channel(Channel.read(ReadDataStream(BytesIO(data[start:end]))))
-            start = end
+            else:
+                self.add_channel(Channel.read(stream))
+        starts = starts[opcodes == Opcode.MESSAGE]
+        if not len(starts):
+            return
+        headers = _headers(data, starts)
+        self.count += len(starts)
+        for channel in np.unique(headers['channel']).tolist():
+            topic = self.channels.get(channel)
+            if topic is not None:
+                own = headers['channel'] == channel
+                topic.count(headers['sequence'][own])
+                topic.add_many(_extract(data, starts[own], headers[own]))
+
+
+@jit
+def _records_of(data):
+    """Return the starts of the whole records of a chunk, n, and where the last of them ends."""
+    starts = np.empty(data.size // _RECORD_BYTES, np.int64)
+    count = place = 0
+    while place + _RECORD_BYTES <= data.size:
+        length = 0
+        for k in range(_RECORD_BYTES - 1, 0, -1):
+            length = 256 * length + data[place + k]
+        least = _HEAD_BYTES - _RECORD_BYTES if data[place] == _MESSAGE_OPCODE else 0
+        if not least <= length <= data.size - place - _RECORD_BYTES:    # or beyond 64 bits
+            break
+        starts[count] = place
+        count += 1
+        place += _RECORD_BYTES + length
+    return starts[:count].copy(), place
 
 
 def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
@@ -343,42 +323,17 @@ def _offered(channel: Channel, problems: list[str]) -> list[dict[str, Any]]:
     return offered
 
 
-def _index_offsets(index: bytes) -> tuple[int, npt.NDArray[np.int64]]:
-    """Return the channel of a message index, and the offsets of its messages in the chunk."""
-    channel, length = _INDEX.unpack_from(index)
-    pairs = np.frombuffer(index[_INDEX.size:_INDEX.size + length // 16 * 16], '<i8')
-    return channel, pairs[1::2]
-
-
 def _headers(data: bytes, starts: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
     """Return the record and message headers at these offsets."""
     rows = sliding_window_view(np.frombuffer(data, np.uint8), _HEAD.itemsize)[starts]
     return rows.view(_HEAD)[:, 0]
 
 
-def _covers_all_bytes(data: bytes, offsets: Mapping[int, npt.NDArray[np.int64]]) -> bool:
-    """Return whether messages at these offsets, by channel, cover the data without a gap."""
-    if not offsets:
-        return not data
-    starts = np.concatenate(list(offsets.values()))
-    channels = np.repeat(list(offsets), [len(found) for found in offsets.values()])
-    order = np.argsort(starts)
-    starts, channels = starts[order], channels[order]
-    if starts[0] != 0 or starts[-1] > len(data) - _HEAD.itemsize:
-        return False
-    headers = _headers(data, starts)
-    ends = starts + _RECORD.size + headers['length'].astype(np.int64)
-    return bool((headers['opcode'] == Opcode.MESSAGE).all()
-                and (headers['channel'] == channels).all()
-                and (headers['length'] >= _MESSAGE.size).all()
-                and (ends[:-1] == starts[1:]).all() and ends[-1] == len(data))
-
-
-def _extract(data: bytes, starts: npt.NDArray[np.int64]) -> Messages:
+def _extract(data: bytes, starts: npt.NDArray[np.int64], headers: npt.NDArray[np.void]
+             ) -> Messages:
     """Return the messages of one channel at these offsets."""
-    headers = _headers(data, starts)
     log_ns, publish_ns = headers['log_ns'].astype(np.int64), headers['publish_ns'].astype(np.int64)
-    lengths = headers['length'].astype(np.int64) - _MESSAGE.size
+    lengths = headers['length'].astype(np.int64) - (_HEAD.itemsize - _RECORD_BYTES)
     begins = starts + _HEAD.itemsize
     if (lengths == lengths[0]).all() and lengths[0]:
         windows = sliding_window_view(np.frombuffer(data, np.uint8), lengths[0])

@@ -114,14 +114,17 @@ def analyze(
     """Measure step response, bandwidth, delay and oscillation of a recorded run."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.measures.analysis import analyze as analyze_run
-    show(analyze_run(read_bag(bag), signal), as_json)
+    with bar() as progress:
+        progress('reading', None)
+        analysis = analyze_run(read_bag(bag), signal)
+    show(analysis, as_json)
 
 
 @command('import', 'asi import log.csv --map time=t[ms] --map force=load_cell*250[N] --out mine')
 def import_(
     files: Annotated[list[Path], typer.Argument(
-        help='.csv, .tsv, .txt, .dat, .json, .jsonl (or .gz), .mat, .npz, .parquet, the folder of '
-             'a LeRobot dataset, a rosbag2 or ROS 1 .bag; or several tables, each with its time, '
+        help='A table (.csv, .txt, .json, .mat, .npz, .parquet and others), the folder of a '
+             'LeRobot dataset, a rosbag2 or ROS 1 .bag; or several tables, each with its time, '
              'of which the first gives the samples')],
     out: Annotated[Path | None, typer.Option(
         help='The bag to write; without it and without --map: a preview')] = None,
@@ -183,6 +186,9 @@ def export(
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.bags.exchange.exporting import export as write_table
     from asi_analysis.bags.exchange.summary import Exported
-    run = read_bag(bag)
-    write_table(run, out)
+    with bar() as progress:
+        progress('reading', None)
+        run = read_bag(bag)
+        progress('writing', None)
+        write_table(run, out)
     show(Exported.of(run, out), as_json)

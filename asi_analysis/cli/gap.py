@@ -185,9 +185,7 @@ def gap_plan(
     with bar() as progress:
         plan = plan_recording(model, [name.strip() for name in sensors.split(',')], limit or [],
                               noise or [], rate, usual, out, progress)
-        if report:
-            plan.write_report(report)
-    show(plan, as_json)
+    show(plan, as_json, report)
 
 
 @command('check', 'asi gap check --cases 60 --seed 20000', gap_app)

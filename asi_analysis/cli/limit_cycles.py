@@ -47,9 +47,7 @@ def limit_cycle(
         runs = [read_bag(bag) for bag in bags]
         progress('analysing', None)
         result = detect_limit_cycles(runs, signal, undriven)
-        if report:
-            result.write_report(report)
-    show(result, as_json)
+    show(result, as_json, report)
 
 
 @command('predict', 'asi predict --steps 20,100,300,600 --report runs/prediction')
@@ -76,9 +74,7 @@ def predict(
     with bar() as progress:
         result = predict_cycles(*_configured(set_, compensator, gain, step), rate, gain, sizes,
                                 progress)
-        if report:
-            result.write_report(report)
-    show(result, as_json)
+    show(result, as_json, report)
 
 
 @command('attribute', 'asi attribute --step 100')
@@ -110,9 +106,7 @@ def attribute(
             from asi_analysis.limit_cycle.attribution.ablation import attribute_model
             result = attribute_model(*_configured(set_, compensator, gain, step), rate, gain,
                                      progress)
-        if report:
-            result.write_report(report)
-    show(result, as_json)
+    show(result, as_json, report)
 
 
 @command('quench', 'asi quench --controller config/force_control.yaml --conditions 300')
@@ -148,9 +142,7 @@ def quench(
     with workers(jobs, dask), bar() as progress:
         result = quench_cycles(*_configured(set_, compensator, gain, step, controller), rates_hz,
                                conditions, seed, (replay, out) if replay else None, progress)
-        if report:
-            result.write_report(report)
-    show(result, as_json)
+    show(result, as_json, report)
     if result.sustained_found:
         raise typer.Exit(1)
 

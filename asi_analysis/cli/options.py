@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from asi_analysis.errors import InputError
+from asi_analysis.terminal import bar
 from asi_controller.compensators import COMPENSATORS
 
 HELP = {'help_option_names': ['-h', '--help']}
@@ -80,8 +81,12 @@ def command(name: str, example: str, of: typer.Typer = app
     return of.command(name, epilog=f'Example: `{example}`')
 
 
-def show(result: Any, as_json: bool) -> None:
-    """Print a result as one JSON document, or as text."""
+def show(result: Any, as_json: bool, report: Path | None = None) -> None:
+    """Print a result as one JSON document, or as text; with a directory, write its report too."""
+    if report:
+        with bar() as progress:
+            progress('report', None)
+            result.write_report(report)
     print(json.dumps(result.to_dict(), indent=2) if as_json else result)
 
 

@@ -59,9 +59,7 @@ def tune(
             read_parameters(actuator, 'actuator') if actuator else {},
             read_parameters(controller, 'controller') if controller else {},
             prefer, evaluations, conditions, seed, out, rate, progress)
-        if report:
-            result.write_report(report)
-    show(result, as_json)
+    show(result, as_json, report)
     if result.sustained_found:
         raise typer.Exit(1)
 
@@ -108,12 +106,9 @@ def compare(
             recordings, values['actuator'], numbers('--rates', rates),
             numbers('--springs', springs), plants, noise, conditions, seed,
             numbers('--gains', gains), progress)
-        if report:
-            progress('report', None)
-            result.write_report(report)
         if markdown:
             result.write_markdown(markdown, shlex.join(['asi', *sys.argv[1:]]))
-    show(result, as_json)
+    show(result, as_json, report)
 
 
 @command('sweep', 'asi sweep --over controller.gain=1:10:10 --step 300 --csv gains.csv')

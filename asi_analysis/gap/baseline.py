@@ -17,7 +17,7 @@ from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, most_probable
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import OF_A_RECORDING, Free
+from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, freed
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
@@ -108,7 +108,7 @@ def _spread(fitted: Fitted, field: str, values: Sequence[float], tolerance: floa
 
 
 def _alone(fitted: Fitted, recording: Recording) -> Values:
-    """Return the parameters of a fit, fitted anew to one of its recordings; {} of the only one."""
+    """Return the parameters of a fit to one of its recordings alone; {} if there is one only."""
     problem = fitted.problem
     if len(problem.group.recordings) == 1:
         return {}
@@ -129,7 +129,7 @@ def _anew(problem: Problem, group: Group, free: tuple[Free, ...], start: Array) 
 
 
 def _left(fitted: Fitted, recording: Recording, channel: str) -> tuple[float, float, float]:
-    """Return the mean square that a fit leaves, over that of the signal, and over its floor."""
+    """Return a fit's mean square residual, over that of the signal, and over its error floor."""
     used = recording.valid
     real = measured(recording, channel)[used]
     left = float(np.mean((real - predict(recording, channel, fitted.record)[used]) ** 2))
@@ -178,9 +178,7 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
         floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
                              healthy.share[channel] * power)
-    effects = tuple(effect._replace(variants=tuple(
-        variant._replace(free=tuple(map(_nearer, variant.free))) for variant in effect.variants))
-        for effect in group.effects)
+    effects = freed(group.effects, lambda frees: tuple(map(_nearer, frees)))
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
                    error_floor=floor, effects=effects, floor_measured=True,
                    floor_by_best=False)

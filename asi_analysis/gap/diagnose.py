@@ -49,7 +49,7 @@ from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import by_simulator, of_simulator, simulator_record
 from asi_analysis.gap.model.static import static_group, zero_of
 from asi_analysis.gap.prepare import prepare
-from asi_analysis.gap.words import DOTTED, UNIT_OF_SCALE, UNITS, signal_of, unit_of
+from asi_analysis.gap.words import DOTTED, UNITS, signal_of, unit_of, unit_of_free
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name
@@ -367,9 +367,8 @@ def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, An
             row['parameters_low'][field], row['parameters_high'][field] = (
                 each + zero for each in interval(fitted, known[id(fitted)], field))
             own = of_the_effect[field]
-            row['units'][field] = unit_of(
-                own.unit or UNITS.get(field, UNIT_OF_SCALE.get(own.scale, '')), group.channels[0],
-                diagnosis.runs[0], diagnosis.plant)
+            row['units'][field] = unit_of_free(own, group.channels[0], diagnosis.runs[0],
+                                               diagnosis.plant)
             if own.scale == 'nominal':
                 row['nominal'][field] = float(group.as_given[field])
                 row['tolerance'][field] = diagnosis.tolerances.get(field, diagnosis.tolerance)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, PARAMETER, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, PARAMETER, UNKNOWN, Free, block_of
 from asi_analysis.gap.model.static import static_signals
 from asi_common.record import field_name
 
@@ -109,6 +109,12 @@ def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
     if (force, length) != ('N', 'm'):
         unit = unit.replace('kg', 'N s2/m')
     return re.sub('[Nm]', lambda match: {'N': force, 'm': length}[match[0]], unit)
+
+
+def unit_of_free(free: Free, channel: str, run: Run, plant: str) -> str:
+    """Return the unit of a free parameter, in those of the recording."""
+    return unit_of(free.unit or UNITS.get(free.field.partition('@')[0],
+                                          UNIT_OF_SCALE.get(free.scale, '')), channel, run, plant)
 
 
 def percent(share: float) -> str:

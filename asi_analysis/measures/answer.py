@@ -244,7 +244,7 @@ class _Space:
         self.vectors = vectors[values > SMALL * values[0]]
 
     def holds(self, rows: Array) -> Mask:
-        """Return of which rows the fit tells the command."""
+        """Return for which rows the fit determines the command."""
         rows = rows / self.scale
         outside = rows - (rows @ self.vectors.T) @ self.vectors
         return np.asarray(np.linalg.norm(outside, axis=1)

@@ -137,7 +137,9 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     Only in a signal whose values are hardly ever repeated.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    if 2 * len(begins) < len(values) or not is_continuous(values[begins]):
+    # An end that stands still may be most of the run: a sensor that failed.
+    until = begins[-1] + min(FROZEN, len(values) - begins[-1])
+    if 2 * len(begins) < until or not is_continuous(values[begins]):
         return []
     lengths = np.diff(begins, append=len(values))
     changes = np.abs(np.diff(values[begins]))

@@ -43,8 +43,10 @@ HELD: Final = 0.99
 FEWEST_HELD: Final = 50
 LARGEST: Final = 1e100   # number in a signal: squares and sums of more overflow
 LOSSES: Final = frozenset(('gap', 'missing'))
+# Lost samples in a row that are bridged: beyond, what moves meanwhile is not known.
+BRIDGED: Final = 7
 # Findings that say why the command is not the controller's.
-EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion'))
+EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion', 'copy'))
 
 
 def findings(run: Run) -> list[Finding]:
@@ -130,10 +132,22 @@ def check_time(time_s: Array, source: str) -> None:
             raise InputError(f'{source or "the run"}: {each.text}; analyse the parts on their own')
 
 
-def doubts(runs: Sequence[Run]) -> list[str]:
-    """Return what makes answers from whole runs doubtful: all that is, but lost samples."""
+def doubts(runs: Sequence[Run], in_time: bool = True) -> list[str]:
+    """
+    Return what makes answers from whole runs doubtful: all that is, but samples lost singly.
+
+    in_time: an answer follows a motion from sample to sample, and continues after lost ones where
+    interpolation ends, which is wrong after many in a row; else no lost sample is doubtful.
+    """
     return [f'{run.source}: {each.text}' for run in runs if len(run) > 1
-            for each in findings(run) if each.severity == DOUBTFUL and each.kind not in LOSSES]
+            for each in findings(run) if each.severity == DOUBTFUL and (
+                each.kind not in LOSSES or in_time and _long_inside(run, each))]
+
+
+def _long_inside(run: Run, lost: Finding) -> bool:
+    """Return whether many samples in a row are lost, with others before and after."""
+    return any(end - start > BRIDGED * run.period_s and start > run.time_s[0]
+               and end < run.time_s[-1] for start, end in lost.intervals_s)
 
 
 def _of_time(time: Array) -> Iterator[Finding]:

@@ -29,7 +29,7 @@ MOST_HZ: Final = 1e9   # of a control rate: more is no rate
 
 
 class ByController(NamedTuple):
-    """What the recorded controller tells: whether the command is its own, and findings."""
+    """Comparison with the recorded controller: whether the command is its own, and findings."""
 
     agrees: bool
     findings: list[Finding]

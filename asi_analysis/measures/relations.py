@@ -16,7 +16,14 @@ from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.answer import Answer, answer, late
 from asi_analysis.measures.breaks import frozen, jumps, spikes
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
-from asi_analysis.measures.finding import DOUBTFUL, Finding, Interval, name_of, place_of
+from asi_analysis.measures.finding import (
+    DOUBTFUL,
+    NOTE,
+    Finding,
+    Interval,
+    name_of,
+    place_of,
+)
 
 # Ratio of the standard deviations of a controlled signal and its reference from which on (or below
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
@@ -45,6 +52,11 @@ MOTION_SAMPLES: Final = 20
 MOST_GAIN: Final = 1000.0
 LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
+COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
+FAR: Final = 30.0   # distance from a reference, in ranges of both: its zero is another
+FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
+BROKEN: Final = {'jump': 'jumps from one sample to the next',
+                 'frozen': 'stands still while it should move'}
 # Findings of a whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -66,6 +78,17 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         return
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
     whole = ((float(time[0]), float(time[-1])),)
+    if len(values) >= COPIED and np.ptp(values) > 0.0 and (values == reference).all():
+        yield Finding('copy', name, DOUBTFUL, whole,
+                      f'the {name_of(name)} equals its reference in every sample: is it measured?')
+        return
+    if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES:
+        yield Finding('clipping', name, DOUBTFUL, whole,
+                      f'the {name_of(name)} only jumps, and stands still between: it is cut off')
+        return
+    if wrong := _rests(run, name, reference, values):
+        yield wrong
+        return
     ratio, strange = _ratio(run, reference, values, both)
     by_command = (_ByCommand([], True, True, True) if as_recorded else
                   _of_command(run, name, ratio, _correlation(reference, values)))
@@ -78,6 +101,8 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
                       'reference: is its unit right?')
         return
     if ratio < SAME_SIZE:
+        if failed := [part for part in frozen(values) if part[1] == len(values) - 1]:
+            yield _of_parts('frozen', name, time, failed)
         return
     against, lag = largest_correlation(reference, -values)
     if not by_command.same_sign and against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
@@ -88,6 +113,25 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     yield from _of_continuity(run, name, time, reference, values)
     if not by_command.same_time:
         yield from _of_order(run, name, time, reference, values)
+
+
+def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
+    """Return a finding on a signal that rests, or is far from its reference."""
+    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
+    asked, moved = float(np.ptp(reference)), float(np.ptp(values))
+    command = reference if run.command_n is None else run.command_n[np.isfinite(run.command_n)]
+    commanded = len(command) > 0 and np.ptp(command) > 0.0 and all(
+        each.state == 'enabled' for each in run.states)
+    if len(values) >= COPIED and asked > 0.0 and moved == 0.0 and commanded:
+        return Finding('frozen', name, NOTE, whole,
+                       f'the {name_of(name)} does not change at all: is it measured?')
+    away = float(np.median(np.abs(values - reference)))
+    if away > FAR * max(asked, moved) > 0.0:
+        return Finding('unit', name, DOUBTFUL, whole,
+                       f'the {name_of(name)} is {away:.4g} {run.unit(name)} from its reference, '
+                       f'{away / max(asked, moved):.3g} times as far as either moves: is its zero '
+                       'right?')
+    return None
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -112,13 +156,15 @@ def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: A
                    ) -> Iterator[Finding]:
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
-    for kind, parts, word in (
-            ('jump', jumps(time, reference, values), 'jumps from one sample to the next'),
-            ('frozen', frozen(values), 'stands still while it should move')):
+    for kind, parts in (('jump', jumps(time, reference, values)), ('frozen', frozen(values))):
         if parts:
-            where = tuple((float(time[first]), float(time[last])) for first, last in parts)
-            yield Finding(kind, name, DOUBTFUL, where,
-                          f'the {name_of(name)} {word} {place_of(where)}')
+            yield _of_parts(kind, name, time, parts)
+
+
+def _of_parts(kind: str, name: str, time: Array, parts: list[tuple[int, int]]) -> Finding:
+    where = tuple((float(time[first]), float(time[last])) for first, last in parts)
+    return Finding(kind, name, DOUBTFUL, where,
+                   f'the {name_of(name)} {BROKEN[kind]} {place_of(where)}')
 
 
 def _of_order(run: Run, name: str, time: Array, reference: Array, values: Array
@@ -162,14 +208,26 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
         change = high - low
         spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
         share = (values[jump - 1] - low) / change if change else 0.0
-        if abs(change) > 3.0 * spread and share > BEFORE:
+        if _there_before(reference, values, begin, jump, end):
+            found.append((float(time[begin]), float(time[jump])))
+        elif abs(change) > 3.0 * spread and share > BEFORE:
             first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
             found.append((float(time[first]), float(time[jump])))
     return tuple(found)
 
 
+def _there_before(reference: Array, values: Array, begin: int, jump: int, end: int) -> bool:
+    """Return whether a signal goes from the old to the new reference, and stays, before a jump."""
+    old, new = float(reference[jump - 1]), float(reference[jump])
+    share = (values[begin:end] - old) / (new - old)
+    until = jump - begin
+    low, high = np.quantile(share[until // 2:until], [0.05, 0.95])
+    return bool(np.median(share[:5]) < BEFORE and low > 1.0 - BEFORE and high < 1.0 + BEFORE
+                and abs(np.median(share[until:]) - 1.0) < BEFORE)
+
+
 class _ByCommand(NamedTuple):
-    """What the command tells: findings, and what is surely right of signal and reference."""
+    """Results of the command: findings, and what is surely right of signal and reference."""
 
     findings: list[Finding]
     same_unit: bool = False

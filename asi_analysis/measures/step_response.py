@@ -312,12 +312,15 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     changed = np.flatnonzero(np.abs(reference[first:] - step.final_n)
                              > 0.02 * abs(step.final_n - step.initial_n))
     end = float(time[first + changed[0] - 1] if changed.size else time[-1])
+    # Whether the step ends there at all, the first sample of another reference says.
+    ended = float(time[first + changed[0]]) if changed.size else end
     settled = step.settling_time_2_s or step.settling_time_5_s
     signals = (name, 'reference')
     # Lost samples soon after the response has entered the band may have left it again.
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
                    min(step.time_s + RETURNS * settled, end) if settled else end)
-    steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), end, LOST_SHARE)
+    steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), ended,
+                   LOST_SHARE)
     # Findings other than lost samples affect the levels, and so every figure.
     begin = step.time_s - STEADY_SHARE * (end - step.time_s)
     levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, end)

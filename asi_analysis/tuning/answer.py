@@ -13,7 +13,7 @@ from asi_analysis.reporting.result import Pictures, Result, Table, filled, table
 from asi_analysis.terminal import Progress, silent
 from asi_analysis.tuning.figures import ROWS, figures, missed
 from asi_analysis.tuning.margins import margins
-from asi_analysis.tuning.search import Candidate, attacked_rates, front, tune
+from asi_analysis.tuning.search import attacked_rates, front, tune
 from asi_common.parameter_file import write_parameters
 
 # Values to reach instead of those of ROWS.
@@ -42,7 +42,7 @@ class Tuning(Result):
     rows = 'rows'
 
     def parts(self) -> Iterator[str | Table]:
-        yield table_of(self.rows_found(), {
+        yield table_of(self['rows'], {
             'figure': '{text}', 'before': '{before:.3g}', 'found': '{value:.3g}',
             'to reach': '{goal:.3g}', '': '{unit}', 'reached': '{met}'},
             f'{self.prefer}, at {self.rate_hz:g} Hz, after {self.evaluations} settings tried')
@@ -56,11 +56,6 @@ class Tuning(Result):
                'one of ' + ', '.join(FRONT) + ' without being worse in another')
         if self.file:
             yield f'written: {self.file}'
-
-    def rows_found(self) -> list[dict[str, Any]]:
-        """Return the rows of the table."""
-        rows: list[dict[str, Any]] = self['rows']
-        return rows
 
     def pictures(self) -> Pictures:
         return {'front': (_draw(self), 'Settings that no other one beats; those below and to the '
@@ -77,7 +72,7 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
     actuator, start: parameters by name, the rest at their defaults; the search begins at `start`.
     prefer: one of PREFERENCES. evaluations: settings tried; conditions: of the last attack; seed:
     of both. out: directory for `controller.yaml`. rate_hz: control rate of the figures; the attack
-    also tries lower ones. Raises InputError for another preference.
+    also tries lower ones. Takes a minute and more. Raises InputError for another preference.
 
     >>> import asi_analysis as asi
     >>> found = asi.tune_controller({}, {}, evaluations=100)  # doctest: +SKIP
@@ -99,27 +94,23 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
     return Tuning({
         'prefer': prefer, 'rate_hz': rate_hz, 'evaluations': len(tried),
         'controller': dict(best.controller),
-        'rows': rows_of(best.figures, before, goals),
+        'rows': _rows(best.figures, before, goals),
         **{key: attack[key] for key in ('margin', 'conditions_tried', 'sustained_found',
                                         'worst_amplitude_n')},
         'margins': [each._asdict() for each in margins(actuator, best.controller, rate_hz)],
-        'front': [_point(each) for each in front(tried, FRONT)],
+        'front': [{**each.figures, 'controller': dict(each.controller)}
+                  for each in front(tried, FRONT)],
         'file': str(file) if file else None}, best=best)
 
 
-def rows_of(found: Mapping[str, float], before: Mapping[str, float] | None = None,
-            goals: Mapping[str, float] | None = None) -> list[dict[str, Any]]:
+def _rows(found: Mapping[str, float], before: Mapping[str, float], goals: Mapping[str, float]
+          ) -> list[dict[str, Any]]:
     """Return the rows of figures with what is to be reached."""
-    goals = goals or {}
     misses = missed(found, goals)
     return [{'name': row.name, 'text': row.text, 'unit': row.unit,
              'goal': goals.get(row.name, row.goal),
-             'before': before[row.name] if before else None, 'value': found[row.name],
+             'before': before[row.name], 'value': found[row.name],
              'met': bool(misses[row.name] <= 0.0)} for row in ROWS]
-
-
-def _point(each: Candidate) -> dict[str, Any]:
-    return {**each.figures, 'controller': dict(each.controller)}
 
 
 def _draw(tuning: Tuning) -> Figure:

@@ -30,7 +30,6 @@ from asi_analysis.tuning.figures import (
     step_figures,
 )
 from asi_analysis.tuning.overlays import recorded, simulated
-from asi_analysis.tuning.z_width import rows as z_rows
 from asi_analysis.tuning.z_width import z_width
 from asi_common.files import write_text
 from asi_controller.compensators import COMPENSATORS
@@ -204,7 +203,8 @@ def compare_controllers(
                                           tell), rates_hz))
         rows += [row | {'controller': name} for row in found]
         if gains:
-            widths += z_rows(name, z_width(actuator, controller, gains, rates_hz[0]))
+            widths += [{'controller': name, **row} for row in z_width(
+                actuator, controller, gains, rates_hz[0])]
     recordings = recordings or {}
     return Comparison({
         'controllers': list(controllers), 'rates_hz': rates_hz, 'plants': plants,

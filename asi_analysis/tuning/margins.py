@@ -18,9 +18,8 @@ from asi_actuator.parameters import as_record
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.experiments.step_tests import LOCKED
 from asi_analysis.loop import linear_model as linear
-from asi_analysis.loop.closed_loop import Values
+from asi_analysis.loop.simulation import Values, loop_of
 from asi_controller.additions.gain_schedule import scheduled
-from asi_controller.compensator import compensator, frequency_response
 
 VELOCITIES_M_S: Final = (0.0, 0.1, 0.2, 0.5)
 LOWEST_HZ: Final = 1.0
@@ -49,7 +48,7 @@ def moved_gain(actuator: Values, velocity: float) -> float:
 
     At the opening at which the actuator gives no force, the largest if none does: 1 at rest.
     """
-    p = as_record({**actuator})
+    p = as_record(actuator)
     largest = float(p['valve_characteristic_maximum_force'])
 
     def force(opening: float) -> float:
@@ -62,15 +61,14 @@ def moved_gain(actuator: Values, velocity: float) -> float:
 
 def margins(actuator: Values, controller: Values, rate_hz: float) -> list[Margins]:
     """Return the margins of a loop at each of VELOCITIES_M_S; parameters by name."""
-    p = as_record({**actuator, **LOCKED})
-    c = compensator({name: value for name, value in controller.items()
-                     if not name.startswith('reference.')}, rate_hz)
+    loop = loop_of({**actuator, **LOCKED}, controller, rate_hz)
+    p, c = loop.plant, loop.compensator
     frequency = np.geomspace(LOWEST_HZ, 0.499 * rate_hz, FREQUENCIES)
-    plant = linear.plant(p, 1.0 / rate_hz, linear.damping_slope(p), seals_stuck=True)(frequency)
+    plant = linear.plant(p, loop.period_s, linear.damping_slope(p), seals_stuck=True)(frequency)
     # The schedule is that of the compensator, not of the integrator beside it.
     z = np.exp(2j * np.pi * frequency / rate_hz)
     integral = float(c['integrator_rate']) / rate_hz / (z - 1.0)
-    direct = frequency_response(c, frequency, rate_hz) - integral
+    direct = loop.compensated(frequency) - integral
     schedule = float(c['gain_schedule_velocity']), float(c['gain_schedule_least'])
     return [Margins(velocity, *_of(frequency, plant * moved_gain(actuator, velocity)
                                    * (direct * scheduled(velocity, *schedule) + integral)))

@@ -72,7 +72,7 @@ OUTSIDE: Final = 100.0
 
 
 class Candidate(NamedTuple):
-    """Settings with their cost, figures, and the oscillation left (sum of logarithms)."""
+    """Settings with their cost, figures, and remaining oscillation (sum of logarithms)."""
 
     cost: float
     controller: Mapping[str, Value]
@@ -100,8 +100,8 @@ def attacked_rates(rate_hz: float) -> tuple[float, ...]:
 
 
 def left(conditions: Sequence[Condition], actuator: Values, controller: Values,
-         rates_hz: tuple[float, ...] = RATES_HZ) -> float:
-    """Return the sum of the logarithms over LEFT_N of the amplitudes left that do not decay."""
+         rates_hz: tuple[float, ...]) -> float:
+    """Return the sum of log(amplitude / LEFT_N) of the oscillations that do not decay."""
     gain, delay = MARGIN
     table = defaults(ACTUATOR_PARAMETERS)
     total = 0.0

@@ -7,7 +7,7 @@ Conference on Robotics and Automation, 1994).
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,63 +16,31 @@ from asi_analysis.tuning.figures import IMPEDANCE_HZ, impedance
 from asi_controller.compensators import COMPENSATORS
 
 
-class AtGain(NamedTuple):
-    """
-    The impedance at a factor of gain and integrator.
-
-    size_n_s_m: at each of IMPEDANCE_HZ, the mean size over IMPEDANCE_M_S.
-    """
-
-    factor: float
-    least_re_z_n_s_m: float
-    passive: bool
-    size_n_s_m: tuple[float, ...]
-
-
-class ZWidth(NamedTuple):
-    """
-    The impedance over the gain, and the width (dB) at each of IMPEDANCE_HZ.
-
-    width_db: the largest over the least size at passive gains; None if none is passive.
-    """
-
-    gains: Sequence[AtGain]
-    width_db: tuple[float, ...] | None
-
-
 def z_width(actuator: Values, controller: Values, factors: Sequence[float], rate_hz: float
-            ) -> ZWidth:
+            ) -> list[dict[str, Any]]:
     """
-    Return the impedance of a loop at several gains.
+    Return the impedance of a loop at several gains: a row for each gain and IMPEDANCE_HZ.
 
     actuator, controller: parameters by name, the rest at their defaults; factors: of gain and
-    integrator, above 0; rate_hz: control rate. Passive is a real part of at least 0 wherever it is
-    taken. Raises ParameterError for a gain that is not allowed.
+    integrator, above 0; rate_hz: control rate. Sizes are the mean over IMPEDANCE_M_S. Passive is a
+    real part of at least 0 wherever it is taken; width_db: the largest over the least size at
+    passive gains, None if none is passive. Raises ParameterError for a gain that is not allowed.
 
-    >>> found = z_width({}, {'gain': 3.0}, [0.5, 1.0], 2000.0)  # doctest: +SKIP
+    >>> found = z_width({}, {'gain': 3.0}, [0.5, 1.0], 2000.0)
+    >>> [(each['factor'], each['passive']) for each in found if each['frequency_hz'] == 1.0]
+    [(0.5, True), (1.0, True)]
     """
     name = str(controller.get('compensator', 'proportional'))
     gain = float(controller.get('gain', 0.0)) or COMPENSATORS[name].gain
-    gains = []
-    for factor in factors:
-        scaled = {**controller, 'gain': factor * gain,
-                  'integrator.rate': factor * float(controller.get('integrator.rate', 0.0))}
-        found = impedance(actuator, scaled, rate_hz)
-        least = float(found.real.min())
-        gains.append(AtGain(factor, least, least >= 0.0,
-                            tuple(map(float, np.abs(found).mean(axis=0)))))
-    sizes = np.array([each.size_n_s_m for each in gains if each.passive])
-    width = (tuple(map(float, 20.0 * np.log10(sizes.max(axis=0) / sizes.min(axis=0))))
-             if len(sizes) else None)
-    return ZWidth(gains, width)
-
-
-def rows(controller: str, found: ZWidth) -> list[dict[str, object]]:
-    """Return a row for each frequency of IMPEDANCE_HZ and gain."""
-    return [{'controller': controller, 'factor': each.factor, 'frequency_hz': frequency,
-             'size_n_s_m': size, 'least_re_z_n_s_m': each.least_re_z_n_s_m,
-             'passive': each.passive,
-             'width_db': found.width_db[k] if found.width_db else None}
-            for each in found.gains
-            for k, (frequency, size) in enumerate(zip(IMPEDANCE_HZ, each.size_n_s_m,
-                                                      strict=True))]
+    found = [impedance(actuator, {
+        **controller, 'gain': factor * gain,
+        'integrator.rate': factor * float(controller.get('integrator.rate', 0.0))}, rate_hz)
+        for factor in factors]
+    sizes = [np.abs(each).mean(axis=0) for each in found]
+    passive = [bool(each.real.min() >= 0.0) for each in found]
+    kept = np.array([size for size, of in zip(sizes, passive, strict=True) if of])
+    width = (20.0 * np.log10(kept.max(axis=0) / kept.min(axis=0))).tolist() if len(kept) else None
+    return [{'factor': factor, 'frequency_hz': frequency, 'size_n_s_m': float(sizes[k][place]),
+             'least_re_z_n_s_m': float(found[k].real.min()), 'passive': passive[k],
+             'width_db': width[place] if width else None}
+            for k, factor in enumerate(factors) for place, frequency in enumerate(IMPEDANCE_HZ)]

@@ -33,7 +33,7 @@ class Frames:
         self._news = asyncio.Event()
 
     def follow(self) -> None:
-        """Be told of what is heard, in the event loop that calls this."""
+        """Be notified of new messages, in the event loop that calls this."""
         loop = asyncio.get_running_loop()
 
         def told() -> None:

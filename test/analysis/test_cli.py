@@ -1,11 +1,13 @@
 """The command line: help, exit statuses, one line of complaint, the documented JSON."""
 
+import io
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from conftest import PATIENCE_S, wait_until
 from documented import problems
 from rosbags.rosbag2 import Reader
 
-from asi_analysis import cli
+from asi_analysis import cli, terminal
 from asi_analysis.bags.run import Run
 from asi_analysis.cli import interrupt
 from asi_analysis.errors import InputError
@@ -393,3 +395,22 @@ def test_ctrl_c_while_the_commands_are_built_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr('asi_analysis.cli.app', interrupted)
     assert cli.main() == 130
     assert capsys.readouterr().err == 'asi: interrupted\n'
+
+
+def test_progress_is_written_now_and_then_without_a_terminal(
+        monkeypatch, capfd):
+    monkeypatch.setattr(terminal, 'LINE_S', 0.01)
+    monkeypatch.setattr(sys, 'stderr', io.TextIOWrapper(io.FileIO(2, 'w', closefd=False)))
+    said = ''
+
+    def written() -> bool:
+        nonlocal said
+        said += capfd.readouterr().err
+        return 'asi: reading, 50%, after 0 s\n' in said
+
+    with terminal.bar() as progress:
+        progress('reading', 0.5)
+        wait_until(written, 'a line of progress')
+    capfd.readouterr()
+    time.sleep(0.05)
+    assert capfd.readouterr().err == ''

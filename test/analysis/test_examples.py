@@ -7,7 +7,9 @@ import pytest
 
 import asi_analysis
 
-MODULES = sorted({asi_analysis._HOME[name] for name in asi_analysis.__all__})
+# Beside those of the API, modules whose functions have an example too.
+MODULES = sorted({asi_analysis._HOME[name] for name in asi_analysis.__all__} | {
+    'bags.exchange.preview', 'free_parameter', 'tuning.z_width'})
 
 
 @pytest.mark.parametrize('module', MODULES)

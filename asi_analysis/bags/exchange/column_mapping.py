@@ -153,8 +153,8 @@ def numbers_of(name: str, column: npt.NDArray, path: Path) -> Array:
                 found = SI_NUMBER.fullmatch(cell.strip())
                 if found is None:
                     hint = '; is that a decimal comma?' if ',' in cell else ''
-                    raise InputError(f'{path}: column {name}, row {row + 1}: {cell!r} is not a '
-                                     f'number{hint}') from None
+                    raise InputError(f'{path}: column {name}, row {row + 1}: {cell[:60]!r} is '
+                                     f'not a number{hint}') from None
                 values[row] = float(found[1]) * SI_PREFIX[found[2]]
                 with_prefix += 1
         if with_prefix:

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_common.files import replacing
@@ -18,8 +19,9 @@ def export(run: Run, path: str | Path) -> None:
     """
     Write a run to a .csv or .parquet file, a missing sample as an empty cell or null.
 
-    Numbers have full precision: importing the file gives the same run. Raises InputError for
-    another suffix, or a file that exists or cannot be written.
+    Numbers have full precision: importing the file gives the same run, of Parquet with what the
+    bag says of it, as its controller. Raises InputError for another suffix, or a file that exists
+    or cannot be written.
 
     >>> import tempfile
     >>> import asi_analysis as asi
@@ -58,5 +60,5 @@ def _write_parquet(run: Run, path: Path) -> None:
     from pyarrow.parquet import write_table
     table = pyarrow.table({name: pyarrow.array(values, from_pandas=True)
                            for name, values in run.columns().items()})
-    write_table(table.replace_schema_metadata({'asi.run': json.dumps(run.information)}), path,
+    write_table(table.replace_schema_metadata({INFORMATION: json.dumps(run.information)}), path,
                 write_page_checksum=True)

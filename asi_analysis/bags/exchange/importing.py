@@ -1,7 +1,9 @@
 """Import a recording of another system as `Run` and bag; see doc/how_to/importing.md."""
 
+import json
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,6 +11,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import (
     Assignment,
@@ -22,6 +25,7 @@ from asi_analysis.bags.exchange.lerobot import is_dataset, refuse_episode, refus
 from asi_analysis.bags.exchange.preview import message_types
 from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
+from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError, InputWarning
 
@@ -38,9 +42,9 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     r"""
     Return a recording of another system as a run; also written as the bag `out`, if given.
 
-    path: .csv, .tsv, .txt, .dat, .json, .jsonl (also .gz), .mat, .npz, .parquet, the folder of a
-    LeRobot dataset, a rosbag2, or a .bag of ROS 1; or several tables, each with its time, of which
-    the first gives the samples; mapping: texts `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for
+    path: a table (TEXTS and READERS of `table_file.py`), the folder of a LeRobot dataset, a
+    rosbag2, or a .bag of ROS 1; or several tables, each with its time, of which the first gives
+    the samples; mapping: texts `SIGNAL=COLUMN[*SCALE][+OFFSET][[UNIT]]`, none for
     a file of `asi export`; rate_hz: sampling rate, if no column is mapped to time (a bag has its
     own times); skip_lines: lines before the header; columns: names for a file without a header;
     zero_s: subtract from each signal its mean over this time from the start, s; episode: of a
@@ -66,9 +70,35 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
         texts, table = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns, episode)
         signals = _evaluated([parse_mapping(text) for text in texts], table, paths[0])
     run = _run(signals, texts, paths, rate_hz, zero_s)
+    if not mapping and zero_s == 0.0:
+        run = _with_exported(run, paths[0])
     if out is not None:
         write_bag(run, out)
     return run
+
+
+def _with_exported(run: Run, path: Path) -> Run:
+    """Return a run with the information that `asi export` has put in its Parquet file, if any."""
+    if path.suffix != '.parquet':
+        return run
+    from pyarrow.parquet import read_schema
+    problems: list[str] = []
+    text = (read_schema(path).metadata or {}).get(INFORMATION.encode(), b'{}')
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        problems.append(f'{path}: its metadata {INFORMATION} cannot be read, and is left out')
+        found = {}
+    found.pop('signals', None)      # the columns tell the units
+    information = checked(found, problems, str(path)) | run.information
+    if count := missing_ticks(information, len(run)):
+        problems.append(f'{path}: {count} of the {len(run) + count} samples of this run are not '
+                        'in the file')
+    for problem in problems:
+        warnings.warn(problem, InputWarning, stacklevel=3)
+    return replace(run, information=information, problems=tuple(problems))
 
 
 def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,

@@ -5,6 +5,7 @@ A field of a field is called `joint.position`, an element of a list `position#1`
 """
 
 import gzip
+import io
 import json
 import warnings
 from array import array
@@ -15,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, lines_of
+from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, lines_of, unpacked
 from asi_analysis.errors import InputError, InputWarning
 
 LINES: Final = ('.jsonl', '.ndjson')
@@ -72,7 +73,7 @@ def read_json(path: Path) -> Columns:
             raise
         return _read_lines(path)
     if isinstance(document, list):
-        return _records(((row, each) for row, each in enumerate(document)), path)
+        return _records(enumerate(document), path)
     if not isinstance(document, dict):
         raise InputError(f'{path} holds no table: expected an array of records, an object of '
                          'arrays, or JSON lines')
@@ -95,18 +96,20 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _read_lines(path: Path) -> Columns:
-    def records() -> Iterator[tuple[int, Any]]:
-        with gzip.open(path) if path.suffix == '.gz' else path.open('rb') as raw:
-            lines = ((number, line) for number, line in enumerate(lines_of(raw, path), 1)
-                     if line.strip())
-            for row, (number, line) in enumerate(lines):
-                try:
-                    yield row, json.loads(line, object_pairs_hook=_object)
-                except json.JSONDecodeError as error:
-                    raise InputError(f'{path}, line {number}: {error.msg} at column '
-                                     f'{error.colno}') from None
+    # Opened here, not by the generator: that is closed late when a record is refused.
+    with unpacked(path) as raw:
+        return _records(enumerate(_lines(raw, path)), path)
 
-    return _records(records(), path)
+
+def _lines(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[Any]:
+    """Yield the documents of JSON lines; raises InputError with the number of a damaged line."""
+    for number, line in enumerate(lines_of(raw, path), 1):
+        if line.strip():
+            try:
+                yield json.loads(line, object_pairs_hook=_object)
+            except json.JSONDecodeError as error:
+                raise InputError(f'{path}, line {number}: {error.msg} at column '
+                                 f'{error.colno}') from None
 
 
 def _records(records: Iterable[tuple[int, Any]], path: Path, prefix: str = '') -> Columns:

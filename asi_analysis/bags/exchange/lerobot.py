@@ -250,7 +250,7 @@ def _numbers(column: Any, name: str, width: int, file: Path) -> npt.NDArray:
 
 
 def refuse_episode(path: Path, episode: int | None) -> None:
-    """Raise InputError if an episode is told of a path that is no dataset."""
+    """Raise InputError if an episode is given for a path that is no dataset."""
     if episode is not None:
         raise InputError(f'--episode {episode}: {path} is no LeRobot dataset')
 

@@ -6,6 +6,7 @@ import gzip
 import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
 from typing import Final
@@ -42,6 +43,27 @@ def unpacked_limit(path: Path) -> int:
     return max(MOST_UNPACKED, MOST_RATIO * path.stat().st_size)
 
 
+@contextmanager
+def unpacked(path: Path) -> Iterator[gzip.GzipFile | io.BufferedReader]:
+    """
+    Yield the content of a file, unpacked if its name says so.
+
+    Raises InputError if that is too much, before it is read: its cells take minutes.
+    """
+    if path.suffix != '.gz':
+        with path.open('rb') as raw:
+            yield raw
+        return
+    limit = unpacked_limit(path)
+    with gzip.open(path) as packed:
+        while packed.read(MOST_LINE):
+            if packed.tell() > limit:
+                raise InputError(f'{path} unpacks to more than {limit / 1e6:.0f} MB: unpack it '
+                                 'first if that is meant')
+        packed.seek(0)
+        yield packed
+
+
 def read_text(path: Path, skip_lines: int, delimiter: str | None,
               columns: Sequence[str] | None) -> dict[str, npt.NDArray]:
     """
@@ -51,7 +73,7 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
     """
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
-    with gzip.open(path) if path.suffix == '.gz' else path.open('rb') as raw:
+    with unpacked(path) as raw:
         lines = (line for line in islice(lines_of(raw, path), skip_lines, None) if line.strip())
         head = list(islice(lines, HEAD_LINES))
         if not head:
@@ -92,14 +114,10 @@ def lines_of(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str
     raw.seek(0)
     text = io.TextIOWrapper(raw, 'utf-16' if wide else 'utf-8-sig',
                             'strict' if wide else 'windows-1252')
-    limit = unpacked_limit(path) if path.suffix == '.gz' else None
     while line := text.readline(MOST_LINE):
         if len(line) == MOST_LINE:
             raise InputError(f'{path} has a line of more than {MOST_LINE} characters: it is no '
                              'table')
-        if limit is not None and raw.tell() > limit:
-            raise InputError(f'{path} unpacks to more than {limit / 1e6:.0f} MB: unpack it first '
-                             'if that is meant')
         yield line
 
 

@@ -61,13 +61,6 @@ class ReceiptOrder:
                               arrival.data))
         return items
 
-    def end(self) -> None:
-        """Do nothing: every received message is written."""
-
-    def missing_topics(self) -> set[int]:
-        """Return the topics with missing messages: none."""
-        return set()
-
 
 class _Tick(NamedTuple):
     arrived_s: float

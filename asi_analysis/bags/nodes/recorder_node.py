@@ -191,7 +191,7 @@ class Recorder(Node):
         ended_ns = self._steady_clock.now_ns()
         self._drain(ended_ns)
         self._write()
-        if self._order:
+        if isinstance(self._order, TickOrder):
             self._order.end()
         moment_s = self._polled_s + QUIET_S
         end_s = self._polled_s + LAST_TICK_S
@@ -207,7 +207,7 @@ class Recorder(Node):
 
     def _answer_may_come(self) -> bool:
         """Return whether a missing message of a tick has a publisher that may still send it."""
-        return self._order is not None and any(
+        return isinstance(self._order, TickOrder) and any(
             self.count_publishers(self._topics[topic].name)
             for topic in self._order.missing_topics())
 

@@ -7,8 +7,7 @@ from asi_analysis.gap.diagnose import Diagnosis, hypothesis_name
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import ambiguity_set
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.words import DOTTED, SIZES, UNIT_OF_SCALE, UNITS, signal_of, unit_of
+from asi_analysis.gap.words import DOTTED, SIZES, signal_of, unit_of_free
 
 NONE, CHANGED, UNDECIDED = 'none', 'changed', 'cannot_tell'
 
@@ -53,14 +52,9 @@ def _rows(diagnosis: Diagnosis, weighed: Weighed) -> list[dict[str, Any]]:
                  and any(name == each.field.partition('@')[0] for variant in effect.variants
                          for each in variant.free)), None),
             'recording': free.field.partition('@')[2] or None,
-            'unit': _unit(diagnosis, group.channels[0], freed.get(free.field, free)),
+            'unit': unit_of_free(freed.get(free.field, free), group.channels[0],
+                                 diagnosis.runs[0], diagnosis.plant),
             'healthy': before.value, 'healthy_low': before.low, 'healthy_high': before.high,
             'now': float(fitted.record[free.field]), 'now_low': low, 'now_high': high,
             'changed': free.field in freed and not (low <= before.high and high >= before.low)})
     return sorted(rows, key=lambda row: not row['changed'])
-
-
-def _unit(diagnosis: Diagnosis, channel: str, free: Free) -> str:
-    field = free.field.partition('@')[0]
-    return unit_of(free.unit or UNITS.get(field, UNIT_OF_SCALE.get(free.scale, '')), channel,
-                   diagnosis.runs[0], diagnosis.plant)

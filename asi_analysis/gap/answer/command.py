@@ -107,7 +107,7 @@ def _line(given: Mapping[str, Value]) -> dict[str, Value]:
 
 def recorded_model(runs: Sequence[Run]) -> dict[str, Value]:
     """
-    Return the actuator's parameters that the first bag tells; {} if it tells none.
+    Return the actuator's parameters in the metadata of the first bag; {} without any.
 
     Raises InputError if one is not allowed.
     """
@@ -269,9 +269,14 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     cannot be judged; `notes` says what is doubtful.
 
     >>> import asi_analysis as asi
-    >>> runs = [asi.read_bag('real_1'), asi.read_bag('real_2')]           # doctest: +SKIP
-    >>> gap = asi.diagnose(runs, {'load.mass': 0.3})                      # doctest: +SKIP
-    >>> print(gap)                                                        # doctest: +SKIP
+    >>> time_s = 0.01 * np.arange(2000)
+    >>> command_n = np.abs(time_s % 4.0 - 2.0) - 1.0    # to and fro
+    >>> force_n = np.zeros(2000)                        # through a play of 0.2 N
+    >>> for k in range(1, 2000):
+    ...     force_n[k] = np.clip(force_n[k - 1], command_n[k] - 0.1, command_n[k] + 0.1)
+    >>> run = asi.Run(time_s, command_n=command_n, force_n=force_n)
+    >>> asi.diagnose([run], plant='static').verdict
+    'valve_hysteresis'
     """
     if plant not in PLANTS:
         raise InputError(f'--plant {plant!r} is not allowed: one of {", ".join(PLANTS)}')
@@ -321,7 +326,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     answer['characteristic'] = plain(characteristic(diagnosis)) if plant == 'static' else None
     if baseline:
         answer['baseline'] = plain(changes(diagnosis))
-    doubtful = doubts([*baseline, *everything])
+    doubtful = doubts([*baseline, *everything], plant != 'static')
     answer['notes'] = [*(f'doubtful, because {each}' for each in doubtful), *notes,
                        *answer['notes']]
     if plant == 'actuator':

@@ -14,15 +14,7 @@ from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
 from asi_analysis.gap.model.joint import RIGID_ERROR
-from asi_analysis.gap.words import (
-    SIZES,
-    UNIT_OF_SCALE,
-    UNITS,
-    between,
-    digits,
-    in_words,
-    unit_of,
-)
+from asi_analysis.gap.words import SIZES, between, digits, in_words, unit_of_free
 from asi_common.jit import FULL
 
 # Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
@@ -285,9 +277,8 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
         word = NAMES.get(field) or SIZES.get(field)
         if word is None or fitted.record[free.field] == 0.0 or (recording and field in NAMES):
             continue
-        unit = '' if field == 'valve_characteristic_gain' else unit_of(
-            free.unit or UNITS.get(field, UNIT_OF_SCALE.get(free.scale, '')), channel,
-            diagnosis.runs[0], 'joint')
+        unit = '' if field == 'valve_characteristic_gain' else unit_of_free(
+            free, channel, diagnosis.runs[0], 'joint')
         low, high = interval(fitted, known, free.field)
         size = between(float(fitted.record[free.field]), low, high, unit)
         found[free.field] = (f'{effects.get(free.field, "")}{word} {size}'

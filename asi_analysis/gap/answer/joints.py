@@ -24,7 +24,7 @@ CHANCE: Final = 1.1              # least of these times leave so many times the 
 
 
 class Rest(NamedTuple):
-    """What a diagnosis leaves of a recording: values at times, s."""
+    """The residual of a recording after the diagnosis: values at times, s."""
 
     time_s: Array
     left: Array
@@ -113,7 +113,7 @@ def diagnose_joints(recordings: Mapping[str, Sequence[Run]],
 
 def _diagnosed(runs: Sequence[Run], options: Mapping[str, Any], report: Path | None
                ) -> tuple[dict[str, Any] | None, str | None, list[Rest]]:
-    """Return the document of a joint, or why there is none, and what is left of it."""
+    """Return the document of a joint, or why there is none, and its residuals."""
     with warnings.catch_warnings():   # they are among the notes
         warnings.simplefilter('ignore', InputWarning)
         try:
@@ -126,7 +126,7 @@ def _diagnosed(runs: Sequence[Run], options: Mapping[str, Any], report: Path | N
 
 
 def _rests(gap: Gap) -> list[Rest]:
-    """Return what the diagnosis leaves of each recording, in the channel of the gap."""
+    """Return the residual of each recording, in the channel of the gap."""
     diagnosis, channel = gap.diagnosis, gap['gap']['channel']
     weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
     record = diagnosis.best(weighed).fitted.record
@@ -139,7 +139,7 @@ def _rests(gap: Gap) -> list[Rest]:
 def _coupled(joint: str, rests: Mapping[str, Sequence[Rest]],
              recordings: Mapping[str, Sequence[Run]]) -> tuple[str | None, float | None]:
     """
-    Return the other joint whose motion explains most of what is left of one, and its share.
+    Return the other joint whose motion explains most of the residual of one, and its share.
 
     By linear least squares on position, velocity and acceleration, beyond what the joint's own
     motion explains. (None, None): none explains COUPLED.
@@ -155,7 +155,7 @@ def _coupled(joint: str, rests: Mapping[str, Sequence[Rest]],
 
 
 def _explained(rest: Rest, own: Run, other: Run) -> float:
-    """Return the share of what is left that another joint's motion explains beyond the own."""
+    """Return the share of the residual that another joint's motion explains beyond the own."""
     edges = np.arange(rest.time_s[0], rest.time_s[-1], 1.0 / COUPLING_RATE_HZ)
     left = _means(rest.time_s, rest.left, edges)
     mine, beside = _motion(own, edges), _motion(other, edges)

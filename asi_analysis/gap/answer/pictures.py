@@ -10,11 +10,7 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.words import chance
-from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, WIDTH_IN, style
-
-
-def _new(height_in: float) -> Figure:
-    return Figure(figsize=(WIDTH_IN, height_in), layout='constrained')
+from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, drawing
 
 
 def _legend(figure: Figure, axes: Axes, **options: Any) -> None:
@@ -26,8 +22,7 @@ def _legend(figure: Figure, axes: Axes, **options: Any) -> None:
 def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mask,
             label: str, unit: str) -> Figure:
     """Draw a section of a recording and of models of it, and the differences."""
-    with style():
-        figure = _new(3.4)
+    with drawing(3.4) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         above.plot(time, real, color=GREY, linewidth=2.6, label='real')
         for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=False):
@@ -47,8 +42,7 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
 def characteristic(given: Array, got: Array, models: Mapping[str, Array], labels: tuple[str, str],
                    units: tuple[str, str]) -> Figure:
     """Draw an output over its input, measured and by models; labels, units: of input, output."""
-    with style():
-        figure = _new(3.4)
+    with drawing(3.4) as figure:
         axes = figure.subplots()
         axes.plot(given, got, color=GREY, linewidth=2.6, label='real')
         for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=False):
@@ -64,8 +58,7 @@ def characteristic(given: Array, got: Array, models: Mapping[str, Array], labels
 def compared(time: Array, real: Array, model: Array, name: str, largest: float) -> Figure:
     """Draw the force (N) of a machine and of one model; largest: of the differences drawn."""
     colour = ORANGE if name == 'nominal' else BLUE
-    with style():
-        figure = _new(3.0)
+    with drawing(3.0) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         above.plot(time, real, color=GREY, linewidth=2.6, label='machine')
         above.plot(time, model, color=colour, label=f'{name} model')
@@ -80,8 +73,7 @@ def compared(time: Array, real: Array, model: Array, name: str, largest: float) 
 
 def probabilities(chances: Mapping[str, float]) -> Figure:
     """Draw the probability of each explanation, the most probable first."""
-    with style():
-        figure = _new(0.8 + 0.24 * len(chances))
+    with drawing(0.8 + 0.24 * len(chances)) as figure:
         axes = figure.subplots()
         place = np.arange(len(chances))[::-1]
         axes.barh(place, list(chances.values()), height=0.7,
@@ -99,8 +91,7 @@ def probabilities(chances: Mapping[str, float]) -> Figure:
 
 def confusion(truth: Sequence[str], named: Sequence[str], counts: Array) -> Figure:
     """Draw how often each true effect got each verdict."""
-    with style():
-        figure = Figure(figsize=(7.2, 6.6), layout='constrained')
+    with drawing(6.6, 7.2) as figure:
         axes = figure.subplots()
         share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         axes.imshow(share, cmap='Blues', vmin=0.0, vmax=1.0, aspect='auto')
@@ -117,8 +108,7 @@ def confusion(truth: Sequence[str], named: Sequence[str], counts: Array) -> Figu
 
 def reliability(said: Sequence[float], right: Sequence[float], counts: Sequence[int]) -> Figure:
     """Draw the share of right verdicts over their probability."""
-    with style():
-        figure = _new(3.0)
+    with drawing(3.0) as figure:
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1], color=GREY)
         axes.plot(said, right, 'o-', color=BLUE)

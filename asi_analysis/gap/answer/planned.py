@@ -203,7 +203,7 @@ def plan_recording(model: str | Path, sensors: Sequence[str] = SENSORS,
                    tolerance: float = TOLERANCE, out: str | Path | None = None,
                    progress: Progress = silent) -> Plan:
     """
-    Return what to play and to record so that the usual suspects of a joint are told apart.
+    Return what to play and to record so that the usual suspects of a joint are separated.
 
     model: the file that `diagnose` takes, with load.mass (and load.damping, load.stiffness), and
     limit.position and limit.velocity of asi_gap if `limits` does not hold them, as texts like
@@ -270,7 +270,7 @@ def _sensors(names: Sequence[str], given: Mapping[str, Value], path: Path) -> tu
 
 
 def _row(name: str, plan: Planned, run: Run) -> dict[str, Any]:
-    """Return what the plan tells of a suspect: of the least size that it tells, or of the most."""
+    """Return the row of a suspect: of its least size that is identified, else of its largest."""
     expected = {each: value for each, value in chances(plan.answer.tells, plan.runs).items()
                 if each.name == name}
     suspect = next((each for each, value in expected.items() if value >= CLEAR), [*expected][-1])
@@ -317,7 +317,7 @@ def _course(course: Drawn, period: float, given: Mapping[str, Value]) -> dict[st
 
 def _more_sensors(untold: Sequence[str], sensors: Sequence[str], plan: Planned, limits: Limits,
                   given: Mapping[str, Value], tolerance: float) -> dict[str, str]:
-    """Return one more sensor with which a suspect would be told by the same courses, by name."""
+    """Return, by suspect, one more sensor with which the same courses would identify it."""
     found: dict[str, str] = {}
     if 'reference' in sensors:
         return found
@@ -334,7 +334,7 @@ def _more_sensors(untold: Sequence[str], sensors: Sequence[str], plan: Planned, 
 
 
 def _advice(rows: Sequence[Mapping[str, Any]], sensors: Sequence[str]) -> Iterator[str]:
-    """Yield which suspects are not told, and what would tell them."""
+    """Yield which suspects are not identified, and what would identify them."""
     for row in rows:
         if row['told']:
             continue

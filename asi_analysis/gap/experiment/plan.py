@@ -1,5 +1,5 @@
 """
-The recipe before recording: which courses of a joint would tell its usual suspects apart.
+The recipe before recording: which courses of a joint separate its usual suspects.
 
 The courses are those of `next_motion`, within the limits of the joint. What each would tell is
 computed from the nominal joint (`suspects.py`); the fewest that tell as much as all are taken.
@@ -186,7 +186,7 @@ def groups_of(position: Array, sensors: Sequence[str], limits: Limits, period: f
 
 
 class Answer(NamedTuple):
-    """What courses tell of each suspect of each size."""
+    """The expected result of courses for each suspect of each size."""
 
     records: dict[Suspect, np.void]
     tells: dict[Suspect, Told]
@@ -196,7 +196,7 @@ def answer_of(position: Array, sensors: Sequence[str], limits: Limits, period: f
               given: Mapping[str, Value], tolerance: float, scales: Sequence[Values],
               fitted: int = 0, only: Sequence[str] | None = None) -> Answer:
     """
-    Return what a course tells of each suspect.
+    Return the expected result of a course for each suspect.
 
     scales: of the sizes of the suspects, by group; only: names of suspects, None: all.
     """
@@ -212,7 +212,7 @@ def answer_of(position: Array, sensors: Sequence[str], limits: Limits, period: f
 
 
 def joined(tells: Sequence[Told]) -> Told:
-    """Return what several courses tell together: at least what each tells by itself."""
+    """Return the result of several courses together: at least that of each by itself."""
     evidence = [each.evidence for each in tells]
     channel = next(iter(evidence[0].noise))
     weights = np.array([each.held_out_s for each in evidence])
@@ -242,7 +242,7 @@ def chances(tells: Mapping[Suspect, Told], runs: int = 1) -> dict[Suspect, float
 
 
 class Planned(NamedTuple):
-    """The courses of a plan, and what they and the others of the catalogue tell."""
+    """The courses of a plan, with their results and those of the others of the catalogue."""
 
     courses: list[Drawn]
     position: Array      # of all courses, one after the other, about the middle
@@ -255,14 +255,14 @@ class Planned(NamedTuple):
 
 
 def _by_place(tells: Mapping[Suspect, Told]) -> dict[tuple[str, int], tuple[Suspect, Told]]:
-    """Return what is told of suspects by name and size: their bounds depend on the course."""
+    """Return results by the name and size of suspects: their bounds depend on the course."""
     return {(each.name, each.size): (each, found) for each, found in tells.items()}
 
 
 def plan_courses(sensors: Sequence[str], limits: Limits, period: float,
                  given: Mapping[str, Value], tolerance: float, progress: Progress = silent
                  ) -> Planned:
-    """Return the fewest courses that tell as many suspects as all of the catalogue do."""
+    """Return the fewest courses that identify as many suspects as the whole catalogue does."""
     usual_course = drawn('sine over the whole range', limits, period, given)
     courses = {}
     for name in CATALOGUE:

@@ -1,5 +1,5 @@
 """
-What a motion would tell of a joint: the expected probability of each of its usual suspects.
+The expected probability of each usual suspect of a joint, if a motion is recorded.
 
 Each suspect in turn is put into the nominal joint, and the others are fitted to what it would
 record, as in a diagnosis (`LinearScreen`). The probabilities are those of the diagnosis.
@@ -50,7 +50,7 @@ class Suspect(NamedTuple):
 
 class Told(NamedTuple):
     """
-    What a motion tells of a suspect.
+    The expected result of a motion for a suspect.
 
     left: mean square difference of the best fit of each other explanation, in error floors, by
     its names; evidence: without its probabilities.
@@ -152,7 +152,7 @@ def _beside_position(group: Group, suspect: Suspect) -> Group:
 
 def told(suspect: Suspect, group: Group, p: np.void, fitted: int = 0) -> Told:
     """
-    Return what the recordings of a group tell of a suspect that is there.
+    Return the expected result of the recordings of a group for a suspect that is there.
 
     p: record with the suspect; fitted: so many of the other explanations are fitted, not only
     linearly, and compared by `separation`.

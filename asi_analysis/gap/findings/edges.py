@@ -25,7 +25,7 @@ PLACED: Final = ('the disturbance begins or ends in samples that are kept for th
 
 def placed(weighed: Weighed) -> Weighed:
     """
-    Return a group in which the pulses of likely hypotheses begin and end by all samples.
+    Return a group in which the pulses of likely hypotheses are located with all samples.
 
     The same object if all stay where they are.
     """
@@ -38,7 +38,7 @@ def placed(weighed: Weighed) -> Weighed:
 
 
 def _placed(fitted: Fitted) -> Fitted:
-    """Return a fit whose pulses begin and end by all samples."""
+    """Return a fit whose pulses are located with all samples."""
     for free in fitted.free:
         field, _, number = free.field.partition('@')
         if field.endswith(('_start', '_end')) and free.scale.startswith('residual_'):
@@ -49,7 +49,7 @@ def _placed(fitted: Fitted) -> Fitted:
 
 
 def _at_edge(fitted: Fitted, free: Free, recording: Recording) -> Fitted:
-    """Return a fit with an edge of a pulse in one recording placed by all samples."""
+    """Return a fit in which an edge of a pulse in one recording is located with all samples."""
     group, value = fitted.problem.group, float(fitted.record[free.field])
     first, last = _unknown(recording, value)
     if last - first < LEAST_S:

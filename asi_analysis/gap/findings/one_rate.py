@@ -1,4 +1,4 @@
-"""What one rate of the input cannot tell: a lag or a delay from a hysteresis."""
+"""What an input of one rate cannot separate: a lag or a delay from a hysteresis."""
 
 from typing import Final
 

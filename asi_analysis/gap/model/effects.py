@@ -8,6 +8,7 @@ after the force sensor) or how (missing from reality, though the nominal model h
 """
 
 import math
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 COMMAND_PATH, VALVE, HYDRAULICS, MECHANICS, SENSOR = BLOCKS = (
@@ -90,6 +91,14 @@ class Effect(NamedTuple):
     description: str
     variants: tuple[Variant, ...]
     exact: bool = False
+
+
+def freed(effects: Iterable[Effect], change: Callable[[tuple[Free, ...]], tuple[Free, ...]]
+              ) -> tuple[Effect, ...]:
+    """Return effects whose variants have changed free parameters."""
+    return tuple(effect._replace(variants=tuple(
+        variant._replace(free=change(variant.free)) for variant in effect.variants))
+        for effect in effects)
 
 
 FORCE_SIDE = ('force',)

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model import forms, simulator
-from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effect, Free, Variant, in_each
+from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effect, Free, Variant, freed, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
 from asi_analysis.gap.model.start import (
     FLUX,
@@ -143,9 +144,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
         if not all(map(has_motion, recordings)):
             names = (*names, 'load')
         nuisance = _nuisance(p, names, tolerance, 'valve' in channels)
-    effects = tuple(effect._replace(variants=tuple(
-        variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
-        for effect in effects)
+    effects = freed(effects, partial(in_each, count=count))
     return Group(p, recordings, channels, in_each(nuisance, count), scale, noise, error_floor,
                  formulation, effects, floor_by_best=floor_by_best)
 
@@ -176,9 +175,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
                      for name in dict.fromkeys(names)
                      if nominal[name] != 0.0 and _is_modelled(name, nominal))
     nuisance += tuple(start_parameters(nominal, recordings, channels))
-    effects = tuple(effect._replace(variants=tuple(
-        variant._replace(free=in_each(variant.free, count)) for variant in effect.variants))
-        for effect in forms.EFFECTS)
+    effects = freed(forms.EFFECTS, partial(in_each, count=count))
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
                  dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact)
 

@@ -10,6 +10,7 @@ nothing depends on their units.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,7 @@ from asi_analysis.gap.model.effects import (
     Effect,
     Free,
     Variant,
+    freed,
     in_each,
 )
 from asi_analysis.gap.model.group import Group
@@ -352,15 +354,13 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
     if all(at_rest(r) > HELD for r in recordings):
         effects = [each for each in effects if each.name != 'command_quantisation']
     if count > 1:
-        effects = [_with_own_zero(each) if each.name == 'sensor_drift' else each
-                   for each in effects]
+        effects = [freed([each], lambda free: (*free, SHIFT))[0]
+                   if each.name == 'sensor_drift' else each for each in effects]
     noise = max(r.noise['valve_position'] for r in recordings)
     size = float(np.std(y))
     floor = noise ** 2 + (MODEL_ERROR * size) ** 2
     return Group(p, recordings, (CHANNEL,), tuple(nuisance), scale, {CHANNEL: noise},
-                 {CHANNEL: floor}, {CHANNEL: 0.0}, tuple(effect._replace(variants=tuple(
-                     variant._replace(free=in_each(variant.free, count))
-                     for variant in effect.variants)) for effect in effects),
+                 {CHANNEL: floor}, {CHANNEL: 0.0}, freed(effects, partial(in_each, count=count)),
                  floor_measured=any(cycle(r.command) for r in recordings
                                     if r.command is not None),
                  passes=max(sum(len(passes(r)) for r in recordings), 1)
@@ -385,14 +385,9 @@ def _with_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
             np.abs(x - at[1] * reach) - at[0] * reach, 0.0)))
     knee = min(CENTRES, key=lambda at: left(np.stack([x, np.abs(x - at * reach)])))
     begins = {'command_deadband': half, 'deadband_centre': middle, 'asymmetry_centre': knee}
-    return tuple(effect._replace(variants=tuple(variant._replace(free=tuple(
+    return freed(EFFECTS, lambda frees: tuple(
         free._replace(starts=(begins[free.field], *free.starts)) if free.field in begins else free
-        for free in variant.free)) for variant in effect.variants)) for effect in EFFECTS)
-
-
-def _with_own_zero(effect: Effect) -> Effect:
-    return effect._replace(variants=tuple(variant._replace(free=(*variant.free, SHIFT))
-                                          for variant in effect.variants))
+        for free in frees))
 
 
 def scales(recordings: Sequence[Recording]) -> dict[str, float]:

@@ -9,14 +9,13 @@ of each, averaged over all orders in which they can be added (Shapley 1953).
 import math
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import as_record
 from asi_analysis.experiments.experiment import stepping
 from asi_analysis.limit_cycle.attribution.answer import Attribution
-from asi_analysis.loop import harmonic_balance as hb
-from asi_analysis.loop.onset import LeastGain, balanced_cycle, onset, with_gain
+from asi_analysis.loop.onset import balanced_cycle, onset, with_gain
 from asi_analysis.loop.simulation import Values, step_run, step_runs, sustained
 from asi_analysis.measures.oscillation import Oscillation
 from asi_analysis.terminal import Progress, silent
@@ -28,14 +27,6 @@ ABOVE_ONSET: Final = 1.12
 HARMONICS: Final = 7
 
 
-class Cycles(NamedTuple):
-    """Cycle of a loop with some of the nonlinearities: simulated, by harmonic balance, onset."""
-
-    simulated: Oscillation | None
-    predicted: hb.Balance | None
-    onset: LeastGain | None
-
-
 def only(active: Sequence[str], actuator: Values) -> dict[str, Any]:
     """Return the actuator's parameters with the nonlinearities not in `active` made linear."""
     p = as_record(actuator)
@@ -43,10 +34,6 @@ def only(active: Sequence[str], actuator: Values) -> dict[str, Any]:
     # Seals that do not slide add little stiffness and no damping: friction needs no linear gain.
     return {**actuator, 'hydraulic_damping.linear_gain': float(slope),
             **{f'{name}.model': 'linear' for name in NONLINEARITIES if name not in active}}
-
-
-def _cycle(actuator: Values, controller: Values, rate_hz: float) -> Oscillation | None:
-    return sustained(step_run(actuator, controller, rate_hz))
 
 
 def _all_subsets() -> list[tuple[str, ...]]:
@@ -69,14 +56,6 @@ def shapley(amplitude: dict[tuple[str, ...], float]) -> dict[str, float]:
     return values
 
 
-def _study(active: Sequence[str], actuator: Values, controller: Values, rate_hz: float,
-           gain: float) -> Cycles:
-    changed, settings = only(active, actuator), with_gain(controller, gain)
-    balanced = balanced_cycle(changed, settings, rate_hz, HARMONICS)
-    return Cycles(_cycle(changed, settings, rate_hz), balanced[1] if balanced else None,
-                  onset(changed, controller, rate_hz, 0.35 * gain, 0.01))
-
-
 def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.0,
                     gain: float | None = None, progress: Progress = silent) -> Attribution:
     """
@@ -88,13 +67,15 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     a little above the onset.
 
     >>> import asi_analysis as asi
-    >>> found = asi.attribute_model({}, {'reference.amplitude': 100.0})   # doctest: +SKIP
+    >>> found = asi.attribute_model({}, {'reference.amplitude': 100.0})
+    >>> [cause['nonlinearity'] for cause in found.causes if cause['necessary']]
+    ['valve_hysteresis']
     """
     controller = stepping(actuator, controller, rate_hz)
     progress('onset', 0.0)
     first = onset(actuator, controller, rate_hz, 0.7 * gain if gain else 4.0)
     at = gain or (ABOVE_ONSET * first.gain if first else 0.0)
-    whole = _cycle(actuator, with_gain(controller, at), rate_hz) if at else None
+    whole = sustained(step_run(actuator, with_gain(controller, at), rate_hz)) if at else None
     document: dict[str, Any] = {
         'gain': at or None, 'rate_hz': rate_hz,
         'onset_gain': first.gain if first else None,
@@ -107,33 +88,36 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
     subsets = _all_subsets()
     runs = step_runs([only(subset, actuator) for subset in subsets],
                      [with_gain(controller, at)] * len(subsets), rate_hz)
-    oscillations = [sustained(run) for run in runs]
-    amplitudes = {subset: oscillation.amplitude_n if oscillation else 0.0
-                  for subset, oscillation in zip(subsets, oscillations, strict=True)}
+    cycles = dict(zip(subsets, map(sustained, runs), strict=True))
+    amplitudes = {subset: cycle.amplitude_n if cycle else 0.0 for subset, cycle in cycles.items()}
     shares = shapley(amplitudes)
     total = sum(max(value, 0.0) for value in shares.values()) or 1.0
     causes = []
     for number, name in enumerate(NONLINEARITIES):
         progress(name.replace('_', ' '), 0.4 + 0.15 * number)
         others = tuple(each for each in NONLINEARITIES if each != name)
-        alone = _study((name,), actuator, controller, rate_hz, at)
-        without = _study(others, actuator, controller, rate_hz, at)
         causes.append({
-            'nonlinearity': name, 'necessary': without.simulated is None,
-            'sufficient': alone.simulated is not None,
+            'nonlinearity': name, 'necessary': cycles[others] is None,
+            'sufficient': cycles[(name,)] is not None,
             'share': shares[name] / amplitudes[NONLINEARITIES],
             'probability': max(shares[name], 0.0) / total,
-            **_figures('alone', alone), **_figures('all_but', without)})
+            **_figures('alone', cycles[(name,)], only((name,), actuator), controller, rate_hz, at),
+            **_figures('all_but', cycles[others], only(others, actuator), controller, rate_hz,
+                       at)})
     linear = amplitudes[()] > 0.0
     return Attribution(document | {'causes': causes,
                                    'verdict': _verdict(causes, linear, document)})
 
 
-def _figures(prefix: str, cycles: Cycles) -> dict[str, float | None]:
-    simulated, predicted, first = cycles
+def _figures(prefix: str, cycle: Oscillation | None, actuator: Values, controller: Values,
+             rate_hz: float, gain: float) -> dict[str, float | None]:
+    """Return figures of the simulated cycle, that of harmonic balance, and the onset."""
+    _, predicted = balanced_cycle(actuator, with_gain(controller, gain), rate_hz, HARMONICS) or (
+        None, None)
+    first = onset(actuator, controller, rate_hz, 0.35 * gain, 0.01)
     return {
-        f'{prefix}_frequency_hz': simulated.frequency_hz if simulated else None,
-        f'{prefix}_amplitude_n': simulated.amplitude_n if simulated else None,
+        f'{prefix}_frequency_hz': cycle.frequency_hz if cycle else None,
+        f'{prefix}_amplitude_n': cycle.amplitude_n if cycle else None,
         f'{prefix}_predicted_frequency_hz': predicted.frequency_hz if predicted else None,
         f'{prefix}_predicted_amplitude_n': predicted.amplitude_n if predicted else None,
         f'{prefix}_onset_gain': first.gain if first else None}

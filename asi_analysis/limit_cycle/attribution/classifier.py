@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy import special
 
 from asi_analysis.arrays import Array
 
@@ -26,12 +27,6 @@ def expanded(features: Array, centre: Array, scale: Array) -> Array:
     return np.hstack([np.ones((len(x), 1)), x, x * x])
 
 
-def softmax(scores: Array) -> Array:
-    """Return probabilities (rows add up to 1)."""
-    relative = np.exp(scores - scores.max(1, keepdims=True))
-    return relative / relative.sum(1, keepdims=True)
-
-
 def probabilities(features: Array, trained: dict[str, Any]) -> Array:
     """
     Return the probability of each of CAUSES, row by row.
@@ -40,7 +35,7 @@ def probabilities(features: Array, trained: dict[str, Any]) -> Array:
     """
     centre, scale = np.array(trained['centre']), np.array(trained['scale'])
     scores = expanded(features, centre, scale) @ np.array(trained['weights'])
-    classified = softmax(scores / trained['temperature'])
+    classified = special.softmax(scores / trained['temperature'], axis=1)
     relative = np.clip((np.atleast_2d(features) - centre) / scale, -5.0, 5.0)
     size = np.linalg.norm(relative, axis=1, keepdims=True)
     outlying = np.clip(size / trained['usual_size'] - 1.0, 0.0, 1.0)

@@ -142,8 +142,17 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     motion is forced by the reference.
 
     >>> import asi_analysis as asi
-    >>> run = asi.read_bag('runs/limit_cycle/bag')                        # doctest: +SKIP
-    >>> print(asi.attribute_cycle(run))                                   # doctest: +SKIP
+    >>> level, valve, integral, rows = 0.5, 0.0, 0.0, []
+    >>> for k in range(1500):               # a PI loop whose valve sticks
+    ...     integral -= 0.005 * level
+    ...     command = integral - level
+    ...     valve = command if abs(command - valve) > 0.2 else valve
+    ...     rows.append((0.05 * k, command, level))
+    ...     level += 0.05 * valve
+    >>> time_s, command_n, force_n = np.array(rows).T
+    >>> run = asi.Run(time_s, command_n=command_n, force_n=force_n)
+    >>> asi.attribute_cycle(run).causes[0]['nonlinearity']
+    'stiction'
     """
     progress('detection', 0.0)
     segment = _segment_of(run, signal)

@@ -8,7 +8,6 @@ import numpy as np
 from scipy import signal
 
 from asi_actuator.model.actuator import advance, measure, prepare, rest
-from asi_actuator.parameters import as_record
 from asi_analysis.loop.simulation import Values, loop_of
 from asi_analysis.measures.oscillation import FLOOR_N, Oscillation, of_samples
 from asi_analysis.terminal import Progress, silent
@@ -43,8 +42,8 @@ def _run(actuator: Values, controller: Values, rate_hz: float, amplitude: float,
     """Return force and valve position at the end of a step with dither on the command."""
     loop = loop_of(actuator, controller, rate_hz)
     out = np.empty((2, round(WATCHED_S * rate_hz)))
-    _dithered(rest(), as_record(actuator), loop.compensator, loop.reference_n, amplitude,
-              frequency, loop.period_s, out)
+    _dithered(rest(), loop.plant, loop.compensator, loop.reference_n, amplitude, frequency,
+              loop.period_s, out)
     return tuple(out[:, -round(MEASURED_S * rate_hz):])
 
 

@@ -15,20 +15,17 @@ from asi_analysis.limit_cycle.quench.margin import (
 )
 from asi_analysis.loop.simulation import Values, loop_of
 from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, drawing
-from asi_controller.compensator import frequency_response
 
 
 def draw(actuator: Values, controller: Values, document: dict[str, Any]) -> Figure:
     """Draw the loop in the Nyquist plane."""
-    rate, at = document['rate_hz'], document['margin_at']
-    loop = loop_of(actuator, controller, rate)
-    compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate)
-    table = hysteresis_table(as_record(actuator), loop.compensator)
+    at, loop = document['margin_at'], loop_of(actuator, controller, document['rate_hz'])
+    compensated, table = loop.compensated(FREQUENCIES_HZ), hysteresis_table(loop)
     with drawing(4.2) as figure:
         axes = figure.subplots()
         for name, load in LOADS.items():
             response = compensated * plant(as_record({**actuator, **load}), at['bias_n'],
-                                           1.0 / rate)
+                                           loop.period_s)
             worst = name == at['load']
             axes.plot(response.real, response.imag, color=BLUE if worst else GREY,
                       linewidth=1.4 if worst else 0.7,

@@ -6,7 +6,7 @@ which open the valve and so change the damping) and loads. The margin is 0 if th
 point of -1/N: a cycle is predicted. The feed-forward of the velocity is not in it.
 """
 
-from collections.abc import Iterator
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,8 +15,8 @@ from asi_actuator.parameters import as_record
 from asi_analysis.arrays import Complex
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop import linear_model as linear
+from asi_analysis.loop.harmonic_balance import Loop
 from asi_analysis.loop.simulation import Values, loop_of
-from asi_controller.compensator import frequency_response
 
 FREQUENCIES_HZ: Final = np.geomspace(0.5, 2000.0, 700)
 # N is computed on this coarser grid and interpolated, as it varies slowly with frequency.
@@ -41,16 +41,12 @@ class Margin(NamedTuple):
     load: str
 
 
-def hysteresis_table(p: np.void, c: np.void | None = None) -> Complex:
-    """
-    Return N of the hysteresis: amplitudes x FREQUENCIES_HZ.
-
-    c: record of the compensator, with the inverse of the hysteresis that it may have.
-    """
-    inverse = ((0.0, 1.0) if c is None else
-               (c['hysteresis_inverse_size'], c['hysteresis_inverse_dead_zone']))
-    table = np.array([[describing.hysteresis(a, f, p, inverse=inverse) for f in N_FREQUENCIES_HZ]
-                      for a in AMPLITUDES_N])
+def hysteresis_table(loop: Loop) -> Complex:
+    """Return N of hysteresis and its inverse, if any: AMPLITUDES_N x FREQUENCIES_HZ."""
+    inverse = (loop.compensator['hysteresis_inverse_size'],
+               loop.compensator['hysteresis_inverse_dead_zone'])
+    table = np.array([[describing.hysteresis(a, f, loop.plant, inverse=inverse)
+                       for f in N_FREQUENCIES_HZ] for a in AMPLITUDES_N])
     fine, coarse = np.log(FREQUENCIES_HZ), np.log(N_FREQUENCIES_HZ)
     return np.array([np.interp(fine, coarse, row.real) + 1j * np.interp(fine, coarse, row.imag)
                      for row in table])
@@ -62,41 +58,26 @@ def plant(p: np.void, bias_n: float, period_s: float) -> Complex:
     return linear.plant(p, period_s, linear.damping_slope(p, opening))(FREQUENCIES_HZ)
 
 
-def plants(actuator: Values, rate_hz: float) -> Iterator[tuple[str, float, Complex]]:
-    """Yield load, bias (N) and plant."""
-    for name, load in LOADS.items():
-        p = as_record({**actuator, **load})
-        for bias in BIASES_N:
-            yield name, bias, plant(p, bias, 1.0 / rate_hz)
-
-
 def encircles(response: Complex) -> bool:
     """Return whether a loop L (negative feedback) encircles -1: winding of 1 + L about 0."""
     angle = np.unwrap(np.angle(1.0 + response))
     return bool(abs(angle[-1] - angle[0]) > np.pi)
 
 
-def margin_of(compensated: Complex, cases: list[tuple[str, float, Complex]], table: Complex
-              ) -> Margin:
-    """Return the margin of a compensator's response at FREQUENCIES_HZ, over plants and N."""
+def margin(actuator: Values, controller: Values, rate_hz: float) -> Margin:
+    """Return the limit-cycle margin of a controller's loop, over LOADS, biases and N."""
+    loop = loop_of(actuator, controller, rate_hz)
+    compensated, table = loop.compensated(FREQUENCIES_HZ), hysteresis_table(loop)
     worst = Margin(np.inf, 0.0, 0.0, 0.0, '')
-    for name, bias, response in cases:
-        loop = compensated * response
+    for (name, load), bias in product(LOADS.items(), BIASES_N):
+        response = compensated * plant(as_record({**actuator, **load}), bias, loop.period_s)
         for amplitude, gain in zip(AMPLITUDES_N, table, strict=True):
             # Below the width of the play N is 0: the loop is open.
             size = np.where(np.abs(gain) > 1e-6, np.abs(gain), np.inf)
-            distance = np.abs(1.0 + loop * gain) / size
+            distance = np.abs(1.0 + response * gain) / size
             distance = np.where(np.isfinite(size), distance, np.inf)
             k = int(np.argmin(distance))
-            least = 0.0 if encircles(loop * gain) else float(distance[k])
+            least = 0.0 if encircles(response * gain) else float(distance[k])
             if least < worst.distance:
                 worst = Margin(least, float(amplitude), bias, float(FREQUENCIES_HZ[k]), name)
     return worst
-
-
-def margin(actuator: Values, controller: Values, rate_hz: float) -> Margin:
-    """Return the limit-cycle margin of a controller's loop."""
-    loop = loop_of(actuator, controller, rate_hz)
-    compensated = frequency_response(loop.compensator, FREQUENCIES_HZ, rate_hz)
-    return margin_of(compensated, list(plants(actuator, rate_hz)),
-                     hysteresis_table(as_record(actuator), loop.compensator))

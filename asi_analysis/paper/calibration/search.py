@@ -9,9 +9,9 @@ best point.
 import math
 import pickle
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -129,20 +129,20 @@ class Search:
         """Number of points that the global search has tried."""
         return self.counts[0]
 
-    def generation(self, apply: Callable[..., Any] = map) -> None:
-        """Evaluate one generation; `apply` maps a function over jobs, in order."""
+    def generation(self) -> None:
+        """Evaluate one generation."""
         points = [np.asarray(point) for point in self.strategy.ask()]
         measured: list[Measured] = [{} for _ in points]
         ranks = np.empty(len(points))
         racing = list(range(len(points)))
-        for stage, places in enumerate((*RACE[1:], 0)):
-            found = apply(_measure_stage, [(self.problem, points[k], stage, measured[k])
-                                           for k in racing])
-            self.counts[stage] += len(racing)
+        for done, (stage, places) in enumerate(zip(Stage, (*RACE[1:], 0), strict=True)):
+            found = each(measure_stage, [(self.problem.candidate(points[k]), stage, measured[k])
+                                         for k in racing])
+            self.counts[done] += len(racing)
             for k, new in zip(racing, found, strict=True):
                 measured[k].update(new)
                 ranks[k] = (self.problem.cost(points[k], measured[k]) + _outside(points[k])
-                            + BEHIND * (len(RACE) - 1 - stage))
+                            + BEHIND * (len(RACE) - 1 - done))
             racing = sorted(racing, key=lambda k: ranks[k])[:places]
         self.strategy.tell(points, ranks)
         self._keep(points[int(np.argmin(ranks))], float(ranks.min()))
@@ -151,8 +151,7 @@ class Search:
         if found < self.best_cost:
             self.best_cost, self.best = found, np.clip(point, 0.0, 1.0)
 
-    def polish(self, rounds: int, apply: Callable[..., Any] = map,
-               report: Progress = silent) -> None:
+    def polish(self, rounds: int, report: Progress = silent) -> None:
         """
         Continue from the best point by sequential linear programming.
 
@@ -161,18 +160,18 @@ class Search:
         for the limits of rows that are met, which least squares do not.
         """
         point, reach = self.best.copy(), REACH
-        measured = self._measured([point], apply)[0]
+        measured = self._measured([point])[0]
         for done in range(rounds):
             now = self.problem.cost(point, measured)
             self._keep(point, now)
             report(f'polishing, cost {now:.3f}', done / rounds)
             if now == 0.0 or reach < LEAST_REACH:
                 return
-            slopes, side = self._slopes(point, measured, reach, done, apply)
+            slopes, side = self._slopes(point, measured, reach, done)
             reaches = [min(share * reach, MOST_REACH) for share in SHARES]
-            tried = [_step(point, _bounds(measured), slopes, each) for each in reaches]
-            found = self._measured(tried, apply)
-            costs = [self.problem.cost(*each) for each in zip(tried, found, strict=True)]
+            tried = [_step(point, _bounds(measured), slopes, one) for one in reaches]
+            found = self._measured(tried)
+            costs = list(map(self.problem.cost, tried, found))
             k = int(np.argmin(costs))
             if costs[k] < min(now, side[0]):
                 point, measured, reach = tried[k], found[k], reaches[k]
@@ -183,25 +182,25 @@ class Search:
                 reach *= 0.35
         self._keep(point, self.problem.cost(point, measured))
 
-    def _slopes(self, point: Array, measured: Measured, reach: float, seed: int,
-                apply: Callable[..., Any]) -> tuple[Array, tuple[float, Array, Measured]]:
+    def _slopes(self, point: Array, measured: Measured, reach: float, seed: int
+                ) -> tuple[Array, tuple[float, Array, Measured]]:
         """Return the slopes of all rows (rows x quantities), and the best of the points tried."""
         size = min(max(0.5 * reach, 0.004), 0.02)
         steps = np.where(np.random.default_rng(seed).random(point.size) < 0.5, size, -size)
         steps = np.where((point + steps < 0.0) | (point + steps > 1.0), -steps, steps)
         tried = [point + step * unit
                  for step, unit in zip(steps, np.eye(point.size), strict=True)]
-        found = self._measured(tried, apply)
+        found = self._measured(tried)
         here = _bounds(measured)
-        slopes = np.array([(_bounds(each) - here) / step
-                           for each, step in zip(found, steps, strict=True)]).T
-        costs = [self.problem.cost(*each) for each in zip(tried, found, strict=True)]
+        slopes = np.array([(_bounds(one) - here) / step
+                           for one, step in zip(found, steps, strict=True)]).T
+        costs = list(map(self.problem.cost, tried, found))
         k = int(np.argmin(costs))
         return np.clip(slopes, -STEEPEST, STEEPEST), (costs[k], tried[k], found[k])
 
-    def _measured(self, points: Sequence[Array], apply: Callable[..., Any]) -> list[Measured]:
+    def _measured(self, points: Sequence[Array]) -> list[Measured]:
         self.polished += len(points)
-        return list(apply(_measure_whole, [(self.problem, point) for point in points]))
+        return list(each(Problem.measure, [(self.problem, point) for point in points]))
 
     def save(self, path: Path) -> None:
         """Write the state; a crash while writing leaves the previous one."""
@@ -233,16 +232,6 @@ def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
     box = [(max(-reach, -x), min(reach, 1.0 - x)) for x in point] + [(0.0, None)] * here.size
     weights = np.concatenate([np.zeros(point.size), np.ones(here.size)])
     return np.clip(point + linprog(weights, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
-
-
-def _measure_stage(job: tuple[Problem, Array, int, Measured]) -> Measured:
-    problem, point, stage, measured = job
-    return measure_stage(problem.candidate(point), list(Stage)[stage], measured)
-
-
-def _measure_whole(job: tuple[Problem, Array]) -> Measured:
-    problem, point = job
-    return problem.measure(point)
 
 
 def load(path: Path) -> Search:
@@ -297,18 +286,15 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
 def calibrate(search: Search, evaluations: int, rounds: int, state: Path,
               report: Progress = silent) -> Search:
     """Search up to a number of evaluations, then polish; the state is saved to a file."""
-    def apply(function: Callable[..., Any], jobs: Iterable[Any]) -> Iterable[Any]:
-        return each(function, ((job,) for job in jobs))
-
     while search.evaluations < evaluations and not search.strategy.stop():
         begin = time.perf_counter()
-        search.generation(apply)
+        search.generation()
         search.seconds += time.perf_counter() - begin
         search.save(state)
         report(f'{search.evaluations} evaluations, cost {search.best_cost:.3f}',
                search.evaluations / evaluations)
     if rounds:
-        search.polish(rounds, apply, report)
+        search.polish(rounds, report)
     search.save(state)
     return search
 

@@ -31,13 +31,11 @@ class Converged(NamedTuple):
         return abs(self.change / self.refined)
 
 
-def converged(measure: Callable[[int], Mapping[str, float]], notes: Mapping[str, str] | None = None
-              ) -> dict[str, Converged]:
+def converged(measure: Callable[[int], Mapping[str, float]]) -> dict[str, Converged]:
     """
     Return each figure of a measurement with its change at twice the resolution.
 
     measure: takes the refinement (1: nominal, 2: twice as fine) and returns figures by name.
     """
     coarse, fine = measure(1), measure(2)
-    return {name: Converged(float(value), float(fine[name]), (notes or {}).get(name, ''))
-            for name, value in coarse.items()}
+    return {name: Converged(float(value), float(fine[name])) for name, value in coarse.items()}

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from asi_analysis.loop.bench import BEFORE_S, RATE_HZ, Runner, Values, in_process, step_experiment
+from asi_analysis.loop.bench import BEFORE_S, RATE_HZ, Values, step_experiment
 from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.loop.one_harmonic import (
     Intersection,
@@ -18,7 +18,7 @@ from asi_analysis.loop.one_harmonic import (
 from asi_analysis.loop.onset import disagreement, fold, onset
 from asi_analysis.loop.simulation import loop_of, step_run, sustained
 from asi_analysis.measures.oscillation import Oscillation, of_samples
-from asi_analysis.paper.facts.conditions import LOCKED, Conditions
+from asi_analysis.paper.facts.conditions import LOCKED
 from asi_analysis.paper.facts.fact import Measured, Setup
 from asi_common.parameter import Value
 
@@ -38,52 +38,38 @@ LAST_SAMPLES: Final = 1500
 HIGHEST_RATIO: Final = 3.0
 
 
-def _gain(conditions: Conditions, gain: float) -> Values:
-    return {'compensator': 'proportional', 'gain': gain, 'feedforward': conditions.feedforward}
-
-
 def onset_name(step_n: float, quantity: str) -> str:
     return f'onset_{quantity}_at_{step_n:.0f}_n'
 
 
-def step_settings(conditions: Conditions, gain: float, step_n: float) -> Values:
+def step_settings(setup: Setup, gain: float, step_n: float) -> Values:
     """
     Return the controller's parameters for a step of Fig. 7 from rest.
 
     A step of 0 N would excite nothing, so it is a step from `start_n` to 0.
     """
-    from_n = conditions.start_n if step_n == 0.0 else 0.0
-    return {**_gain(conditions, gain), 'reference.offset': from_n,
+    from_n = setup.conditions.start_n if step_n == 0.0 else 0.0
+    return {**setup.proportional(gain), 'reference.offset': from_n,
             'reference.amplitude': step_n - from_n, 'reference.start': BEFORE_S}
 
 
-def onsets(actuator: Values, conditions: Conditions, known: Mapping[str, float] | None = None
-           ) -> Measured:
-    """Return the onset gains of Fig. 7 by name; those in `known` are not measured again."""
-    locked = {**actuator, **LOCKED}
-    measured: Measured = dict(known or {})
-    last = next((gain for gain in measured.values() if math.isfinite(gain)), None)
-    for step in conditions.onset_steps_n:
+def onset_gains(setup: Setup, steps_n: tuple[float, ...]) -> Measured:
+    """Return `setup.measured` with the onset gains of Fig. 7 at some steps (N) added."""
+    conditions, measured = setup.conditions, setup.measured
+    last = next((gain for name, gain in measured.items()
+                 if name.startswith('onset_gain_') and math.isfinite(gain)), None)
+    for step in steps_n:
         name = onset_name(step, 'gain')
         if name not in measured:
             # The next onset is near the last one.
             start = 0.95 * last if last else FIRST_GAIN
-            found = onset(locked, step_settings(conditions, start, step), RATE_HZ, start,
-                          conditions.onset_accuracy, conditions.onset_watched_s,
+            found = onset({**setup.actuator, **LOCKED}, step_settings(setup, start, step),
+                          RATE_HZ, start, conditions.onset_accuracy, conditions.onset_watched_s,
                           HIGHEST_GAIN / start, conditions.first_watched_s)
             measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
             last = measured[name]
     return measured
-
-
-def onset_gains(setup: Setup, steps_n: tuple[float, ...]) -> Measured:
-    """Return `setup.measured` with the onset gains at some steps (N) added."""
-    known = {name: value for name, value in setup.measured.items()
-             if name.startswith('onset_gain_')}
-    setup.measured.update(onsets(setup.actuator, setup.conditions._replace(onset_steps_n=steps_n),
-                                 known))
-    return setup.measured
 
 
 def onset_gain(setup: Setup) -> float:
@@ -93,38 +79,38 @@ def onset_gain(setup: Setup) -> float:
     return onset_gains(setup, steps_n)[onset_name(conditions.cycle_step_n, 'gain')]
 
 
-def onset_notes(actuator: Values, conditions: Conditions, gains: Measured) -> dict[str, str]:
+def onset_notes(setup: Setup) -> dict[str, str]:
     """Return a note, by name, for each onset that differs from the fold of harmonic balance."""
     notes: dict[str, str] = {}
-    for step in conditions.onset_steps_n:
-        gain = gains[onset_name(step, 'gain')]
+    for step in setup.conditions.onset_steps_n:
+        gain = setup.measured[onset_name(step, 'gain')]
         if math.isfinite(gain):
-            balance = fold({**actuator, **LOCKED}, step_settings(conditions, gain, step), RATE_HZ,
-                           gain)
+            balance = fold({**setup.actuator, **LOCKED}, step_settings(setup, gain, step),
+                           RATE_HZ, gain)
             if note := disagreement(gain, balance):
                 notes[onset_name(step, 'frequency_hz')] = note
     return notes
 
 
-def onset_rise(measured: Measured, conditions: Conditions) -> Measured:
+def onset_rise(setup: Setup) -> Measured:
     """Return the rise (%) of the measured onset gains: the least between steps, and in total."""
-    gains = np.array([measured[onset_name(step, 'gain')] for step in conditions.onset_steps_n])
+    gains = np.array([setup.measured[onset_name(step, 'gain')]
+                      for step in setup.conditions.onset_steps_n])
     if not np.isfinite(gains).all():
         return {'onset_least_rise_percent': -math.inf, 'onset_rise_percent': -math.inf}
     return {'onset_least_rise_percent': 100.0 * float(np.min(gains[1:] / gains[:-1]) - 1.0),
             'onset_rise_percent': 100.0 * float(gains[-1] / gains[0] - 1.0)}
 
 
-def onset_frequencies(actuator: Values, conditions: Conditions, gains: Measured,
-                      runner: Runner = in_process) -> Measured:
+def onset_frequencies(setup: Setup) -> Measured:
     """Return the frequencies (Hz) of Fig. 7: those of the cycles at the onset gains."""
     measured: Measured = {}
-    for step in conditions.onset_steps_n:
-        gain, frequency = gains[onset_name(step, 'gain')], 0.0
+    for step in setup.conditions.onset_steps_n:
+        gain, frequency = setup.measured[onset_name(step, 'gain')], 0.0
         if math.isfinite(gain):
-            run = runner(step_experiment(
-                {**actuator, **LOCKED}, _gain(conditions, gain), step, ONSET_CYCLE_S,
-                conditions.start_n if step == 0.0 else 0.0))
+            run = setup.runner(step_experiment(
+                {**setup.actuator, **LOCKED}, setup.proportional(gain), step, ONSET_CYCLE_S,
+                setup.conditions.start_n if step == 0.0 else 0.0))
             frequency = of_samples(run.force_n[-LAST_SAMPLES:], RATE_HZ).frequency_hz
         measured[onset_name(step, 'frequency_hz')] = frequency
     return measured
@@ -137,7 +123,7 @@ def high_gain_cycle(setup: Setup) -> Measured:
         return {'cycle_frequency_hz': 0.0, 'cycle_thd_percent': 100.0, 'cycle_amplitude_n': 0.0,
                 'cycle_peak_valve_percent': 100.0}
     run = setup.runner(step_experiment(
-        {**setup.actuator, **LOCKED}, _gain(conditions, conditions.cycle_gain * gain),
+        {**setup.actuator, **LOCKED}, setup.proportional(conditions.cycle_gain * gain),
         conditions.cycle_step_n, setup.refinement * CYCLE_S))
     last = setup.refinement * LAST_SAMPLES
     found = of_samples(run.force_n[-last:], RATE_HZ)
@@ -154,7 +140,7 @@ def onset_ratio(setup: Setup, changes: Mapping[str, Value]) -> float:
     if not math.isfinite(gain):
         return 0.0
     found = onset({**setup.actuator, **LOCKED, **changes},
-                  step_settings(conditions, gain, conditions.cycle_step_n), RATE_HZ, gain,
+                  step_settings(setup, gain, conditions.cycle_step_n), RATE_HZ, gain,
                   conditions.ratio_accuracy, conditions.onset_watched_s, HIGHEST_RATIO,
                   conditions.first_watched_s)
     return min(found.gain / gain, HIGHEST_RATIO) if found else HIGHEST_RATIO
@@ -189,7 +175,7 @@ def prediction_error(setup: Setup) -> Measured:
     def simulated(gain: float, changes: Mapping[str, Value]) -> Oscillation | None:
         return sustained(step_run(
             {**setup.actuator, **LOCKED, **changes},
-            step_settings(conditions, gain, conditions.cycle_step_n), RATE_HZ,
+            step_settings(setup, gain, conditions.cycle_step_n), RATE_HZ,
             conditions.onset_watched_s, conditions.first_watched_s))
 
     low = max(conditions.cycle_gain * min(onset_gain(setup), PAPER_GAIN), first.gain)
@@ -208,13 +194,9 @@ def prediction_error(setup: Setup) -> Measured:
             undamped.amplitude_n / full.amplitude_n if full and undamped else 0.0}
 
 
-def predict_cycle(actuator: Values, samples: int = SAMPLES) -> Measured:
-    """
-    Return the prediction with the describing function of the hysteresis alone (Fig. 9).
-
-    samples: per period, for the describing function.
-    """
-    of, rows = paper_prediction(actuator, samples)
+def predict_cycle(setup: Setup) -> Measured:
+    """Return the prediction with the describing function of the hysteresis alone (Fig. 9)."""
+    of, rows = paper_prediction(setup.actuator, setup.conditions.describing_samples)
     first = first_intersection(of, rows)
     last = at_gain(of, rows, PAPER_GAIN) or rows[-1]
     branch = [first, *(row for row in rows if row.command_n > first.command_n

@@ -42,9 +42,10 @@ def measure(setup: Setup, report: Progress = silent) -> dict[str, Converged]:
 
     found = converged(at)
     known = setup._replace(measured={name: figure.value for name, figure in found.items()})
-    notes = {name: note for fact in FACTS if fact.notes
-             for name, note in fact.notes(known).items()}
-    return {name: figure._replace(note=notes.get(name, '')) for name, figure in found.items()}
+    for fact in FACTS:
+        for name, note in (fact.notes(known) if fact.notes else {}).items():
+            found[name] = found[name]._replace(note=note)
+    return found
 
 
 def met(row: Row, measured: Mapping[str, Converged]) -> bool:

@@ -84,7 +84,7 @@ def reproduce_paper(actuator: Values | None = None, conditions: Conditions | Non
     Measure every published fact on the simulator and compare it with its published value.
 
     actuator: parameters by name, the others have their defaults; conditions: loads and steps that
-    the paper does not state.
+    the paper does not state. Takes minutes.
 
     >>> import asi_analysis as asi
     >>> result = asi.reproduce_paper()                                    # doctest: +SKIP

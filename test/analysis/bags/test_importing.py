@@ -2,6 +2,7 @@
 
 import gzip
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ from pyarrow.parquet import write_table
 from scipy import signal
 from scipy.io import loadmat, savemat
 
+import asi_analysis as asi
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.measures.frequency_response import loop_bandwidth
+from asi_analysis.measures.quality import findings
 
 DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared/data'))
 EMPS_MAP = ['time=t', 'position=qm', 'reference=qg[m]', 'command=vir*gtau[N]']
@@ -50,6 +53,28 @@ def test_export_and_import_give_the_same_run(tmp_path: Path, suffix: str) -> Non
     assert again.signals().keys() == run.signals().keys()
     for name, values in run.signals().items():
         np.testing.assert_array_equal(again.signals()[name], values)
+
+
+def test_a_parquet_file_keeps_what_the_bag_says_so_that_altered_samples_are_found(
+        tmp_path: Path) -> None:
+    run = asi.simulate({}, {'compensator': 'proportional', 'reference.amplitude': 100.0}, 0.2)
+    for name, each in {'same': run, 'altered': replace(
+            run, reference_n=2.0 * run.signal('reference'))}.items():
+        export(each, tmp_path / f'{name}.parquet')
+    same, altered = (import_recording(tmp_path / f'{name}.parquet', [])
+                     for name in ('same', 'altered'))
+    assert same.information.items() >= run.information.items()
+    assert findings(same) == []
+    assert [each.kind for each in findings(altered)] == ['answer']
+
+
+@pytest.mark.parametrize('text', [b'[', b'[1]', b'{"controller": 3}', b'\xff'])
+def test_a_parquet_file_with_other_metadata_is_read_without(tmp_path: Path, text: bytes) -> None:
+    table = pa.table({'time_s': [0.0, 1.0, 2.0], 'force_n': [0.0, 1.0, 2.0]})
+    write_table(table.replace_schema_metadata({b'asi.run': text}), tmp_path / 'a.parquet')
+    with pytest.warns(InputWarning, match='metadata .* left out'):
+        run = import_recording(tmp_path / 'a.parquet', [])
+    assert run.information.keys() == {'imported'} and len(run) == 3
 
 
 def test_mapping_scales_shifts_and_converts(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import os
 import shlex
 from pathlib import Path
 
@@ -102,6 +103,15 @@ def test_a_document_is_read_up_to_a_limit_and_lines_beyond(
 def test_two_fields_of_one_name_are_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match='two fields are called (f|a.b)'):
         import_recording(written(tmp_path / 'log.json', text), ['time=t', 'force=t'])
+
+
+def test_a_file_of_lines_that_is_refused_is_closed(tmp_path: Path) -> None:
+    path = written(tmp_path / 'log.jsonl', '{"t": 0}\n"no record"\n')
+    with pytest.raises(InputError, match='record 2') as refusal:
+        import_recording(path, ['time=t', 'force=t'])
+    assert refusal.value.__traceback__ is not None     # which holds all that was read with
+    opened = {os.path.realpath(each) for each in Path('/proc/self/fd').iterdir()}
+    assert str(path.resolve()) not in opened
 
 
 @pytest.mark.parametrize('name', ['log.json', 'log.jsonl'])

@@ -44,6 +44,7 @@ def test_after_ctrl_c_the_bag_so_far_is_complete(
 
 
 def test_a_full_disk_is_told_with_the_bag(tmp_path: Path) -> None:
+    asi.simulate({}, {}, 0.01, out=tmp_path / 'first')     # compiles, before files are limited
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:

@@ -169,6 +169,31 @@ def test_a_gap_of_recordings_of_which_nothing_is_left_is_refused() -> None:
         prepare([Run(time_s, None, force, force ** 3)])
 
 
+def test_an_output_that_is_long_there_before_its_reference_is_found() -> None:
+    run = a_run()
+    late = replace(run, reference_n=np.where(run.time_s < 1.5, 0.0, run.signal('reference')))
+    assert [each.kind for each in findings(late)] == ['order']
+
+
+def test_an_output_that_only_jumps_is_cut_off() -> None:
+    run = with_force(a_run(), lambda f: np.clip(f, 7.3, 8.5))
+    assert [each.kind for each in findings(run)] == ['clipping']
+    assert analyze(run).steady_state_error_n is None
+
+
+@pytest.mark.parametrize(('kind', 'change'), [
+    ('frozen', lambda f: np.full(len(f), 3.0)), ('unit', lambda f: f - 3.0e4),
+    ('frozen', lambda f: put(f, slice(STEP + 20, None), 0.0))])
+def test_an_output_that_was_not_measured_is_found(
+        kind: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    run = with_force(a_run(), change)
+    finding, = findings(run)
+    assert finding.kind == kind
+    assert analyze(run).steady_state_error_n is None or finding.severity == 'note'
+    # Where nothing is commanded, nothing moves.
+    assert findings(replace(with_force(run, lambda f: 0.0 * f), command_n=0.0 * run.time_s)) == []
+
+
 def test_an_output_that_comes_before_any_reference_is_found() -> None:
     reference = np.convolve(np.random.default_rng(1).normal(size=2000), np.ones(20), 'same')
     late, early = (Run(np.arange(2000) / 1000.0, reference, None, np.roll(reference, shift))
@@ -247,8 +272,15 @@ def test_a_signal_that_no_longer_answers_does_not_jump() -> None:
     assert findings(replace(force, reference_n=reference)) == []
 
 
-def test_doubts_about_whole_runs_leave_out_lost_samples() -> None:
-    assert doubts([a_run(), DAMAGED['gap'](a_run())]) == []
+def test_doubts_about_whole_runs_leave_out_samples_lost_singly() -> None:
+    run, few = a_run(), [100, 200, *range(300, 305)]
+    assert doubts([run, without(run, few)]) == []
+    many = without(run, [*few, *range(400, 450)])
+    doubt, = doubts([many])
+    assert '57 samples are missing in 4 gaps' in doubt
+    assert doubts([many], in_time=False) == []
+    assert len(doubts([DAMAGED['missing'](run)])) == 1
+    assert doubts([with_force(run, lambda f: put(f, slice(0, 100), np.nan))]) == []
     doubt, = doubts([a_run(), replace(DAMAGED['unit'](a_run()), source='mine')])
     assert doubt.startswith('mine: the force moves 1.01e+03 times')
 

@@ -18,7 +18,7 @@ from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.answer import answer
 from asi_analysis.measures.quality import findings
 from asi_analysis.measures.recomputed import recomputed
-from asi_controller.compensator import compensate, compensator
+from asi_controller.compensator import commands, compensate, compensator
 from asi_controller.reference import reference_force
 
 RATE_HZ = 1000.0
@@ -51,6 +51,7 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
     'in lbf': ('unit', lambda run: with_force(run, lambda f: f / 4.4482216)),
     'other sign': ('sign', lambda run: with_force(run, lambda f: -f)),
     'late': ('order', lambda run: with_force(run, lambda f: late(f, 5))),
+    'copied': ('copy', lambda run: replace(run, force_n=run.signal('reference').copy())),
     'late reference': ('order', lambda run: replace(
         run, reference_n=late(run.signal('reference'), 30))),
     'sign of a beginning': ('answer', lambda run: with_force(
@@ -269,3 +270,55 @@ def test_a_bag_that_was_cut_at_its_beginning_is_not_called_altered(tmp_path: Pat
     assert [each.kind for each in found] == ['reading'], found
     altered = with_force(run, lambda f: put(f, slice(300, 302), 0.0))
     assert 'answer' in {each.kind for each in findings(altered)}
+
+
+@pytest.mark.parametrize(('reference', 'force', 'other'), [
+    (2.0, 1.0, {'gain': 4.0, 'feedforward': 1.0}),
+    (1.0, 1.2, {'gain': 4.0 / 1.2, 'feedforward': 5.0 - 4.0 / 1.2})])
+def test_another_scale_is_the_run_of_another_proportional_controller(
+        reference: float, force: float, other: dict[str, float]) -> None:
+    """So no note can be right in one of the two and wrong in the other."""
+    run = a_loop('multisine', compensator='proportional', gain=4.0,
+                 feedforward=5.0 * reference - 4.0)
+    altered = replace(run, reference_n=reference * run.signal('reference'),
+                      force_n=force * run.signal('force'))
+    of_other = commands(compensator({'compensator': 'proportional', **other}, RATE_HZ),
+                        altered.reference_n, altered.force_n, run.signal('velocity'))
+    np.testing.assert_allclose(of_other, run.signal('command'), rtol=0.0, atol=1e-9)
+    assert findings(altered) == []
+
+
+def test_a_reference_that_is_altered_for_a_while_does_not_end_the_step() -> None:
+    run = a_recorded_run()
+    later = replace(run, reference_n=put(run.signal('reference').copy(), slice(400, 403), 105.0))
+    document = analyze(later)
+    assert document.steady_state_error_n is None and document.rise_time_s is not None
+
+
+def test_a_saturated_command_is_the_same_for_another_force() -> None:
+    run = a_recorded_run(saturation=40.0, compensator='proportional', gain=20.0)
+    there = np.flatnonzero(np.abs(run.signal('command')) >= 40.0)
+    assert len(there) > 20
+    # Farther from the reference, so that the error, and the command, only become larger.
+    altered = with_force(run, lambda f: put(f, there, f[there] - 5.0 * np.sign(
+        run.signal('command')[there])))
+    again = recomputed(altered)
+    assert again is not None and (again == run.signal('command')).all()
+
+
+@pytest.mark.parametrize('how', ['drifting clock', 'of another run'])
+def test_what_is_altered_all_the_time_looks_as_a_controller_that_is_not_linear(how: str) -> None:
+    def relation(run: Run) -> object:
+        return answer(run.time_s, run.signal('command'), run.signal('reference'),
+                      run.signal('force'))
+
+    scheduled = a_loop('multisine', **{'gain_schedule.velocity': 0.1})
+    assert relation(scheduled) is None and findings(scheduled) == []
+    run = a_loop('multisine')
+    assert relation(run) is not None and relation(REPLACED[how](run)) is None
+
+
+def test_a_filtered_force_is_that_of_a_controller_with_the_inverse_filter() -> None:
+    run = with_force(a_loop('multisine'), low_pass)
+    found = answer(run.time_s, run.signal('command'), run.signal('reference'), run.signal('force'))
+    assert found is not None and found.everywhere and found.breaks == ()

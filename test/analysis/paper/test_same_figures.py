@@ -11,9 +11,9 @@ from asi_analysis.paper.facts.conditions import LOCKED, Conditions
 from asi_analysis.paper.facts.fact import Setup
 from asi_analysis.paper.facts.measures import (
     onset_frequencies,
+    onset_gains,
     onset_name,
     onset_notes,
-    onsets,
     predict_cycle,
 )
 
@@ -22,8 +22,8 @@ CONDITIONS = Conditions()
 
 @pytest.fixture(scope='module')
 def facts():
-    gains = onsets({}, CONDITIONS)
-    return gains | onset_frequencies({}, CONDITIONS, gains)
+    setup = Setup({}, CONDITIONS, {})
+    return onset_gains(setup, CONDITIONS.onset_steps_n) | onset_frequencies(setup)
 
 
 @pytest.mark.parametrize('step_n', [300.0, 600.0])
@@ -35,7 +35,7 @@ def test_predict_says_what_the_facts_say(facts, step_n):
     assert facts[onset_name(step_n, 'frequency_hz')] == pytest.approx(
         row['simulated_frequency_hz'], rel=0.015)
     assert row['predicted_gain'] == pytest.approx(row['simulated_gain'], rel=5e-3)
-    assert onset_notes({}, CONDITIONS._replace(onset_steps_n=(step_n,)), facts) == {}
+    assert onset_notes(Setup({}, CONDITIONS._replace(onset_steps_n=(step_n,)), facts)) == {}
 
 
 @pytest.mark.parametrize('step_n', [100.0, 600.0])
@@ -60,15 +60,15 @@ def test_just_below_the_onset_every_step_dies_out(facts):
 
 
 def test_onset_and_prediction_do_not_move_at_twice_the_resolution(facts):
-    fine = Setup({}, CONDITIONS._replace(onset_steps_n=(300.0, 600.0)), {}).refined(2)
-    for name, gain in onsets(fine.actuator, fine.conditions).items():
+    setup = Setup({}, CONDITIONS, {})
+    for name, gain in onset_gains(setup.refined(2), (300.0, 600.0)).items():
         assert gain == pytest.approx(facts[name], rel=1e-3)
-    coarse, fine = predict_cycle({}), predict_cycle({}, 1440)
+    coarse, fine = predict_cycle(setup), predict_cycle(setup.refined(2))
     for name, value in fine.items():
         assert coarse[name] == pytest.approx(value, rel=1e-4)
 
 
 def test_a_step_back_from_100_n_starts_the_cycle_lower_than_a_step_of_20_n(facts):
-    gains = onsets({}, CONDITIONS._replace(onset_steps_n=(20.0,)))
+    gains = onset_gains(Setup({}, CONDITIONS, {}), (20.0,))
     assert facts[onset_name(0.0, 'gain')] == pytest.approx(7.59, rel=0.005)
     assert gains[onset_name(20.0, 'gain')] == pytest.approx(8.44, rel=0.005)

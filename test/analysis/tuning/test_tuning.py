@@ -77,5 +77,5 @@ def test_search_writes_what_it_finds_and_says_what_it_is(monkeypatch, tmp_path):
     assert problems(found.to_dict(), 'asi tune') == []
     assert read_parameters(tmp_path / 'controller.yaml', 'controller') == found.controller
     assert found.evaluations == 4 and found.conditions_tried == 8
-    assert {row['name'] for row in found.rows_found()} == {row.name for row in ROWS}
+    assert {row['name'] for row in found['rows']} == {row.name for row in ROWS}
     found.write_report(tmp_path)

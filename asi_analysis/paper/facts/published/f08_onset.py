@@ -20,17 +20,9 @@ def _row(step_n: float) -> Row:
                Role.HELD_OUT if step_n in (400.0, 500.0) else Role.FITTED)
 
 
-def frequencies(setup: Setup) -> Measured:
-    return onset_frequencies(setup.actuator, setup.conditions, setup.measured, setup.runner)
-
-
 def measure(setup: Setup) -> Measured:
-    gains = onset_gains(setup, setup.conditions.onset_steps_n)
-    return {**onset_rise(gains, setup.conditions), **frequencies(setup)}
-
-
-def notes(setup: Setup) -> dict[str, str]:
-    return onset_notes(setup.actuator, setup.conditions, setup.measured)
+    onset_gains(setup, setup.conditions.onset_steps_n)
+    return {**onset_rise(setup), **onset_frequencies(setup)}
 
 
 FACT = Fact(
@@ -44,5 +36,5 @@ FACT = Fact(
     lambda setup: (f'{locked_loop(setup)}; steps from rest; to 0 N, a step back from '
                    f'{setup.conditions.start_n:g} N'),
     f'least gain with a sustained cycle, by bisection to '
-    f'{100.0 * Conditions().onset_accuracy:g} %', Stage.ONSET, over_ros=frequencies,
-    notes=notes)
+    f'{100.0 * Conditions().onset_accuracy:g} %', Stage.ONSET, over_ros=onset_frequencies,
+    notes=onset_notes)

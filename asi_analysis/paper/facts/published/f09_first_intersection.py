@@ -1,13 +1,8 @@
 """F9: the describing function of the hysteresis alone meets the plant at Kp = 8, 130 Hz."""
 
-from asi_analysis.paper.facts.fact import Fact, Measured, Setup, Stage, around
+from asi_analysis.paper.facts.fact import Fact, Stage, around
 from asi_analysis.paper.facts.measures import predict_cycle
 from asi_analysis.paper.facts.words import PREDICTION
-
-
-def measure(setup: Setup) -> Measured:
-    return predict_cycle(setup.actuator, setup.conditions.describing_samples)
-
 
 FACT = Fact(
     'F9',
@@ -15,4 +10,4 @@ FACT = Fact(
             '4.1, Fig. 9', 8.0, 'N/N', 0.05),
      around('predicted_onset_frequency_hz', 'first intersection, frequency', '4.1, Fig. 9',
             130.0, 'Hz', 0.05)),
-    measure, lambda _: 'as section 4.1', PREDICTION, Stage.PREDICTION)
+    predict_cycle, lambda _: 'as section 4.1', PREDICTION, Stage.PREDICTION)

@@ -7,8 +7,7 @@ from asi_analysis.paper.facts.words import PREDICTION
 
 def measure(setup: Setup) -> Measured:
     # F9 has measured the same.
-    known = setup.measured if 'predicted_monotone' in setup.measured else predict_cycle(
-        setup.actuator, setup.conditions.describing_samples)
+    known = setup.measured if 'predicted_monotone' in setup.measured else predict_cycle(setup)
     return {row.name: known[row.name] for row in FACT.rows}
 
 
