@@ -126,10 +126,10 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     model_error: rms of the general model error, as a share of the signal; floor_by_best: it is
     smaller if some hypothesis leaves less.
     """
-    scale = scales(recordings)
     noise, error_floor, formulation = {}, {}, {}
     count = 1 + max(recording.number for recording in recordings)
     p = for_recordings(nominal.copy(), count)
+    scale = _with_valve(scales(recordings), recordings, p)
     p['force_scale'], p['velocity_scale'] = scale['force'], scale['velocity']
     for channel in channels:
         noise[channel] = max(_noise(recording, channel, p) for recording in recordings)
@@ -152,7 +152,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
 def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                     tolerance: float = TOLERANCE) -> Group:
     """Return a group of channels that the simulator itself predicts, ready to be fitted."""
-    scale = _with_valve_force(scales(recordings), nominal)
+    scale = _with_valve_force(_with_valve(scales(recordings), recordings, nominal), nominal)
     # Of a coupling: that with which the load's mass oscillates at 100 Hz.
     scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
               'inverse_force': 1.0 / scale['force']}
@@ -314,6 +314,13 @@ def scales(recordings: Sequence[Recording]) -> Values:
         'compliance': position / force, 'drift': force / duration,
         'drift_curve': force / duration ** 2, 'drift_bend': force / duration ** 3,
     }
+
+
+def _with_valve(scale: Values, recordings: Sequence[Recording], p: np.void) -> Values:
+    """Return scales whose valve position is that of the nominal model where none was measured."""
+    if any(r.valve_position is not None or r.command is None for r in recordings):
+        return scale
+    return scale | {'valve_position': _range([predict(r, 'valve', p) for r in recordings])}
 
 
 def _with_valve_force(scale: Values, nominal: np.void) -> Values:
