@@ -210,7 +210,7 @@ def _beside(c, reference, measured, velocity):
         ahead = extrapolated(reference, c.reference, c.reference_model_lead_time,
                              c.reference_model_slope, c.period)
         drive = model_drive(c.model_force, ahead, c.reference_model_bandwidth,
-                            c.reference_model_lag_frequency, c.reference_model_drive)
+                            c.reference_model_lag_frequency, c.reference_model_drive, c.period)
         goal = c.model_delayed
         c.model_force = approach(c.model_force, drive, 2.0 * math.pi
                                  * c.reference_model_lag_frequency, c.period)

@@ -36,9 +36,16 @@ def extrapolated(reference, before, lead_time, slope, period):
 
 
 @jit
-def model_drive(force, reference, bandwidth, lag_frequency, drive):
-    """Return the drive (N) of the model at a force and a desired force (N); corners in Hz."""
-    wanted = force + bandwidth / lag_frequency * (reference - force)
+def model_drive(force, reference, bandwidth, lag_frequency, drive, period):
+    """
+    Return the drive (N) of the model at a force and a desired force (N); corners in Hz.
+
+    In a control period (s) it takes the lag as far as a loop of that bandwidth would come: the
+    ratio of the corners alone, with 325 Hz at 1 kHz, would take it nearly twice as far.
+    """
+    way = math.expm1(-2.0 * math.pi * bandwidth * period)
+    wanted = force + way / math.expm1(-2.0 * math.pi * lag_frequency * period) * (reference
+                                                                                  - force)
     return min(max(wanted, -drive), drive)
 
 
