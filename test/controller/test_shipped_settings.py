@@ -8,6 +8,7 @@ from conftest import ROOT
 
 from asi_analysis.experiments.experiment import read_parameters
 from asi_analysis.limit_cycle.quench.attack import NAMES, Condition, run_trials, search
+from asi_analysis.tuning import figures as figures_module
 from asi_analysis.tuning.figures import figures, missed
 from asi_analysis.tuning.search import RATES_HZ
 
@@ -24,6 +25,13 @@ def shipped(name):
 def test_settings_miss_the_rows_that_they_give_up(name, actuator):
     misses = missed(figures(actuator, shipped(name)))
     assert {row for row, miss in misses.items() if miss > 0.0} == GIVEN_UP[name]
+
+
+def test_default_settings_are_passive_where_the_row_does_not_look(monkeypatch):
+    monkeypatch.setattr(figures_module, 'IMPEDANCE_M_S', (0.05, 0.2, 0.3, 0.5))
+    monkeypatch.setattr(figures_module, 'IMPEDANCE_HZ', (1.0, 3.0, 5.0, 8.0, 30.0))
+    for rate in (5000.0, 1000.0):
+        assert figures_module.impedance({}, shipped('quiet'), rate).real.min() >= 0.0
 
 
 def test_moved_piston_does_not_oscillate():
