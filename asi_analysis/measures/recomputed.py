@@ -60,7 +60,9 @@ def _of_rate(run: Run) -> Iterator[Finding]:
     rate_hz = _rate(run) or np.nan
     periods = run.period_s * rate_hz
     whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
-    if round(periods) > 1 and abs(periods - round(periods)) < EVEN:
+    ticks = run.information.get('experiment', {}).get('ticks', np.inf)
+    if round(periods) > 1 and abs(periods - round(periods)) < EVEN and (
+            periods * (len(run) - 1) <= ticks):
         yield Finding('rate', 'time', NOTE, whole,
                       f'the recording has only every {round(periods)}. sample of this run, whose '
                       f'rate was {rate_hz:g} Hz')
