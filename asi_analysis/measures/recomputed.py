@@ -40,6 +40,10 @@ def of_controller(run: Run) -> ByController:
     if _rate(run) is None:
         return ByController(False, [])
     found = list(_of_rate(run))
+    if run.command_n is None and run.information.get('controller'):
+        found.append(Finding(
+            'reading', 'time', NOTE, ((float(run.time_s[0]), float(run.time_s[-1])),),
+            'the recording lacks the command of its run: samples that were altered may not show'))
     again = recomputed(run)
     if again is None:
         return ByController(False, found)

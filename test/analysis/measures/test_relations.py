@@ -223,6 +223,11 @@ def test_a_run_of_which_rows_are_left_out_is_marked() -> None:
         assert finding.severity == 'doubtful'
 
 
+def test_a_run_without_its_command_is_marked() -> None:
+    finding, = findings(replace(a_recorded_run(), command_n=None))
+    assert (finding.kind, finding.severity) == ('reading', 'note')
+
+
 @pytest.mark.parametrize('information', [
     {}, {'controller': {}}, {'versions': {'asi_actuator': '0.0.1'}},
     {'experiment': {'mode': 'realtime', 'rate_hz': RATE_HZ}}, {'experiment': {'mode': 'lockstep'}},
