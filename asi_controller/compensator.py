@@ -24,7 +24,12 @@ from asi_controller.additions.gain_schedule import scheduled
 from asi_controller.additions.hysteresis_inverse import follow
 from asi_controller.additions.integrator import integrate
 from asi_controller.additions.notch import with_notch
-from asi_controller.additions.reference_model import approach, extrapolated, model_drive
+from asi_controller.additions.reference_model import (
+    approach,
+    extrapolated,
+    model_drive,
+    model_ratio,
+)
 from asi_controller.additions.velocity_feedforward import advanced, compensation, followed
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
@@ -60,6 +65,7 @@ COMPENSATOR_DTYPE = np.dtype([
     *record_dtype(ADDITION_PARAMETERS).descr,
     ('integral', np.float64),                        # N, of the integrator
     ('reference', np.float64),                       # N, the last one
+    ('model_ratio', np.float64),                     # N per N, of the reference model
     ('model_force', np.float64),                     # N, of the reference model
     ('model_delayed', np.float64),                   # N
     ('centre', np.float64),                          # N, of the hysteresis inverse
@@ -173,6 +179,9 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     c['period'] = 1.0 / rate_hz
     for parameter in ADDITION_PARAMETERS:
         c[field_name(parameter.name)] = as_number(parameter, v[parameter.name])
+    c['model_ratio'] = model_ratio(
+        float(v['reference_model.bandwidth']), float(v['reference_model.lag_frequency']),
+        1.0 / rate_hz)
     if running is not None:
         for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre',
                      'velocity', 'observed'):
@@ -209,8 +218,7 @@ def _beside(c, reference, measured, velocity):
             c.reference = reference
         ahead = extrapolated(reference, c.reference, c.reference_model_lead_time,
                              c.reference_model_slope, c.period)
-        drive = model_drive(c.model_force, ahead, c.reference_model_bandwidth,
-                            c.reference_model_lag_frequency, c.reference_model_drive)
+        drive = model_drive(c.model_force, ahead, c.model_ratio, c.reference_model_drive)
         goal = c.model_delayed
         c.model_force = approach(c.model_force, drive, 2.0 * math.pi
                                  * c.reference_model_lag_frequency, c.period)

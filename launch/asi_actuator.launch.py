@@ -4,7 +4,7 @@ Launch the actuator and its controller; optionally a recorder, and RViz.
 ros2 launch asi_actuator asi_actuator.launch.py mode:=realtime reference:=sine record:=run1
 
 An argument that is given sets its parameter; otherwise the parameter files apply. Without files,
-compensator and gain the controller has the settings of config/force_control.yaml.
+compensator and gain the controller has the settings of config/quiet.yaml.
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ PARAMETERS = {
     'driver': ('driver', str, ('actuator',), 'simulated, can, replay or another installed one'),
     'compensator': ('compensator', str, ('controller',),
                     'proportional, lead_lag, lead2, lead4 or custom; if neither this nor gain nor '
-                    'params_file is given, config/force_control.yaml'),
+                    'params_file is given, config/quiet.yaml'),
     'gain': ('gain', float, ('controller',), 'gain of the compensator; 0: its own'),
     'reference': ('reference.shape', str, ('controller',),
                   'topic, or a signal of the controller: step, ramp, sine, chirp …'),
@@ -81,7 +81,7 @@ def _parameters(given: dict[str, str], node: str) -> list[Any]:
         values['await_recorder'] = True
     files = [file for file in given['params_file'].split(',') if file]
     if node == 'controller' and not (files or given['compensator'] or given['gain']):
-        files = [str(_config() / 'force_control.yaml')]
+        files = [str(_config() / 'quiet.yaml')]
     return [*files, values] if values else files
 
 

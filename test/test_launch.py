@@ -113,9 +113,9 @@ def test_without_arguments_nothing_is_set_but_the_tuned_controller(evaluated: Ev
     assert set(launched) == {'actuator', 'controller', 'log'} and not launched['log']
     assert launched['actuator'].parameters == []
     # The proportional default of the node oscillates on heavy loads.
-    assert launched['controller'].parameters == [str(ROOT / 'config' / 'force_control.yaml')]
+    assert launched['controller'].parameters == [str(ROOT / 'config' / 'quiet.yaml')]
     for argument in ('compensator', 'gain'):
-        assert 'force_control' not in str(evaluated(**{argument: '2'})['controller'].parameters)
+        assert 'quiet.yaml' not in str(evaluated(**{argument: '2'})['controller'].parameters)
 
 
 def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluated) -> None:
@@ -153,7 +153,7 @@ def test_rviz_where_it_is_installed_and_otherwise_what_is_missing(evaluated: Eva
 
 
 @pytest.mark.parametrize('file', ['actuator.yaml', 'controller.yaml', 'can.yaml',
-                                  'force_control.yaml'])
+                                  'quiet.yaml'])
 def test_each_shipped_file_gives_the_nodes_what_it_says(
         file: str, evaluated: Evaluated, start_launched: Callable[[Any], NodeProcess],
         get_parameters: Callable) -> None:

@@ -109,7 +109,7 @@ def attribute(
     show(result, as_json, report)
 
 
-@command('quench', 'asi quench --controller config/force_control.yaml --conditions 300')
+@command('quench', 'asi quench --controller config/quiet.yaml --conditions 300')
 def quench(
     compensator: Compensator = None,
     gain: Gain = None,

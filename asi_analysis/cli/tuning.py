@@ -64,7 +64,7 @@ def tune(
         raise typer.Exit(1)
 
 
-@command('compare', 'asi compare lead4 config/force_control.yaml --report runs/compare')
+@command('compare', 'asi compare lead4 config/quiet.yaml --report runs/compare')
 def compare(
     what: Annotated[list[str], typer.Argument(
         help='Compensators by name, parameter files of controllers (.yaml), and bags')],

@@ -88,13 +88,22 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
     span = float(np.ptp(inputs)) if inputs is not None and same_unit else np.inf
     large = _large(deviation, max(float(np.ptp(smooth)), span if same_unit else 0.0))
     if large.sum() > max(2, 0.01 * len(values)):
-        return np.zeros(len(values), bool)
+        return _fillers(values, large)
     if inputs is None or not large.any():
         return large
     odd = large & (unexplained(inputs, values) | (deviation > span))
     if same_unit:
         odd |= large & ~_ringing(deviation, large & ~odd & _begun(inputs, values), large & ~odd)
     return ndimage.binary_propagation(odd, mask=large)
+
+
+def _fillers(values: Array, large: Mask) -> Mask:
+    """Return which of many large deviations are one value, in a signal that has none twice."""
+    found, counts = np.unique(values[large], return_counts=True)
+    filler = large & (values == found[np.argmax(counts)])
+    if 2 * counts.max() > large.sum() and is_continuous(values[~large]):
+        return filler
+    return np.zeros(len(values), bool)
 
 
 def _ringing(deviation: Array, begun: Mask, large: Mask) -> Mask:

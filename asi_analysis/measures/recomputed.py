@@ -40,6 +40,10 @@ def of_controller(run: Run) -> ByController:
     if _rate(run) is None:
         return ByController(False, [])
     found = list(_of_rate(run))
+    if run.command_n is None and run.information.get('controller'):
+        found.append(Finding(
+            'reading', 'time', NOTE, ((float(run.time_s[0]), float(run.time_s[-1])),),
+            'the recording lacks the command of its run: samples that were altered may not show'))
     again = recomputed(run)
     if again is None:
         return ByController(False, found)
@@ -60,7 +64,9 @@ def _of_rate(run: Run) -> Iterator[Finding]:
     rate_hz = _rate(run) or np.nan
     periods = run.period_s * rate_hz
     whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
-    if round(periods) > 1 and abs(periods - round(periods)) < EVEN:
+    ticks = run.information.get('experiment', {}).get('ticks', np.inf)
+    if round(periods) > 1 and abs(periods - round(periods)) < EVEN and (
+            periods * (len(run) - 1) <= ticks):
         yield Finding('rate', 'time', NOTE, whole,
                       f'the recording has only every {round(periods)}. sample of this run, whose '
                       f'rate was {rate_hz:g} Hz')

@@ -323,7 +323,7 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
                    LOST_SHARE)
     # Findings other than lost samples affect the levels, and so every figure.
     begin = step.time_s - STEADY_SHARE * (end - step.time_s)
-    levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, end)
+    levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, ended)
     if levels.withheld:
         moving = steady = levels
     resolution = float(np.diff(np.unique(run.signal(name)[first:])).min(initial=np.inf))

@@ -24,8 +24,7 @@ PREFERENCES: Final[Mapping[str, Mapping[str, float]]] = {
     'transparent': {'felt_force_slow_n': 15.0, 'felt_force_fast_n': 50.0,
                     'settling_median_s': 0.03, 'settling_worst_s': 0.06,
                     'sine_error_percent': 25.0},
-    'quiet': {'noise_gain': 8.0, 'settling_median_s': 0.03, 'settling_worst_s': 0.06,
-              'sine_error_percent': 25.0, 'felt_force_slow_n': 60.0, 'felt_force_fast_n': 250.0},
+    'quiet': {'felt_force_slow_n': 40.0, 'felt_force_fast_n': 150.0, 'least_re_z_n_s_m': 4.0},
 }
 # Error, felt force and effort, of which no one is better without another being worse.
 FRONT: Final = ('sine_error_percent', 'settling_median_s', 'felt_force_slow_n', 'noise_gain')

@@ -35,10 +35,21 @@ def extrapolated(reference, before, lead_time, slope, period):
     return reference + lead_time * rate if abs(rate) <= slope else reference
 
 
+def model_ratio(bandwidth: float, lag_frequency: float, period: float) -> float:
+    """
+    Return the drive per missing force of the model; corners in Hz, period: of control, s.
+
+    With it the lag comes in a period as near as a loop of that bandwidth would. The ratio of the
+    corners alone, with 325 Hz at 1 kHz, would take it nearly twice as far.
+    """
+    return (math.expm1(-2.0 * math.pi * bandwidth * period)
+            / math.expm1(-2.0 * math.pi * lag_frequency * period))
+
+
 @jit
-def model_drive(force, reference, bandwidth, lag_frequency, drive):
-    """Return the drive (N) of the model at a force and a desired force (N); corners in Hz."""
-    wanted = force + bandwidth / lag_frequency * (reference - force)
+def model_drive(force, reference, ratio, drive):
+    """Return the drive (N) of the model at a force and a desired force (N); see model_ratio."""
+    wanted = force + ratio * (reference - force)
     return min(max(wanted, -drive), drive)
 
 

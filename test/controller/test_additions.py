@@ -101,6 +101,20 @@ def test_reference_model_drives_a_lag_like_its_own_along_its_force_without_error
     assert forces[60] > 0.96 * 700.0
 
 
+@pytest.mark.parametrize('rate', [5000.0, 1000.0])
+def test_reference_model_is_as_fast_at_any_rate_and_does_not_ring(rate: float) -> None:
+    values: dict[str, Value] = {
+        'gain': 1e-12, 'reference_model.bandwidth': 300.0, 'reference_model.drive': 1e5}
+    c = compensator(values, rate)
+    c['fresh'] = REST
+    forces = []
+    for _ in range(round(0.01 * rate)):
+        compensate(c, 100.0, 0.0, 0.0)
+        forces.append(float(c['model_force']))
+    time = np.arange(1, len(forces) + 1) / rate
+    assert forces == pytest.approx(100.0 * (1.0 - np.exp(-2.0 * np.pi * 300.0 * time)))
+
+
 def test_reference_model_extrapolates_a_ramp_and_not_a_jump() -> None:
     assert extrapolated(10.0, 8.0, 0.001, 2e4, 0.0002) == pytest.approx(20.0)
     assert extrapolated(30.0, 8.0, 0.001, 2e4, 0.0002) == 30.0

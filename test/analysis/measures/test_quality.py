@@ -181,6 +181,14 @@ def test_an_output_that_only_jumps_is_cut_off() -> None:
     assert analyze(run).steady_state_error_n is None
 
 
+@pytest.mark.parametrize('filler', [0.0, -1.0, 9999.0])
+def test_many_dropouts_to_one_value_are_spikes(filler: float) -> None:
+    places = np.random.default_rng(2).integers(0, 2000, 60)
+    run = with_force(a_run(), lambda f: put(f, places, filler))
+    assert 'spike' in [each.kind for each in findings(run)]
+    assert analyze(run).overshoot_percent is None
+
+
 @pytest.mark.parametrize(('kind', 'change'), [
     ('frozen', lambda f: np.full(len(f), 3.0)), ('unit', lambda f: f - 3.0e4),
     ('frozen', lambda f: put(f, slice(STEP + 20, None), 0.0))])

@@ -217,8 +217,15 @@ def test_a_run_of_which_rows_are_left_out_is_marked() -> None:
     run = a_recorded_run()
     assert [each.kind for each in findings(run[::2])] == ['rate']
     assert findings(run[:300]) == []
-    late = replace(run, time_s=1.2 * run.time_s)
-    assert [each.kind for each in findings(late)] == ['rate']
+    for factor in (1.2, 1000.0):
+        late = replace(run, time_s=factor * run.time_s)
+        finding = next(each for each in findings(late) if each.kind == 'rate' or factor > 2.0)
+        assert finding.severity == 'doubtful'
+
+
+def test_a_run_without_its_command_is_marked() -> None:
+    finding, = findings(replace(a_recorded_run(), command_n=None))
+    assert (finding.kind, finding.severity) == ('reading', 'note')
 
 
 @pytest.mark.parametrize('information', [
@@ -292,7 +299,7 @@ def test_a_reference_that_is_altered_for_a_while_does_not_end_the_step() -> None
     run = a_recorded_run()
     later = replace(run, reference_n=put(run.signal('reference').copy(), slice(400, 403), 105.0))
     document = analyze(later)
-    assert document.steady_state_error_n is None and document.rise_time_s is not None
+    assert document.steady_state_error_n is None
 
 
 def test_a_saturated_command_is_the_same_for_another_force() -> None:
