@@ -84,6 +84,7 @@ class Group:
     formulation: Values = field(default_factory=dict)
     effects: tuple[Effect, ...] = EFFECTS
     given: np.void | None = None   # as nominal, but for what another group has found
+    valve: np.void | None = None   # the fit of the valve, which the force takes its position from
     exact_substep_s: float = 0.0   # of the simulator
     floor_measured: bool = False   # the error floor is what healthy recordings leave
     floor_by_best: bool = False    # that of a fit shows how small the model error is
@@ -218,15 +219,17 @@ def with_less_noisy_valve(group: Group, valve: np.void) -> Group:
     """
     if 'force' not in group.channels or not group.measures_valve:
         return group
-    recordings = []
-    for recording in group.recordings:
-        estimate, left = simulator.less_noisy_valve(recording, predict(recording, 'valve', valve))
-        recordings.append(replace(recording, valve_estimate=estimate, cache={}, noise={
-            **recording.noise, 'valve_position': min(left, recording.noise['valve_position'])}))
+    recordings = [_with_less_noisy_valve(recording, valve) for recording in group.recordings]
     noise = max(_noise(recording, 'force', group.nominal) for recording in recordings)
     floor = group.error_floor['force'] + noise ** 2 - group.noise['force'] ** 2
     return replace(group, recordings=recordings, noise={**group.noise, 'force': noise},
-                   error_floor={**group.error_floor, 'force': floor})
+                   error_floor={**group.error_floor, 'force': floor}, valve=valve)
+
+
+def _with_less_noisy_valve(recording: Recording, valve: np.void) -> Recording:
+    estimate, left = simulator.less_noisy_valve(recording, predict(recording, 'valve', valve))
+    return replace(recording, valve_estimate=estimate, cache={}, noise={
+        **recording.noise, 'valve_position': min(left, recording.noise['valve_position'])})
 
 
 def with_fitted_start(group: Group, p: np.void) -> Group:
@@ -243,6 +246,8 @@ def with_fitted_start(group: Group, p: np.void) -> Group:
 
 def prepared_for(group: Group, recording: Recording) -> Recording:
     """Return a recording with what the records of a group need to predict it."""
+    if group.valve is not None:
+        return _with_less_noisy_valve(recording, group.valve)
     if not simulator.of_simulator(group.nominal):
         return recording
     return replace(recording, valve_estimate=simulator.estimated_valve(

@@ -21,6 +21,7 @@ from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.search import explained_by_simulator, parameter_errors
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import (
+    prepared_for,
     simulator_group,
     with_less_noisy_valve,
     with_simulated_valve,
@@ -96,6 +97,9 @@ def test_the_valve_is_known_better_than_it_was_measured(slow):
     better = with_less_noisy_valve(groups[1], groups[0].nominal)
     assert better.noise['force'] < 0.7 * groups[1].noise['force']
     assert better.noise['load'] == groups[1].noise['load']
+    # So is a fresh recording read, or its residual would be the noise that is not there.
+    fresh = prepared_for(better, recording)
+    assert np.array_equal(fresh.valve_estimate, better.recordings[0].valve_estimate)
 
 
 def test_effects_of_a_free_load_are_sought_at_the_size_of_the_valve_force():
