@@ -174,10 +174,10 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('friction.location', 'cylinder', '',
               'cylinder: between oil and force sensor; load: behind the force sensor',
               choices=('cylinder', 'load')),
-    Parameter('friction.presliding', 'elastoplastic', '',
-              'elastoplastic: purely elastic below 70 % of breakaway (Dupont et al. 2002); dahl: '
-              'sliding sets in gradually from the first deflection (Dahl 1968)',
-              choices=('elastoplastic', 'dahl')),
+    Parameter('friction.presliding_slip', 0.0, '',
+              'How gradually sliding sets in; 0: purely elastic below 70 % of breakaway (Dupont '
+              'et al. 2002); 1: it slides from the first deflection (Dahl 1968, LuGre)',
+              0.0, 1.0),
     Parameter('friction.stiction_push', 27.0, 'N', 'Breakaway force when the piston extends',
               0.0, 1e4, source='paper, section 2.2'),
     Parameter('friction.stiction_pull', 15.0, 'N', 'Breakaway force when the piston retracts',

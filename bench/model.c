@@ -246,16 +246,16 @@ static inline double sliding_friction(double velocity, const struct parameters *
     return coulomb + (stiction - coulomb) * exp(-relative * relative);
 }
 
-static inline double sliding_share(double deflection, double velocity, double limit, int dahl)
+static inline double sliding_share(double deflection, double velocity, double limit, double slip)
 {
-    if (dahl)
+    if (slip == 1.0)
         return 1.0;
-    double elastic = ELASTIC_SHARE * limit, size = fabs(deflection);
+    double elastic = ELASTIC_SHARE * limit, size = fabs(deflection), share = 1.0;
     if (deflection * velocity <= 0.0 || size <= elastic)
-        return 0.0;
-    if (size >= limit)
-        return 1.0;
-    return 0.5 + 0.5 * sin(M_PI * (size - 0.5 * (limit + elastic)) / (limit - elastic));
+        share = 0.0;
+    else if (size < limit)
+        share = 0.5 + 0.5 * sin(M_PI * (size - 0.5 * (limit + elastic)) / (limit - elastic));
+    return share + slip * (1.0 - share);
 }
 
 static inline void deflect(double before, double velocity, const struct parameters *p, double h,
@@ -266,9 +266,9 @@ static inline void deflect(double before, double velocity, const struct paramete
     if (limit <= 0.0)
         return;
     double speed = fabs(velocity);
-    double loss = sliding_share(before, velocity, limit, p->friction_presliding) / limit;
+    double loss = sliding_share(before, velocity, limit, p->friction_presliding_slip) / limit;
     double middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed);
-    loss = sliding_share(middle, velocity, limit, p->friction_presliding) / limit;
+    loss = sliding_share(middle, velocity, limit, p->friction_presliding_slip) / limit;
     double x = h * loss * speed, fall = 1.0 + x + 0.5 * x * x;
     double after = (before + h * velocity * (1.0 + 0.5 * x)) / fall;
     double bound = fmax(limit, fabs(before));
@@ -276,7 +276,8 @@ static inline void deflect(double before, double velocity, const struct paramete
         r->seal = copysign(bound, after);
     } else {
         r->seal = after;
-        r->seal_slope = 0.5 * h * (1.0 + x) / fall * fmax(0.0, 1.0 - loss * fabs(after));
+        double along = copysign(1.0, velocity) * after;
+        r->seal_slope = 0.5 * h * (1.0 + x) / fall * fmax(0.0, 1.0 - loss * along);
     }
 }
 
@@ -295,8 +296,8 @@ static inline struct rub friction(double before, double mean_velocity, double ve
     deflect(before, mean_velocity, p, h, &r);
     double limit = sliding_friction(velocity, p) / stiffness, elastic = 0.0;
     if (limit > 0.0)
-        elastic = fmax(0.0, 1.0 - sliding_share(r.seal, velocity, limit, p->friction_presliding)
-                                * fabs(r.seal) / limit);
+        elastic = fmax(0.0, 1.0 - sliding_share(r.seal, velocity, limit, p->friction_presliding_slip)
+                                * copysign(1.0, velocity) * r.seal / limit);
     damping = damping * elastic + viscous;
     r.force = stiffness * r.seal + damping * velocity;
     r.force_slope = stiffness * r.seal_slope + damping;

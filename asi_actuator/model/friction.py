@@ -6,7 +6,8 @@ friction models", IEEE Trans. Automatic Control 47, 2002): below breakaway the s
 so that a locked piston neither creeps nor sticks and slips; beyond it they slide, with a friction
 that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends on the direction.
 Null by default: viscous friction, another Coulomb friction each way, sliding that sets in
-gradually (Dahl, "A solid friction model", 1968), and a place behind the force sensor.
+gradually (Dahl, "A solid friction model", 1968; with damping: LuGre, Canudas de Wit, Olsson,
+Astrom, Lischinsky, IEEE Trans. Automatic Control 40, 1995), and a place behind the force sensor.
 """
 
 import math
@@ -15,7 +16,6 @@ from typing import Final, NamedTuple
 from asi_common.jit import FULL, LINEAR, inlined, jit
 
 CYLINDER, BEHIND_SENSOR = 0, 1
-ELASTOPLASTIC, DAHL = 0, 1
 
 # Share of the breakaway deflection below which the seals deform without any sliding.
 ELASTIC_SHARE: Final = 0.7
@@ -66,10 +66,12 @@ def sliding_share(deflection, velocity, limit):
 
 @jit
 def sliding(deflection, velocity, limit, p):
-    """Return how much of the motion slides, 0 to 1: all of it, after Dahl, or elasto-plastic."""
-    if p.friction_presliding == DAHL:
+    """Return how much of the motion slides, 0 to 1: elasto-plastic, or more, up to Dahl's 1."""
+    slip = p.friction_presliding_slip
+    if slip == 1.0:
         return 1.0
-    return sliding_share(deflection, velocity, limit)
+    share = sliding_share(deflection, velocity, limit)
+    return share + slip * (1.0 - share)
 
 
 @jit
@@ -96,7 +98,8 @@ def deflect(before, velocity, p, h):
     bound = max(limit, abs(before))
     if abs(after) > bound:
         return math.copysign(bound, after), 0.0
-    return after, h * (1.0 + x) / fall * max(0.0, 1.0 - loss * abs(after))
+    along = math.copysign(1.0, velocity) * after
+    return after, h * (1.0 + x) / fall * max(0.0, 1.0 - loss * along)
 
 
 @inlined
@@ -119,7 +122,8 @@ def friction(before, mean_velocity, velocity, p, h):
     elastic = 0.0
     limit = sliding_friction(velocity, p) / stiffness
     if limit >= LEAST_LIMIT:
-        elastic = max(0.0, 1.0 - sliding(after, velocity, limit, p) * abs(after) / limit)
+        along = math.copysign(1.0, velocity) * after
+        elastic = max(0.0, 1.0 - sliding(after, velocity, limit, p) * along / limit)
     damping = damping * elastic + viscous
     return Friction(after, slope, stiffness * after + damping * velocity,
                     stiffness * slope + damping)

@@ -211,12 +211,31 @@ def test_friction_behind_the_sensor_is_not_in_the_force_of_a_prescribed_motion()
 def test_dahl_bristle_follows_its_exponential() -> None:
     # dF/dx = stiffness (1 - F / level): F = level (1 - exp(-stiffness x / level)).
     level, stiffness, velocity = 20.0, 2e5, 0.02
-    ours = force({'friction.model': 'full', 'friction.presliding': 'dahl',
+    ours = force({'friction.model': 'full', 'friction.presliding_slip': 1.0,
                   'friction.coulomb': level, 'friction.stiction_push': level,
                   'friction.stiction_pull': level, 'friction.presliding_stiffness': stiffness,
                   'friction.presliding_damping': 0.0, 'load.velocity': velocity}, np.zeros(200))
     way = velocity * PERIOD * np.arange(1, 201)
     np.testing.assert_allclose(ours, -level * (1.0 - np.exp(-stiffness * way / level)), atol=0.02)
+
+
+def test_lugre_damps_the_bristle_through_reversals() -> None:
+    # F = s0 z + s1 dz/dt, dz/dt = v - s0 |v| z / level (Canudas de Wit et al. 1995), v a sine.
+    level, stiffness, damping, peak, frequency = 20.0, 2e5, 400.0, 0.01, 20.0
+    ours = force({'friction.model': 'full', 'friction.presliding_slip': 1.0,
+                  'friction.coulomb': level, 'friction.stiction_push': level,
+                  'friction.stiction_pull': level, 'friction.presliding_stiffness': stiffness,
+                  'friction.presliding_damping': damping, 'load.velocity': peak,
+                  'load.frequency': frequency}, np.zeros(500))
+
+    def rate(t: float, z: Any) -> Any:
+        v = peak * math.sin(2.0 * math.pi * frequency * t)
+        return v - stiffness * abs(v) * z / level
+
+    time = PERIOD * np.arange(1, 501)
+    z = solve_ivp(rate, (0.0, time[-1]), [0.0], 'LSODA', time, rtol=1e-9, atol=1e-14).y[0]
+    slope = np.array([rate(t, each) for t, each in zip(time, z, strict=True)])
+    np.testing.assert_allclose(ours, -(stiffness * z + damping * slope), atol=0.05)
 
 
 SPRING: dict[str, Value] = {'load.type': 'spring', 'load.mass': 2.0, 'load.stiffness': 5e4,

@@ -223,11 +223,15 @@ class Found(NamedTuple):
     best: Best
 
     @property
+    def over(self) -> Array:
+        """The mean square that it leaves of each channel, in error floors as high as may be."""
+        left = mean_squares(self.problem, self.best.residual)
+        return left / (MARGIN + NOISE_ERROR / math.sqrt(self.best.residual.size / left.size))
+
+    @property
     def left(self) -> bool:
         """Whether it leaves more than the error floor, as far as that is known."""
-        left = mean_squares(self.problem, self.best.residual)
-        samples = self.best.residual.size / left.size
-        return bool(np.any(left > MARGIN + NOISE_ERROR / math.sqrt(samples)))
+        return bool(self.over.max() > 1.0)
 
     @property
     def given(self) -> float:

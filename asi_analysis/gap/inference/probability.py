@@ -55,6 +55,8 @@ CONSTANTS = Constants()
 OWN_MODEL = CONSTANTS._replace(unknown_offset=-3.0)
 # Of a servo: its whole response is measured.
 SERVO = OWN_MODEL._replace(exact=0.005, formulation=0.01)
+# Of the simulator, whose error floor is little more than the noise.
+SIMULATOR = CONSTANTS._replace(unknown_offset=-1.4)
 NOISE_SHARE = 0.1   # of the mean square noise: a smaller difference of residuals does not count
 LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
 USUAL_S = 5.0
@@ -183,12 +185,27 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
     for channel, floor in e.error_floor.items():
         masked = max(masked, c.masked * min(e.formulation[channel] / floor, 1.0))
         residual, gap = e.residual[best][channel], e.residual[()][channel]
-        over = residual - floor
-        if over > 0.0:
-            worst = max(worst, c.unknown_offset + slope * math.log(residual / floor)
-                        + c.unknown_gap * math.log(over / max(gap - floor, over)))
-    outside = 1.0 / (1.0 + math.exp(-worst)) if worst > -50.0 else 0.0
-    return max(outside, 0.0 if best else masked)
+        worst = max(worst, unknown_odds(residual / floor, gap / floor, c, slope))
+    return max(as_probability(worst), 0.0 if best else masked)
+
+
+def unknown_odds(residual: float, gap: float, c: Constants, slope: float) -> float:
+    """
+    Return the log odds of an effect outside the vocabulary, by one channel.
+
+    residual: of the best hypothesis; gap: of the nominal model (mean squares, in error floors);
+    slope: with the log of the residual.
+    """
+    over = residual - 1.0
+    if over <= 0.0:
+        return -math.inf
+    return c.unknown_offset + slope * math.log(residual) + c.unknown_gap * math.log(
+        over / max(gap - 1.0, over))
+
+
+def as_probability(log_odds: float) -> float:
+    """Return the probability that belongs to log odds."""
+    return 1.0 / (1.0 + math.exp(-log_odds)) if log_odds > -50.0 else 0.0
 
 
 def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:

@@ -2,13 +2,14 @@
 Does the simulator itself explain the recordings? Alone, or with effects switched on.
 
 A linear screen ranks every effect in each of its forms; the best are fitted, and weighed by their
-evidence. The answer counts only if it leaves no more than the noise: then the machine is within
-the simulator's own equations, and no other formulation needs to be tried.
+evidence. The answer counts if it leaves no more than the noise: then the machine is within the
+simulator's own equations. Else the laws may be those of other books, and a little may be left.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,12 +29,19 @@ from asi_analysis.gap.inference.posterior import (
     mean_squares,
     most_probable,
 )
-from asi_analysis.gap.inference.probability import Names, with_unknown
+from asi_analysis.gap.inference.probability import (
+    SIMULATOR,
+    Names,
+    as_probability,
+    unknown_odds,
+    with_unknown,
+)
 from asi_analysis.gap.inference.screen import Start, screen
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
     Group,
     acts_on,
+    of_other_books,
     recorrected,
     with_fitted_start,
     with_simulated_valve,
@@ -50,13 +58,13 @@ FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
-MISSED = 0.2            # probability that the search has missed what explains a recording
+NEAR = 9.0              # error floors (mean square) that may be left of a machine of other books
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
                            alone: bool = False) -> list[Weighed] | None:
     """
-    Return the groups, weighed, if the simulator explains them down to their noise; else None.
+    Return the groups, weighed, if the simulator explains them; else None.
 
     groups: the valve and what follows it; or one, if the valve position was not recorded.
     As it is, with parameters within their tolerance, or with effects or parameters beyond their
@@ -64,17 +72,53 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     left is `unknown`.
     """
     valve, *others = groups
-    first = _explained(_null(valve), tick, alone)
+    first = _explained([valve], tick, alone)
     if first is None or not others:
-        return None if first is None else [first]
+        return None if first is None else [first.weighed]
     rest, = others
-    rivals = [first, *_rivals(first)]
-    nulls = [_null(with_simulated_valve(rest, _most_probable(rival).fitted.record))
-             for rival in rivals]
+    rivals = [first.weighed, *_rivals(first.weighed)]
+    second = _explained([with_simulated_valve(rest, _most_probable(rival).fitted.record)
+                         for rival in rivals], tick, alone)
+    return None if second is None else [
+        _with_rivals(rivals[second.number], rivals, second.costs), second.weighed]
+
+
+class _Explained(NamedTuple):
+    """A group that was explained: one of several; costs: of the nominal model in each."""
+
+    weighed: Weighed
+    number: int
+    costs: Array
+
+
+def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
+               ) -> _Explained | None:
+    """
+    Return the group in which the nominal model costs least, weighed, if it is explained.
+
+    Down to the noise by the simulator's own laws; or else by laws from other books, if these leave
+    little.
+    """
+    nulls = [_null(group) for group in rivals]
     costs = np.array([null.best.cost for null in nulls])
-    best = int(np.argmin(costs))
-    second = _explained(nulls[best], tick, alone)
-    return None if second is None else [_with_rivals(rivals[best], rivals, costs), second]
+    number = int(np.argmin(costs))
+    own, other, weighed = nulls[number], None, None
+    if own.left:
+        other = _null(of_other_books(rivals[number]))
+    if other is None or not _better(own, other):
+        weighed = _weighed(own, tick, False, alone)
+    if weighed is None:
+        other = other or _null(of_other_books(rivals[number]))
+        weighed = _weighed(other, tick, True, alone)
+    return None if weighed is None else _Explained(weighed, number, costs)
+
+
+def _better(own: Found, other: Found) -> bool:
+    """Return whether laws of other books explain so much more that the own need no search."""
+    problem, p = other.problem, own.problem.record(own.best.theta)
+    theta = np.array([problem.parameter(free).share(float(p[free.field]))
+                      for free in problem.free])
+    return problem.cost(theta) - other.best.cost > REACH
 
 
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
@@ -96,23 +140,25 @@ def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Wei
     return Weighed(replace(valve.group, effects=tuple(effects)), candidates, chance)
 
 
-def _explained(null: Found, tick: Callable[[], None], alone: bool) -> Weighed | None:
-    """Return a group, weighed, if the residual of one of its hypotheses is only noise."""
+def _weighed(null: Found, tick: Callable[[], None], other: bool, alone: bool
+             ) -> Weighed | None:
+    """Return a group, weighed, if a hypothesis leaves only noise; of `other` books, NEAR."""
     found, group = _hypotheses(null, tick), null.problem.group
-    if not alone and all(f.left for f in found.values()):
+    most = math.inf if alone and other else NEAR if other else 1.0
+    if all(f.over.max() > most for f in found.values()):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
     weighed = Weighed(found[()].problem.group, candidates, weigh(group, found))
-    best = found[_most_probable(weighed).names]
-    if not best.left:
-        return with_null_named(weighed)
-    if not alone or not _follows(found[()]):
-        return None
-    shares = 1.0 - np.sqrt(mean_squares(best.problem, best.best.residual)
-                           / mean_squares(found[()].problem, found[()].best.residual))
-    chance = {names: weighed.probability[names] for names in candidates}
-    return weighed._replace(probability=with_unknown(
-        chance, 1.0 - MISSED, float(shares.max())))
+    best, gap = found[_most_probable(weighed).names], found[()].over
+    if best.left:
+        if best.over.max() > most or (alone and not _follows(found[()])):
+            return None
+        chance = {names: weighed.probability[names] for names in candidates}
+        unknown = max(unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
+                      for left, before in zip(best.over, gap, strict=True))
+        weighed = weighed._replace(probability=with_unknown(
+            chance, as_probability(unknown), float((1.0 - np.sqrt(best.over / gap)).max())))
+    return with_null_named(weighed)
 
 
 def _follows(null: Found) -> bool:
@@ -185,7 +231,7 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     found = {(): _without_last(null, list(singles.values()))} | singles
     if all(map(_wants_more, found.values())):
         first = min(singles.values(), key=lambda each: each.best.cost)
-        found = _better(found, _pairs(null, first, tick))
+        found = _best_of(found, _pairs(null, first, tick))
     return found
 
 
@@ -204,7 +250,7 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, F
     best = min(pairs.values(), key=lambda each: each.best.cost)
     if best.left or not _wants_more(pairs[first.names]):
         return pairs
-    return _better(pairs, _with_second(_second_alone(null, first, best), tick))
+    return _best_of(pairs, _with_second(_second_alone(null, first, best), tick))
 
 
 def _with_second(first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
@@ -227,7 +273,7 @@ def _second_alone(null: Found, first: Found, pair: Found) -> Found:
     return _converged(Found(names, (variant,), problem, most_probable(problem, theta)))
 
 
-def _better(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
+def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
     """Return both, the one of the lower cost where they share a hypothesis."""
     return {**found, **{names: each for names, each in more.items()
                         if names not in found or each.best.cost < found[names].best.cost}}
@@ -269,7 +315,7 @@ def parameter_errors(group: Group) -> list[Effect]:
     held = {free.field for effect in group.effects for variant in effect.variants
             for free in variant.free}
     return [_beyond(free.field, group) for free in group.nuisance
-            if free.scale == 'nominal' and free.field not in held]
+            if free.prior < math.inf and free.scale == 'nominal' and free.field not in held]
 
 
 def _beyond(field: str, group: Group) -> Effect:

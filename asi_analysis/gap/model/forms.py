@@ -33,6 +33,8 @@ def _form(channels: tuple[str, ...], *free: Free, fixed: dict[str, float] | None
 _PUSH = Free('load_external_force', -1.0, 1.0, (0.02, -0.02), 'force', 'N')
 _HYDRAULIC = tuple(f'hydraulic_damping_{name}' for name in (
     'maximum_force', 'viscous', 'saturation_velocity', 'velocity_width', 'centre_share'))
+_BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
+                   for way in ('push', 'pull'))
 _GAP = Free('backlash_gap', 0.002, 1.4, (0.008, 0.02, 0.04, 0.07, 0.12, 0.3), 'position', 'm')
 _CENTRE = Free('backlash_centre', -0.5, 0.5, (0.0,), 'position', 'm')
 
@@ -103,6 +105,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'coulomb_friction': (
         _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (2.0, 0.4, 6.0)),
               needs=('friction_model',)),
+        # Books add it to the breakaway, too.
+        _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (3.0, 0.4)), *_BREAKAWAY,
+              needs=('friction_model',)),
     ),
     'stiction': (
         _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0), needs=('friction_model',)),
@@ -116,6 +121,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'friction_asymmetry': (
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
               _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), needs=('friction_model',)),
+        _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
+              _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), *_BREAKAWAY,
+              needs=('friction_model',)),
     ),
     'viscous_friction': (
         _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),
@@ -173,6 +181,13 @@ UNCERTAIN = {
               'force_sensor_natural_frequency', 'force_sensor_delay',
               'load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
               'load_locked_damping', 'force_sensor_mass_share'),
+}
+# How the nominal laws are formulated, by the channel: free in every fit, since books differ. Of
+# friction: how sliding sets in, from Dupont's elasto-plastic bristle to Dahl's and LuGre's, and
+# how the seals damp the motion that deforms them.
+SHAPES = {
+    'force': (Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
+              Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal')),
 }
 assert {free.field for effect in EFFECTS for variant in effect.variants
         for free in variant.free} <= set(ACTUATOR_DTYPE.names or ())

@@ -181,6 +181,22 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
                  dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact)
 
 
+def of_other_books(group: Group) -> Group:
+    """
+    Return a group of the simulator whose laws may be formulated in another way.
+
+    The shapes of the nominal laws are free, and the model error is that of any model.
+    """
+    wider = (MODEL_ERROR / SIMULATOR_ERROR) ** 2
+    floor = {channel: level if group.floor_measured else
+             group.noise[channel] ** 2 + wider * (level - group.noise[channel] ** 2)
+             for channel, level in group.error_floor.items()}
+    known = {free.field for free in group.nuisance}
+    return replace(group, error_floor=floor, nuisance=(*group.nuisance, *(
+        free for free in _shapes(forms.SHAPES, group.channels, group.nominal)
+        if free.field not in known)))
+
+
 def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
     """Return a group in which nominal parameters have tolerances of their own, by field."""
     def tolerated(free: Free) -> Free:
@@ -366,13 +382,18 @@ def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
             wide = name == 'valve_characteristic_gain' and valve_by_itself
             chosen[name] = Free(name, low ** 2 / high if wide else low,
                                 high ** 2 / low if wide else high, (1.0,), 'nominal')
-    for free in (free for channel in channels for free in SHAPES[channel]):
-        if _is_modelled(free.field, nominal) and (free.scale != 'nominal'
-                                                  or nominal[free.field] != 0.0):
-            chosen[free.field] = free
+    chosen |= {free.field: free for free in _shapes(SHAPES, channels, nominal)}
     if 'force' in channels:   # a real saturation is rounded
         chosen['corner'] = Free('corner', 0.0, 0.1, (0.03,))
     return tuple(chosen.values())
+
+
+def _shapes(shapes: Mapping[str, tuple[Free, ...]], channels: Sequence[str], nominal: np.void
+            ) -> tuple[Free, ...]:
+    """Return the free shape parameters of the nominal laws."""
+    return tuple(free for channel in channels for free in shapes.get(channel, ())
+                 if _is_modelled(free.field, nominal)
+                 and (free.scale != 'nominal' or nominal[free.field] != 0.0))
 
 
 def _formulation_error(recordings: Sequence[Recording], channel: str, p: np.void) -> float:

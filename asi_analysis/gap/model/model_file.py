@@ -140,8 +140,7 @@ def _friction(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
         if not full and p['friction_bristle'] > 0.0:
             changed['friction.presliding_stiffness'] = level * high / float(p['friction_bristle'])
             changed['friction.presliding_damping'] = 0.0
-            changed['friction.presliding'] = (
-                'dahl' if p['friction_rounding'] > ROUNDED else 'elastoplastic')
+            changed['friction.presliding_slip'] = float(p['friction_rounding'] > ROUNDED)
     return changed
 
 

@@ -155,6 +155,17 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
             assert free.field in {each.field for each in form_of(group, free.field)[1].free}
 
 
+BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0, 'friction.presliding_damping': 400.0}
+LEVEL = {'friction.coulomb': 37.0, 'friction.stiction_push': 57.0, 'friction.stiction_pull': 45.0}
+
+
+@pytest.mark.parametrize(('more', 'verdict'), [({}, 'no_gap'), (LEVEL, 'coulomb_friction')])
+def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict):
+    """The nominal model has an elasto-plastic bristle, the machine that of LuGre."""
+    answer = document(diagnose([recorded(BOOK | more)], {'load.type': 'spring'}))
+    assert answer['verdict'] == verdict and answer['probability'] > 0.6
+
+
 def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
     """The null hypothesis fits it too, beyond the tolerance: it is the same answer."""
     nominal = {'load.type': 'spring'}
