@@ -58,6 +58,7 @@ FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
+EVIDENT = 0.2           # share of what is left that laws of other books explain
 NEAR = 9.0              # error floors (mean square) that may be left of a machine of other books
 
 
@@ -102,23 +103,25 @@ def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
     nulls = [_null(group) for group in rivals]
     costs = np.array([null.best.cost for null in nulls])
     number = int(np.argmin(costs))
-    own, other, weighed = nulls[number], None, None
-    if own.left:
-        other = _null(of_other_books(rivals[number]))
-    if other is None or not _better(own, other):
-        weighed = _weighed(own, tick, False, alone)
+    weighed = _weighed(nulls[number], tick, False, alone)
     if weighed is None:
-        other = other or _null(of_other_books(rivals[number]))
-        weighed = _weighed(other, tick, True, alone)
+        weighed = _weighed(_null(of_other_books(rivals[number])), tick, True, alone)
     return None if weighed is None else _Explained(weighed, number, costs)
 
 
-def _better(own: Found, other: Found) -> bool:
-    """Return whether laws of other books explain so much more that the own need no search."""
-    problem, p = other.problem, own.problem.record(own.best.theta)
+def _evident(found: Found) -> bool:
+    """Return whether laws of other books explain so much that those of ours need no search."""
+    group = of_other_books(found.problem.group)
+    shapes = group.nuisance[len(found.problem.group.nuisance):]
+    if not shapes or not found.left:
+        return False
+    problem, p = replace(found.problem, group=group, free=(
+        *found.problem.free, *shapes)), found.problem.record(found.best.theta)
     theta = np.array([problem.parameter(free).share(float(p[free.field]))
                       for free in problem.free])
-    return problem.cost(theta) - other.best.cost > REACH
+    cost = problem.cost(theta)
+    gain = cost - most_probable(problem, theta).cost
+    return gain > max(REACH, EVIDENT * (cost - 0.5 * found.best.residual.size))
 
 
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
@@ -143,7 +146,9 @@ def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Wei
 def _weighed(null: Found, tick: Callable[[], None], other: bool, alone: bool
              ) -> Weighed | None:
     """Return a group, weighed, if a hypothesis leaves only noise; of `other` books, NEAR."""
-    found, group = _hypotheses(null, tick), null.problem.group
+    if not other and _evident(null):
+        return None
+    found, group = _hypotheses(null, tick, not other), null.problem.group
     most = math.inf if alone and other else NEAR if other else 1.0
     if all(f.over.max() > most for f in found.values()):
         return None
@@ -222,8 +227,12 @@ def _null(group: Group) -> Found:
         null.problem.group, null.problem.record(null.best.theta))))
 
 
-def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
-    """Return the nominal model, single effects and pairs that were fitted."""
+def _hypotheses(null: Found, tick: Callable[[], None], own: bool) -> dict[Names, Found]:
+    """
+    Return the nominal model, single effects and pairs that were fitted.
+
+    own: without pairs where laws of other books are evident.
+    """
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
     # Large deviations of nominal parameters may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
@@ -231,6 +240,8 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     found = {(): _without_last(null, list(singles.values()))} | singles
     if all(map(_wants_more, found.values())):
         first = min(singles.values(), key=lambda each: each.best.cost)
+        if own and _evident(first):
+            return found
         found = _best_of(found, _pairs(null, first, tick))
     return found
 
