@@ -129,7 +129,8 @@ def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answ
                   bool(np.abs(residual).max() < BREAK * span))
 
 
-def late(time: Array, command: Array, reference: Array, signal: Array) -> tuple[str, int]:
+def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
+                   ) -> tuple[str, int]:
     """
     Return which of 'reference' and 'signal' was recorded late, and by how many samples.
 

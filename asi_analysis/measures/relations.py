@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
-from asi_analysis.measures.answer import Answer, answer, late
+from asi_analysis.measures.answer import Answer, answer, delayed_signal
 from asi_analysis.measures.breaks import frozen, jumps, spikes
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
 from asi_analysis.measures.finding import (
@@ -118,18 +118,18 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
     """Return a finding on a signal that rests, or is far from its reference."""
     whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
-    asked, moved = float(np.ptp(reference)), float(np.ptp(values))
+    span, moved = float(np.ptp(reference)), float(np.ptp(values))
     command = reference if run.command_n is None else run.command_n[np.isfinite(run.command_n)]
     commanded = len(command) > 0 and np.ptp(command) > 0.0 and all(
         each.state == 'enabled' for each in run.states)
-    if len(values) >= COPIED and asked > 0.0 and moved == 0.0 and commanded:
+    if len(values) >= COPIED and span > 0.0 and moved == 0.0 and commanded:
         return Finding('frozen', name, NOTE, whole,
                        f'the {name_of(name)} does not change at all: is it measured?')
     away = float(np.median(np.abs(values - reference)))
-    if away > FAR * max(asked, moved) > 0.0:
+    if away > FAR * max(span, moved) > 0.0:
         return Finding('unit', name, DOUBTFUL, whole,
                        f'the {name_of(name)} is {away:.4g} {run.unit(name)} from its reference, '
-                       f'{away / max(asked, moved):.3g} times as far as either moves: is its zero '
+                       f'{away / max(span, moved):.3g} times as far as either moves: is its zero '
                        'right?')
     return None
 
@@ -293,7 +293,7 @@ def _of_no_answer(run: Run, name: str) -> Iterator[Finding]:
     """Say which signal was recorded late, where the command shows it."""
     signals = (run.signal('command'), run.signal('reference'), run.signal(name))
     whole, words = ((float(run.time_s[0]), float(run.time_s[-1])),), name_of(name)
-    which, samples = late(run.time_s, *signals)
+    which, samples = delayed_signal(run.time_s, *signals)
     if which:
         signal, word = (name, words) if which == 'signal' else (which, which)
         yield Finding('order', signal, DOUBTFUL, whole,
@@ -310,10 +310,10 @@ def of_motion(run: Run) -> Iterator[Finding]:
     if len(known) < MOTION_PARTS * MOTION_SAMPLES:
         return
     whole = _way_by_velocity(run, known)
-    parts = [known] if whole and not _alike(whole) else np.array_split(known, MOTION_PARTS)
+    parts = [known] if whole and not _near_one(whole) else np.array_split(known, MOTION_PARTS)
     ratios = [_way_by_velocity(run, part) for part in parts]
     wrong = [(ratio, part) for ratio, part in zip(ratios, parts, strict=True)
-             if ratio and not _alike(ratio)]
+             if ratio and not _near_one(ratio)]
     if wrong:
         where = tuple((float(run.time_s[part[0]]), float(run.time_s[part[-1]]))
                       for _, part in wrong)
@@ -339,7 +339,7 @@ def moved_by(run: Run, present: npt.NDArray[np.intp]) -> Mask:
     return moved
 
 
-def _alike(ratio: float) -> bool:
+def _near_one(ratio: float) -> bool:
     return 1.0 / MOTION_FACTOR < ratio < MOTION_FACTOR
 
 

@@ -286,9 +286,9 @@ class StepResponse(Result):
                   step.time_s + 3.0 * (step.settling_time_2_s or np.inf)) - step.time_s
         percent = 100.0 / (step.final_n - step.initial_n)
         output = percent * (self.run.signal(self.signal) - step.initial_n)
-        alike = self.run.unit('command') == self.unit
+        same_unit = self.run.unit('command') == self.unit
         command = (percent * (self.run.command_n - step.initial_n)
-                   if self.run.command_n is not None and alike else None)
+                   if self.run.command_n is not None and same_unit else None)
         what = self.signal.capitalize()
         return {'step': (figures.step_responses(
             {self.run.source or 'run': (self.run.time_s - step.time_s, output, command)}, end,

@@ -40,10 +40,10 @@ def tracking(run: Run, name: str | None = None) -> Tracking:
         return Tracking(command_rms_n=command)
     reference, error = run.reference_n[known], (run.reference_n - output)[known]
     rms, moved = float(np.sqrt(np.mean(error ** 2))), float(np.std(reference))
-    stands = moved < 1e-9 * max(float(np.abs(reference).max()), 1.0)
-    found = Tracking(rms, float(np.abs(error).max()), None if stands else 100.0 * rms / moved,
+    constant = moved < 1e-9 * max(float(np.abs(reference).max()), 1.0)
+    found = Tracking(rms, float(np.abs(error).max()), None if constant else 100.0 * rms / moved,
                      command)
-    return found._replace(**_impedance(run)) if stands else found
+    return found._replace(**_impedance(run)) if constant else found
 
 
 def _impedance(run: Run) -> dict[str, float]:

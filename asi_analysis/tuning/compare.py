@@ -78,8 +78,8 @@ class Comparison(Result):
             found: dict[str, dict[str, Any]] = {}
             for each in self['figures']:
                 if each['condition'] == condition:
-                    late = each['unit'] == 's' and each['value'] >= STEP_S
-                    text = filled('over {value:.3g}' if late else '{value:.3g}', each)
+                    not_settled = each['unit'] == 's' and each['value'] >= STEP_S
+                    text = filled('over {value:.3g}' if not_settled else '{value:.3g}', each)
                     found.setdefault(each['name'], dict(each))[each['controller']] = (
                         missing.format(text) if each['met'] is False else text)
             yield Table(['', 'to reach', '', *self.controllers], [

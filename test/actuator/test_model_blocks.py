@@ -202,9 +202,9 @@ def seal_force(positions: npt.NDArray[np.float64], h: float,
     velocity = np.diff(positions) / h
     ends = np.append(0.5 * (velocity[1:] + velocity[:-1]), velocity[-1])
     for mean, end in zip(velocity, ends, strict=True):
-        rub = friction(seal, mean, end, p, h)
-        seal = rub.seal
-        out.append(rub.force)
+        resistance = friction(seal, mean, end, p, h)
+        seal = resistance.seal
+        out.append(resistance.force)
     return np.array(out)
 
 

@@ -177,20 +177,20 @@ def _guess(name: str) -> _Guess | None:
         name = re.sub('/[xyz]$', '', name)
         unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
     words = _words(name.rpartition('/')[2] if _of_joint(name) else name)
-    told = [signal for signal, known in WORDS.items() if known & set(words)]
-    if not told and name.startswith(STATE):
-        told, words = ['position'], ['state', *words]
-    motion = [signal for signal in told if signal in ('position', 'velocity', 'pressure')]
-    if 'command' in told and motion:          # a commanded motion is a reference
-        told = ['reference', *motion]
+    signals = [signal for signal, known in WORDS.items() if known & set(words)]
+    if not signals and name.startswith(STATE):
+        signals, words = ['position'], ['state', *words]
+    motion = [signal for signal in signals if signal in ('position', 'velocity', 'pressure')]
+    if 'command' in signals and motion:          # a commanded motion is a reference
+        signals = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
-    if unit and told and not any(si in UNITS_OF[signal] for signal in told):
+    if unit and signals and not any(si in UNITS_OF[signal] for signal in signals):
         # The m of tau_m is for measured, and u_in is an input.
-        told, unit = (told, '') if unit in ('m', 'in') else ([], unit)
-    if told:
-        signal = next(each for each in told if not unit or si in UNITS_OF[each])
-        seen = next((word for word in words if word in WORDS[signal]), words[0])
-        return _Guess(signal, unit, f'named {seen}' + (f', in {unit}' if unit else ''))
+        signals, unit = (signals, '') if unit in ('m', 'in') else ([], unit)
+    if signals:
+        signal = next(each for each in signals if not unit or si in UNITS_OF[each])
+        matched = next((word for word in words if word in WORDS[signal]), words[0])
+        return _Guess(signal, unit, f'named {matched}' + (f', in {unit}' if unit else ''))
     by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
                if si in UNITS_OF[signal]]
     return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None
