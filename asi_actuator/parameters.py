@@ -71,6 +71,13 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               source=FITTED),
     Parameter('valve_hysteresis.saturation', 1225.0, 'N', 'Drive at which the iron saturates',
               100.0, 1e6, source=FITTED),
+    Parameter('valve_hysteresis.widening', 0.0, 'N/N',
+              'Slope that further plays add for large commands: the loop widens with the '
+              'amplitude; 0: none', 0.0, 100.0),
+    Parameter('valve_hysteresis.widening_from', 0.0, 'N',
+              'Half width at which those of the further plays begin', 0.0, 1e4),
+    Parameter('valve_hysteresis.widening_range', 1500.0, 'N',
+              'Range of their half widths, evenly spread', 0.0, 1e5),
 
     _model('valve_flexure', 'linear_gain, no dynamics', 'no dynamics'),
     Parameter('valve_flexure.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',

@@ -76,7 +76,8 @@ def calibrate(
         help='Candidates of the global search, including those of an earlier call', min=0)] = 2000,
     polish: Annotated[int, typer.Option(
         help='Largest number of successive linear programs from the best candidate', min=0)] = 20,
-    structure: Annotated[Literal['side', 'cylinder', 'locked', 'spring'], typer.Option(
+    structure: Annotated[Literal['side', 'cylinder', 'behind', 'locked', 'spring', 'static',
+                                 'widening'], typer.Option(
         help='Structure of the model that is fitted')] = 'side',
     seed: Annotated[int, typer.Option(help='Seed of the search', min=0, max=MOST_SEED)] = 1,
     spread: Annotated[float, typer.Option(
@@ -85,6 +86,9 @@ def calibrate(
         help='best.json of an earlier calibration to start from; default: the defaults')] = None,
     only: Annotated[list[str] | None, typer.Option(
         help='Vary only this quantity, or those with this prefix; may be repeated')] = None,
+    table_1: Annotated[bool, typer.Option(
+        '--table-1/--no-table-1', help='Whether the rows and conditions of Table 1 take part')
+    ] = True,
     jobs: Jobs = 1,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -106,7 +110,7 @@ def calibrate(
         else:
             from asi_analysis.paper.calibration.answer import run as run_calibration
             result = run_calibration(out, structure, evaluations, polish, seed, spread, start,
-                                     only or [], progress)
+                                     only or [], progress, table_1)
     show(result, as_json)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 
 from asi_analysis.errors import InputError
-from asi_analysis.paper.calibration.quantities import Candidate, Structure, read_best
+from asi_analysis.paper.calibration.quantities import ONE_PLAY, Candidate, Structure, read_best
 from asi_analysis.paper.calibration.search import new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured, Row
@@ -52,7 +52,7 @@ def front(name: str, values: Sequence[float], start: Candidate, rounds: int,
     points = []
     for done, value in enumerate(values):
         report(f'{name} = {value:g}', done / len(values))
-        search = new_search(start, Structure(name, {name: value}), 1, 0.1)
+        search = new_search(start, Structure(name, {**ONE_PLAY, name: value}), 1, 0.1)
         search.polish(rounds)
         measured = search.problem.measure(search.best)
         points.append(FrontPoint(value, search.problem.cost(search.best, measured),

@@ -45,6 +45,7 @@ SEARCH_ACCURACY: Final = 0.0015
 SEARCH_RATIO_ACCURACY: Final = 0.004
 SEARCH_WATCHED_S: Final = 16.0
 SEARCH_FIRST_WATCHED_S: Final = 0.6
+SEARCH_ONSET_CYCLE_S: Final = 3.0
 SEARCH_SAMPLES: Final = 360
 # Number of points of a generation that are measured in each stage: the best of the stage before.
 RACE: Final = (64, 16, 8, 6, 4)
@@ -65,7 +66,8 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
     setup = Setup(one.actuator, one.conditions._replace(
         onset_steps_n=SEARCH_STEPS_N, onset_accuracy=SEARCH_ACCURACY,
         onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY,
-        first_watched_s=SEARCH_FIRST_WATCHED_S, describing_samples=SEARCH_SAMPLES),
+        first_watched_s=SEARCH_FIRST_WATCHED_S, onset_cycle_s=SEARCH_ONSET_CYCLE_S,
+        describing_samples=SEARCH_SAMPLES),
         dict(measured), fitted_only=True)
     for fact in FACTS:
         if fact.stage is stage:
@@ -74,12 +76,13 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
 
 
 class Problem(NamedTuple):
-    """The problem of a search: fixed parameters and conditions, and the free quantities."""
+    """The problem of a search: actuator and conditions, of which some quantities vary."""
 
     fixed: Values
     conditions: Conditions
     free: tuple[int, ...]     # indices in FREE of the quantities that vary
     start: Array              # a point of the unit cube of all quantities
+    stages: tuple[Stage, ...] = tuple(Stage)   # that are measured
 
     def whole(self, point: Array) -> Array:
         """Return the point of the cube of all quantities for a point of the free ones."""
@@ -89,16 +92,18 @@ class Problem(NamedTuple):
 
     def candidate(self, point: Array) -> Candidate:
         """Return the candidate at a point of the free quantities."""
-        return candidate(to_values(FREE, self.whole(point)), self.fixed, self.conditions)
+        values = to_values(FREE, self.whole(point))
+        return candidate({FREE[k].name: values[FREE[k].name] for k in self.free}, self.fixed,
+                         self.conditions)
 
     def cost(self, point: Array, measured: Measured) -> float:
         """Return the cost of a point: that of its misses and of implausible quantities."""
         return cost(misses(measured)) + penalty(self.candidate(point))
 
     def measure(self, point: Array) -> Measured:
-        """Return the values of all fitted rows."""
+        """Return the values of all fitted rows of its stages."""
         measured: Measured = {}
-        for stage in Stage:
+        for stage in self.stages:
             measured = measure_stage(self.candidate(point), stage, measured)
         return measured
 
@@ -116,7 +121,7 @@ class Search:
         self.problem = problem
         self.seed = seed
         self.seconds = 0.0
-        self.counts = [0] * len(RACE)
+        self.counts = [0] * len(problem.stages)
         self.polished = 0
         self.best = problem.start[list(problem.free)]
         self.best_cost = problem.cost(self.best, problem.measure(self.best))
@@ -135,14 +140,16 @@ class Search:
         measured: list[Measured] = [{} for _ in points]
         ranks = np.empty(len(points))
         racing = list(range(len(points)))
-        for done, (stage, places) in enumerate(zip(Stage, (*RACE[1:], 0), strict=True)):
+        stages = self.problem.stages
+        places_after = (*RACE[1:len(stages)], 0)
+        for done, (stage, places) in enumerate(zip(stages, places_after, strict=True)):
             found = each(measure_stage, [(self.problem.candidate(points[k]), stage, measured[k])
                                          for k in racing])
             self.counts[done] += len(racing)
             for k, new in zip(racing, found, strict=True):
                 measured[k].update(new)
                 ranks[k] = (self.problem.cost(points[k], measured[k]) + _outside(points[k])
-                            + BEHIND * (len(RACE) - 1 - done))
+                            + BEHIND * (len(stages) - 1 - done))
             racing = sorted(racing, key=lambda k: ranks[k])[:places]
         self.strategy.tell(points, ranks)
         self._keep(points[int(np.argmin(ranks))], float(ranks.min()))
@@ -217,8 +224,9 @@ TWO_SIDED: Final = np.array([not row.one_sided for row in LINES])
 
 
 def _bounds(measured: Measured) -> Array:
-    """Return the bounded position of each row with limits, in half widths."""
-    return np.array([bounded(row, measured[row.name]) for row in LINES])
+    """Return the bounded position of each row with limits, in half widths; 0 of one left out."""
+    return np.array([bounded(row, measured[row.name]) if row.name in measured else 0.0
+                     for row in LINES])
 
 
 def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
@@ -251,13 +259,16 @@ def _in_block(name: str, block: str) -> bool:
 
 
 def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
-               only: Sequence[str] = (), report: Progress = silent) -> Search:
+               only: Sequence[str] = (), report: Progress = silent,
+               table_1: bool = True) -> Search:
     """
     Return a search that starts from a candidate.
 
     spread: of the first generation, as a share of each range; only: names of the quantities to
-    vary, or of their blocks (if empty, all that the structure leaves free). Raises InputError for
-    an invalid spread, or a name that is not in FREE.
+    vary, or of their blocks (if empty, all that the structure leaves free). table_1: whether the
+    rows of Table 1 count; without them its conditions do not vary, and where only those vary, the
+    other rows are left out. Raises InputError for an invalid spread, a name that is not in FREE,
+    or if nothing varies.
     """
     if not LEAST_SPREAD <= spread <= 1.0:
         raise InputError(f'spread = {spread:g} is not allowed: from {LEAST_SPREAD:g} to 1')
@@ -275,10 +286,16 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     free = tuple(k for k, name in enumerate(names)
                  if name not in structure.fixed
                  and (not only or any(_in_block(name, each) for each in only))
-                 and not (locked and name.startswith('conditions.load.')))
-    known = {**quantities(start), **structure.fixed}
+                 and not (locked and name.startswith('conditions.load.'))
+                 and (table_1 or not name.startswith('conditions.')))
+    if not free:
+        raise InputError('nothing varies')
+    physical = any(not names[k].startswith('conditions.') for k in free)
+    stages = tuple(stage for stage in Stage
+                   if (table_1 if stage is Stage.TABLE_1 else physical))
+    start = candidate(structure.fixed, start.actuator, start.conditions)
     problem = Problem({**start.actuator, **SEARCH}, start.conditions, free,
-                      to_vector(FREE, known))
+                      to_vector(FREE, quantities(start)), stages)
     report('start', 0.0)
     return Search(problem, seed, spread)
 

@@ -28,8 +28,6 @@ NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
 FIRST_GAIN: Final = 6.0
 HIGHEST_GAIN: Final = 80.0
 CYCLE_S: Final = 1.2
-# A cycle settles slowly close to its onset.
-ONSET_CYCLE_S: Final = 8.0
 # Amplitudes of the command (N) at which the paper's prediction is computed.
 PREDICTED_N: Final = np.geomspace(60.0, 8e3, 30)
 # Samples at the end of a run over which a cycle is measured.
@@ -109,8 +107,8 @@ def onset_frequencies(setup: Setup) -> Measured:
         gain, frequency = setup.measured[onset_name(step, 'gain')], 0.0
         if math.isfinite(gain):
             run = setup.runner(step_experiment(
-                {**setup.actuator, **LOCKED}, setup.proportional(gain), step, ONSET_CYCLE_S,
-                setup.conditions.start_n if step == 0.0 else 0.0))
+                {**setup.actuator, **LOCKED}, setup.proportional(gain), step,
+                setup.conditions.onset_cycle_s, setup.conditions.start_n if step == 0.0 else 0.0))
             frequency = of_samples(run.force_n[-LAST_SAMPLES:], RATE_HZ).frequency_hz
         measured[onset_name(step, 'frequency_hz')] = frequency
     return measured
