@@ -72,8 +72,9 @@ def reproduce(
 
 @command('calibrate', 'asi calibrate --evaluations 2000 --jobs 2 --out runs/calibration')
 def calibrate(
-    evaluations: Annotated[int, typer.Option(
-        help='Candidates of the global search, including those of an earlier call', min=0)] = 2000,
+    evaluations: Annotated[int | None, typer.Option(
+        help='Candidates of the global search, including those of an earlier call; default: 2000, '
+             'for a front none', min=0)] = None,
     polish: Annotated[int, typer.Option(
         help='Largest number of successive linear programs from the best candidate', min=0)] = 20,
     structure: Annotated[Literal['side', 'cylinder', 'behind', 'locked', 'spring', 'static',
@@ -96,7 +97,8 @@ def calibrate(
         help='Directory of state and result; a search in it is continued')
     ] = Path('runs/calibration'),
     front: Annotated[str | None, typer.Option(
-        help='NAME=V1,V2,…: fix a quantity at each value, fit the others, and show the cost')
+        help='NAME=V1,V2,…: hold a quantity or a row at each value, fit the others, and show the '
+             'cost')
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -105,11 +107,15 @@ def calibrate(
     result: Any
     with workers(jobs, dask), bar() as progress:
         if front:
+            from asi_analysis.paper.calibration.front import Fit
             from asi_analysis.paper.calibration.front import run as run_front
-            result = run_front(front, start, polish, out, progress)
+            fit = Fit(evaluations if evaluations is not None else 0, polish, structure, seed,
+                      spread, only or [], table_1)
+            result = run_front(front, start, fit, out, progress)
         else:
             from asi_analysis.paper.calibration.answer import run as run_calibration
-            result = run_calibration(out, structure, evaluations, polish, seed, spread, start,
+            result = run_calibration(out, structure, 2000 if evaluations is None else evaluations,
+                                     polish, seed, spread, start,
                                      only or [], progress, table_1)
     show(result, as_json)
 

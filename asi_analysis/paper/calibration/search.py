@@ -31,7 +31,7 @@ from asi_analysis.paper.calibration.quantities import (
     with_tests,
 )
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.fact import Measured, Setup, Stage
+from asi_analysis.paper.facts.fact import Measured, Row, Setup, Stage
 from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
@@ -46,6 +46,8 @@ SEARCH_RATIO_ACCURACY: Final = 0.004
 SEARCH_WATCHED_S: Final = 16.0
 SEARCH_FIRST_WATCHED_S: Final = 0.6
 SEARCH_ONSET_CYCLE_S: Final = 3.0
+# Without a cycle up to this gain, there is none.
+SEARCH_HIGHEST_GAIN: Final = 24.0
 SEARCH_SAMPLES: Final = 360
 # Number of points of a generation that are measured in each stage: the best of the stage before.
 RACE: Final = (64, 16, 8, 6, 4)
@@ -57,6 +59,10 @@ LEAST_REACH: Final = 0.003
 MOST_REACH: Final = 0.25
 SHARES: Final = (2.0, 1.0, 0.4, 0.15)
 STEEPEST: Final = 80.0
+# A row that is demanded at a value may deviate by this share of its half width; its miss counts
+# so many times.
+DEMANDED: Final = 0.2
+WEIGHT: Final = 5.0
 # CMA-ES takes no standard deviation near the resolution of a float.
 LEAST_SPREAD: Final = 1e-6
 
@@ -67,7 +73,7 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
         onset_steps_n=SEARCH_STEPS_N, onset_accuracy=SEARCH_ACCURACY,
         onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY,
         first_watched_s=SEARCH_FIRST_WATCHED_S, onset_cycle_s=SEARCH_ONSET_CYCLE_S,
-        describing_samples=SEARCH_SAMPLES),
+        describing_samples=SEARCH_SAMPLES, highest_gain=SEARCH_HIGHEST_GAIN),
         dict(measured), fitted_only=True)
     for fact in FACTS:
         if fact.stage is stage:
@@ -83,6 +89,7 @@ class Problem(NamedTuple):
     free: tuple[int, ...]     # indices in FREE of the quantities that vary
     start: Array              # a point of the unit cube of all quantities
     stages: tuple[Stage, ...] = tuple(Stage)   # that are measured
+    demanded: Row | None = None     # replaces the row of its name, and counts more
 
     def whole(self, point: Array) -> Array:
         """Return the point of the cube of all quantities for a point of the free ones."""
@@ -98,7 +105,20 @@ class Problem(NamedTuple):
 
     def cost(self, point: Array, measured: Measured) -> float:
         """Return the cost of a point: that of its misses and of implausible quantities."""
-        return cost(misses(measured)) + penalty(self.candidate(point))
+        demanded = WEIGHT * sum(misses(measured, [self.demanded] if self.demanded else []))
+        others = [row for row in FITTED_ROWS if not self._demands(row)]
+        return cost(misses(measured, others)) + demanded + penalty(self.candidate(point))
+
+    def _demands(self, row: Row) -> bool:
+        return self.demanded is not None and self.demanded.name == row.name
+
+    def lines(self) -> list[Row]:
+        """Return the rows with limits."""
+        return [self.demanded if self.demanded and self._demands(row) else row for row in LINES]
+
+    def weights(self) -> Array:
+        """Return the weight of each of them."""
+        return np.array([WEIGHT if self._demands(row) else 1.0 for row in LINES])
 
     def measure(self, point: Array) -> Measured:
         """Return the values of all fitted rows of its stages."""
@@ -176,7 +196,9 @@ class Search:
                 return
             slopes, side = self._slopes(point, measured, reach, done)
             reaches = [min(share * reach, MOST_REACH) for share in SHARES]
-            tried = [_step(point, _bounds(measured), slopes, one) for one in reaches]
+            lines = self.problem.lines()
+            tried = [_step(point, _bounds(measured, lines), slopes, one, lines,
+                           self.problem.weights()) for one in reaches]
             found = self._measured(tried)
             costs = list(map(self.problem.cost, tried, found))
             k = int(np.argmin(costs))
@@ -198,8 +220,9 @@ class Search:
         tried = [point + step * unit
                  for step, unit in zip(steps, np.eye(point.size), strict=True)]
         found = self._measured(tried)
-        here = _bounds(measured)
-        slopes = np.array([(_bounds(one) - here) / step
+        lines = self.problem.lines()
+        here = _bounds(measured, lines)
+        slopes = np.array([(_bounds(one, lines) - here) / step
                            for one, step in zip(found, steps, strict=True)]).T
         costs = list(map(self.problem.cost, tried, found))
         k = int(np.argmin(costs))
@@ -220,26 +243,37 @@ def _outside(point: Array) -> float:
 
 
 LINES: Final = tuple(row for row in FITTED_ROWS if row.low != row.high)
-TWO_SIDED: Final = np.array([not row.one_sided for row in LINES])
 
 
-def _bounds(measured: Measured) -> Array:
+def _bounds(measured: Measured, lines: Sequence[Row]) -> Array:
     """Return the bounded position of each row with limits, in half widths; 0 of one left out."""
     return np.array([bounded(row, measured[row.name]) if row.name in measured else 0.0
-                     for row in LINES])
+                     for row in lines])
 
 
-def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
+def _step(point: Array, here: Array, slopes: Array, reach: float,
+          lines: Sequence[Row] = LINES, weights: Array | None = None) -> Array:
     """Return the point within `reach` that has the least sum of misses of the linearised rows."""
     from scipy.optimize import linprog
     slack = -np.eye(here.size)
+    two_sided = np.array([not row.one_sided for row in lines])
     # Slightly tighter limits than needed, since the rows are not exactly linear.
     inner = INNER - 0.03
-    sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[TWO_SIDED]])
-    limits = np.concatenate([inner - here, (inner + here)[TWO_SIDED]])
+    sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[two_sided]])
+    limits = np.concatenate([inner - here, (inner + here)[two_sided]])
     box = [(max(-reach, -x), min(reach, 1.0 - x)) for x in point] + [(0.0, None)] * here.size
-    weights = np.concatenate([np.zeros(point.size), np.ones(here.size)])
-    return np.clip(point + linprog(weights, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
+    costs = np.concatenate([np.zeros(point.size),
+                            np.ones(here.size) if weights is None else weights])
+    return np.clip(point + linprog(costs, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
+
+
+def at_value(name: str, value: float) -> Row | None:
+    """Return a fitted row that is met near a value only; None if none has this name."""
+    for row in FITTED_ROWS:
+        if row.name == name and math.isfinite(row.high) and row.low != row.high:
+            near = 0.5 * DEMANDED * (row.high - row.low)
+            return row._replace(low=value - near, high=value + near)
+    return None
 
 
 def load(path: Path) -> Search:
@@ -260,15 +294,15 @@ def _in_block(name: str, block: str) -> bool:
 
 def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
                only: Sequence[str] = (), report: Progress = silent,
-               table_1: bool = True) -> Search:
+               table_1: bool = True, demanded: Row | None = None) -> Search:
     """
     Return a search that starts from a candidate.
 
     spread: of the first generation, as a share of each range; only: names of the quantities to
     vary, or of their blocks (if empty, all that the structure leaves free). table_1: whether the
     rows of Table 1 count; without them its conditions do not vary, and where only those vary, the
-    other rows are left out. Raises InputError for an invalid spread, a name that is not in FREE,
-    or if nothing varies.
+    other rows are left out. demanded: a row with limits of its own. Raises InputError for an
+    invalid spread, a name that is not in FREE, or if nothing varies.
     """
     if not LEAST_SPREAD <= spread <= 1.0:
         raise InputError(f'spread = {spread:g} is not allowed: from {LEAST_SPREAD:g} to 1')
@@ -295,7 +329,7 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
                    if (table_1 if stage is Stage.TABLE_1 else physical))
     start = candidate(structure.fixed, start.actuator, start.conditions)
     problem = Problem({**start.actuator, **SEARCH}, start.conditions, free,
-                      to_vector(FREE, quantities(start)), stages)
+                      to_vector(FREE, quantities(start)), stages, demanded)
     report('start', 0.0)
     return Search(problem, seed, spread)
 

@@ -24,9 +24,8 @@ from asi_common.parameter import Value
 
 PAPER_GAIN: Final = 15.0
 NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
-# Initial gain of the search for an onset, and the highest gain tried.
+# Initial gain of the search for an onset.
 FIRST_GAIN: Final = 6.0
-HIGHEST_GAIN: Final = 80.0
 CYCLE_S: Final = 1.2
 # Amplitudes of the command (N) at which the paper's prediction is computed.
 PREDICTED_N: Final = np.geomspace(60.0, 8e3, 30)
@@ -63,7 +62,7 @@ def onset_gains(setup: Setup, steps_n: tuple[float, ...]) -> Measured:
             start = 0.95 * last if last else FIRST_GAIN
             found = onset({**setup.actuator, **LOCKED}, step_settings(setup, start, step),
                           RATE_HZ, start, conditions.onset_accuracy, conditions.onset_watched_s,
-                          HIGHEST_GAIN / start, conditions.first_watched_s)
+                          conditions.highest_gain / start, conditions.first_watched_s)
             measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
             last = measured[name]

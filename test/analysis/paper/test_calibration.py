@@ -10,7 +10,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.paper.calibration import search
 from asi_analysis.paper.calibration.cost import INNER, cost, misses
-from asi_analysis.paper.calibration.front import front
+from asi_analysis.paper.calibration.front import Fit, front
 from asi_analysis.paper.calibration.plausible import findings, penalty
 from asi_analysis.paper.calibration.quantities import (
     FREE,
@@ -61,8 +61,9 @@ def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
 def test_polish_steps_to_the_limits_and_not_through_others():
     """Two rows, two quantities: the first row is missed, the second would be by going too far."""
     here, slopes = np.full(len(LINES), -5.0), np.zeros((len(LINES), 2))
-    here[search.TWO_SIDED] = 0.0
-    two_sided = np.flatnonzero(search.TWO_SIDED)[:2]
+    is_two_sided = np.array([not row.one_sided for row in LINES])
+    here[is_two_sided] = 0.0
+    two_sided = np.flatnonzero(is_two_sided)[:2]
     here[two_sided[0]] = 2.0
     slopes[two_sided[0]] = -10.0, -10.0
     slopes[two_sided[1]] = 20.0, 0.0
@@ -120,7 +121,8 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
         return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
 
     monkeypatch.setattr(search.Problem, 'measure', measured)
-    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()), 8)
+    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()),
+                 Fit(rounds=8))
     assert [each.value for each in held] == pytest.approx(sorted(set(seen), reverse=True))
     assert [each.cost for each in held] == [0.0, 0.0]
     assert held[0].evaluations > 1 == held[1].evaluations
