@@ -54,6 +54,7 @@ LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
 COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
 FAR: Final = 30.0   # distance from a reference, in ranges of both: its zero is another
+STEADY_ERROR: Final = 0.1   # of a loop that has settled, as a share of the reference
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 BROKEN: Final = {'jump': 'jumps from one sample to the next',
                  'frozen': 'stands still while it should move'}
@@ -126,7 +127,8 @@ def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | No
         return Finding('frozen', name, NOTE, whole,
                        f'the {name_of(name)} does not change at all: is it measured?')
     away = float(np.median(np.abs(values - reference)))
-    if away > FAR * max(span, moved) > 0.0:
+    settled = away < STEADY_ERROR * abs(float(np.median(reference)))
+    if away > FAR * max(span, moved) > 0.0 and not settled:
         return Finding('unit', name, DOUBTFUL, whole,
                        f'the {name_of(name)} is {away:.4g} {run.unit(name)} from its reference, '
                        f'{away / max(span, moved):.3g} times as far as either moves: is its zero '

@@ -329,3 +329,11 @@ def test_a_filtered_force_is_that_of_a_controller_with_the_inverse_filter() -> N
     run = with_force(a_loop('multisine'), low_pass)
     found = answer(run.time_s, run.signal('command'), run.signal('reference'), run.signal('force'))
     assert found is not None and found.everywhere and found.breaks == ()
+
+
+def test_a_settled_loop_is_not_far_from_its_reference() -> None:
+    time = np.arange(2000) / 1000.0
+    creep = 100.4 + 1e-4 * np.exp(-time)
+    settled = Run(time, np.full(2000, 100.0), np.full(2000, 76.0) + 1e-4 * time, creep)
+    assert not findings(settled)
+    assert [each.kind for each in findings(replace(settled, force_n=creep + 50.0))] == ['unit']
