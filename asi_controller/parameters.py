@@ -1,5 +1,7 @@
 """Parameters of the controller: compensators, reference, node."""
 
+from typing import Final
+
 from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.parameter import Parameter
 from asi_controller.additions import ADDITIONS
@@ -50,6 +52,10 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('reference.tones', 20, '', 'Number of sines of the multisine', 1, 1000),
     Parameter('reference.seed', 1, '', 'Seed of the PRBS', 0, 2**31 - 1),
 )
+
+# Parameters that, unless 0, need the velocity of the piston.
+VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.level',
+                          'gain_schedule.velocity')
 
 CONTROLLER_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
     Parameter('state_timeout', 0.1, 's',

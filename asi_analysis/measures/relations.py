@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
@@ -45,8 +46,15 @@ BEFORE: Final = 0.3
 # otherwise; parts of a run that are compared, and samples of each at least.
 MOTION_FACTOR: Final = 1.5
 AGREE: Final = 0.98
+SURELY: Final = 0.995     # of another signal than the velocity
 RESOLVED: Final = 0.5     # largest change of the velocity in a period, rms, as a share of it
 MOTION_PARTS: Final = 8
+# A jump of the position: how much farther it moves in a period than the velocity within so many
+# samples says, than it usually does for its noise, and as a share of its range.
+JUMP_FACTOR: Final = 5.0
+JUMP_SAMPLES: Final = 10
+JUMP_NOISE: Final = 20.0
+JUMP_SHARE: Final = 1e-3
 MOTION_SAMPLES: Final = 20
 # Change of a command with a signal of the same unit beyond which that is probably wrong.
 MOST_GAIN: Final = 1000.0
@@ -265,7 +273,8 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
                                 where, what.format(words, place_of(where))))
     usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
     return _ByCommand(problems, usual or found.factor == 1.0,
-                      found.everywhere and found.signal < 0.0, found.everywhere)
+                      found.everywhere and found.signal < 0.0 and not found.reference < 0.0,
+                      found.everywhere)
 
 
 def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
@@ -277,7 +286,7 @@ def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
     if factor not in (None, 1.0, -1.0):
         return 'unit', (f'the command answers 1/{factor:.4g} of the {words} as it answers the '
                         'reference: is the unit of each right?')
-    if factor == -1.0 or factor is None and found.signal > 0.0 and (
+    if factor == -1.0 or factor is None and found.everywhere and found.signal > 0.0 and (
             found.reference > 0.0 or correlation < 0.0):
         return 'sign', f'the command rises with the {words}: is its sign right?'
     ratio = abs(found.reference / found.signal)
@@ -311,9 +320,19 @@ def of_motion(run: Run) -> Iterator[Finding]:
     known = np.flatnonzero(np.isfinite(run.position_m) & np.isfinite(run.velocity_m_s))
     if len(known) < MOTION_PARTS * MOTION_SAMPLES:
         return
-    whole = _way_by_velocity(run, known)
+    if jumped := _position_jumps(run, known):
+        yield Finding('motion', 'time', DOUBTFUL, jumped,
+                      f'the position jumps {place_of(jumped)}, which the velocity beside it does '
+                      'not say: samples were lost, or altered')
+    whole = _way_by_velocity(run, known, run.velocity_m_s)
+    if whole is None and (other := _exchanged(run, known)):
+        time = ((float(run.time_s[known[0]]), float(run.time_s[known[-1]])),)
+        yield Finding('motion', 'time', DOUBTFUL, time,
+                      f'the position is the integral of the {name_of(other)}, not of the '
+                      'velocity: are they exchanged?')
+        return
     parts = [known] if whole and not _near_one(whole) else np.array_split(known, MOTION_PARTS)
-    ratios = [_way_by_velocity(run, part) for part in parts]
+    ratios = [_way_by_velocity(run, part, run.velocity_m_s) for part in parts]
     wrong = [(ratio, part) for ratio, part in zip(ratios, parts, strict=True)
              if ratio and not _near_one(ratio)]
     if wrong:
@@ -322,6 +341,23 @@ def of_motion(run: Run) -> Iterator[Finding]:
         yield Finding('motion', 'time', DOUBTFUL, where,
                       f'the position changes by {wrong[0][0]:.3g} times the integral of the '
                       f'velocity {place_of(where)}: is the time right, and both units and signs?')
+
+
+def _position_jumps(run: Run, known: npt.NDArray[np.intp]) -> tuple[Interval, ...]:
+    """Return where the position moves in one period, and the velocity beside it says nothing."""
+    assert run.position_m is not None
+    assert run.velocity_m_s is not None
+    time, position, velocity = run.time_s[known], run.position_m[known], run.velocity_m_s[known]
+    periods, moved = np.diff(time), np.abs(np.diff(position))
+    beside = ndimage.maximum_filter1d(np.abs(velocity), 2 * JUMP_SAMPLES + 1)
+    longest = np.maximum(periods, run.period_s)     # stamps may be late
+    expected = JUMP_FACTOR * longest * np.maximum(beside[1:], beside[:-1])
+    # Of a position with noise, or with few digits.
+    usual = max(float(np.quantile(moved - np.minimum(moved, expected / JUMP_FACTOR), 0.9)),
+                float(moved[moved > 0.0].min(initial=np.inf)))
+    jumped = (moved > expected) & (moved > JUMP_NOISE * usual) & (
+        moved > JUMP_SHARE * float(np.ptp(position))) & (periods < 1.5 * run.period_s)
+    return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(jumped))
 
 
 def moved_by(run: Run, present: npt.NDArray[np.intp]) -> Mask:
@@ -345,21 +381,30 @@ def _near_one(ratio: float) -> bool:
     return 1.0 / MOTION_FACTOR < ratio < MOTION_FACTOR
 
 
-def _way_by_velocity(run: Run, part: npt.NDArray[np.intp]) -> float | None:
+def _exchanged(run: Run, known: npt.NDArray[np.intp]) -> str:
+    """Return the signal that is the derivative of the position instead of the velocity, or ''."""
+    return next((name for name, values in run.signals().items()
+                 if name not in ('position', 'velocity', 'reference')
+                 and np.isfinite(values[known]).all() and run.velocity_m_s is not None
+                 and np.ptp(run.velocity_m_s[known]) > 0.0
+                 and _way_by_velocity(run, known, values, SURELY) is not None), '')
+
+
+def _way_by_velocity(run: Run, part: npt.NDArray[np.intp], values: Array, agree: float = AGREE
+                     ) -> float | None:
     """
-    Return the change of position over the integral of velocity.
+    Return the change of position over the integral of a velocity of n samples.
 
     None if they do not agree, or the samples are too far apart for an integral.
     """
     assert run.position_m is not None
-    assert run.velocity_m_s is not None
-    time, position, velocity = run.time_s[part], run.position_m[part], run.velocity_m_s[part]
+    time, position, velocity = run.time_s[part], run.position_m[part], values[part]
     if np.mean(np.diff(velocity) ** 2) > RESOLVED ** 2 * np.mean(velocity ** 2):
         return None
     way = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)))
     for apart in (1, len(part) // 20):
         moved, expected = (each[apart:] - each[:-apart] for each in (position, way))
         sizes = np.sqrt(np.mean(moved ** 2)), np.sqrt(np.mean(expected ** 2))
-        if min(sizes) > 0.0 and abs(alike := np.mean(moved * expected) / np.prod(sizes)) > AGREE:
+        if min(sizes) > 0.0 and abs(alike := np.mean(moved * expected) / np.prod(sizes)) > agree:
             return float(np.copysign(sizes[0] / sizes[1], alike))
     return None

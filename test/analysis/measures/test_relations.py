@@ -224,8 +224,35 @@ def test_a_run_of_which_rows_are_left_out_is_marked() -> None:
 
 
 def test_a_run_without_its_command_is_marked() -> None:
-    finding, = findings(replace(a_recorded_run(), command_n=None))
+    """If the actuator is withheld, too; with it the force is that of the only run with both."""
+    run = replace(a_recorded_run(), command_n=None)
+    withheld = replace(run, information={
+        name: value for name, value in run.information.items() if name != 'actuator'})
+    finding, = findings(withheld)
     assert (finding.kind, finding.severity) == ('reading', 'note')
+    assert findings(run) == []
+
+
+FEW: dict[str, tuple[str, ...]] = {
+    'no command': ('command_n',), 'no velocity': ('velocity_m_s',),
+    'reference and force': ('command_n', 'velocity_m_s', 'position_m', 'valve_position_m')}
+
+
+@pytest.mark.parametrize('addition', [
+    {}, {'gain_schedule.velocity': 0.5}, {'saturation': 40.0, 'gain': 20.0},
+    {'friction_feedforward.level': 10.0, 'velocity_feedforward.share': 0.5}])
+@pytest.mark.parametrize('left', FEW)
+def test_the_actuator_of_a_run_tells_what_was_altered(
+        left: str, addition: dict[str, float]) -> None:
+    run = replace(a_recorded_run(**addition), **dict.fromkeys(FEW[left]))
+    assert findings(run) == []
+    force = run.signal('force')
+    later = np.minimum(np.arange(len(run)), len(run) - 1)
+    later[JUMP + 3:] += 2    # two rows are left out while the command is saturated
+    for altered in (with_force(run, lambda f: put(f, slice(200, 210), force[200:210] + 2.0)),
+                    with_force(run, lambda f: f * np.where(run.time_s > 0.2, 1.05, 1.0)),
+                    of_rows(run, later[:-2])):
+        assert 'answer' in {each.kind for each in findings(altered)}
 
 
 @pytest.mark.parametrize('information', [
@@ -255,7 +282,7 @@ def test_a_peak_of_the_velocity_that_moves_the_position_is_no_spike() -> None:
         RATE_HZ)
     assert findings(run) == []
     spoilt = put(run.signal('velocity').copy(), 1000, 1.0)
-    assert [each.kind for each in findings(replace(run, velocity_m_s=spoilt))] == ['spike']
+    assert findings(replace(run, velocity_m_s=spoilt))[0].kind == 'spike'
 
 
 @pytest.mark.parametrize('rate_hz', [float('inf'), 10 ** 400, float('nan'), 0.0])
@@ -311,6 +338,30 @@ def test_a_saturated_command_is_the_same_for_another_force() -> None:
         run.signal('command')[there])))
     again = recomputed(altered)
     assert again is not None and (again == run.signal('command')).all()
+    # The recorded actuator tells it; without it nothing does.
+    finding, = findings(altered)
+    assert (finding.kind, finding.signal) == ('answer', 'force')
+    assert analyze(altered).rise_time_s is None
+    assert findings(replace(altered, information={
+        name: value for name, value in run.information.items() if name != 'actuator'})) == []
+
+
+@pytest.mark.parametrize('name', ['valve_position', 'position', 'reference'])
+def test_a_signal_that_the_command_does_not_depend_on_is_compared(name: str) -> None:
+    """The reference is while the command is saturated."""
+    run = a_recorded_run(saturation=40.0, compensator='proportional', gain=20.0)
+    field = next(each.field for each in SIGNALS if each.name == name)
+    values = run.signal(name).copy()
+    values[JUMP + 2] += 0.01 * np.ptp(values)
+    finding, = findings(replace(run, **{field: values}))
+    assert (finding.kind, finding.signal) == ('answer', name)
+
+
+@pytest.mark.parametrize('actuator', [
+    {'load.type': 'no load'}, {'maximum_substep': 0.0}, {'of another': 1.0}, {'load.mass': 'x'}])
+def test_an_actuator_that_is_none_tells_nothing(actuator: dict[str, float | str]) -> None:
+    run = a_recorded_run()
+    assert findings(replace(run, information=run.information | {'actuator': actuator})) == []
 
 
 @pytest.mark.parametrize('how', ['drifting clock', 'of another run'])
