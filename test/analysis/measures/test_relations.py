@@ -87,6 +87,39 @@ def test_every_second_row_is_lost_from_there() -> None:
     assert found['motion'].intervals_s[0][0] > 0.4
 
 
+def test_rows_that_are_left_out_are_a_jump_of_the_position() -> None:
+    """Also where the command tells nothing: the rise is among them."""
+    for run in (a_loop(), a_loop(**{'gain_schedule.velocity': 0.1})):
+        short = of_rows(run, np.delete(np.arange(len(run)), slice(JUMP - 5, JUMP + 60)))
+        assert 'motion' in {each.kind for each in findings(short)}
+        assert analyze(short).rise_time_s is None
+
+
+def test_a_position_of_few_digits_or_late_stamps_does_not_jump() -> None:
+    run = a_loop('multisine', 'free')
+    position = run.signal('position')
+    counts = np.ptp(position) / 500.0
+    assert findings(replace(run, position_m=counts * np.round(position / counts))) == []
+    late_by = np.where(np.arange(len(run)) == 400, 9e-4, 0.0)
+    assert 'motion' not in {each.kind for each in findings(
+        replace(run, time_s=run.time_s + late_by))}
+
+
+@pytest.mark.parametrize('other', ['force', 'valve_position'])
+def test_a_velocity_in_the_place_of_another_signal_is_found(other: str) -> None:
+    run = a_loop('multisine')
+    field = next(each.field for each in SIGNALS if each.name == other)
+    exchanged = replace(run, velocity_m_s=run.signal(other), **{field: run.signal('velocity')})
+    assert 'motion' in {each.kind for each in findings(exchanged)}
+
+
+@pytest.mark.parametrize('compensator', ['lead4', 'proportional'])
+def test_a_reference_of_the_wrong_sign(compensator: str) -> None:
+    run = a_loop(compensator=compensator)
+    found = findings(replace(run, reference_n=-run.signal('reference')))
+    assert [each.kind for each in found] == ['sign']
+
+
 @pytest.mark.parametrize('change', [lambda f: 5.0 + f, lambda f: 0.5 * f])
 def test_another_scale_from_there(change: Callable[[np.ndarray], np.ndarray]) -> None:
     found, = findings(with_force(a_loop('multisine'), lambda f: put(
@@ -291,6 +324,35 @@ def test_a_rate_that_is_none_tells_nothing(rate_hz: float) -> None:
     odd = run.information | {'experiment': run.information['experiment'] | {'rate_hz': rate_hz}}
     assert recomputed(replace(run, information=odd)) is None
     findings(replace(run, information=odd))
+
+
+def in_real_time(skipped: tuple[int, ...], **controller: float | str) -> Run:
+    """Return a run as in real time: jitter, states without an answer, one from the middle."""
+    run = a_recorded_run(**controller)
+    answered = np.delete(np.arange(len(run)), skipped)
+    record = compensator({name: value for name, value in run.information['controller'].items()
+                          if not name.startswith('reference.')}, RATE_HZ)
+    computed = commands(record, *(run.signal(name)[answered]
+                                  for name in ('reference', 'force', 'velocity')))
+    held = np.searchsorted(answered, np.arange(len(run)), side='right') - 1
+    jitter = 2e-5 * np.random.default_rng(2).normal(size=len(run))
+    return replace(run, command_n=computed[held], time_s=run.time_s + jitter, information={
+        **run.information, 'experiment': {'mode': 'realtime', 'rate_hz': RATE_HZ}})[30:]
+
+
+@pytest.mark.parametrize('addition', [
+    {}, {'gain_schedule.velocity': 0.1}, {'reference_model.bandwidth': 50.0},
+    {'integrator.rate': 5.0}, {'hysteresis_inverse.size': 20.0}])
+def test_a_run_in_real_time_is_computed_again(addition: dict[str, float]) -> None:
+    run = in_real_time((130, 131, 300), **addition)
+    assert findings(run) == []
+    altered = with_force(run, lambda f: put(f, slice(200, 210), f[200:210] + 5.0))
+    assert 'doubtful' in {each.severity for each in findings(altered) if each.kind == 'answer'}
+    noise = np.random.default_rng(9).normal(0.0, 0.5, len(run))
+    changed, = findings(with_force(run, lambda f: f + noise))
+    assert (changed.kind, changed.severity) == ('answer', 'note')
+    rate = findings(replace(run, time_s=10.0 * run.time_s, position_m=None))[0]
+    assert (rate.kind, rate.severity) == ('rate', 'doubtful')
 
 
 def test_a_bag_that_was_cut_at_its_beginning_is_not_called_altered(tmp_path: Path) -> None:
