@@ -35,6 +35,8 @@ APART: Final = ORDER
 # Breaks at most, more are another controller; altered samples of one break at most.
 MOST_BREAKS: Final = 20
 LONGEST: Final = 400
+LEAST_MEMORY: Final = 3     # samples of a signal in a relation that tell altered ones
+MOST_ROWS: Final = 0.9      # share of the samples that are compared: nearly all
 MOST_LOST: Final = 2    # places with lost rows, more are what a nonlinear controller does
 # Singular values below this share of the largest are rounding errors.
 SMALL: Final = 1e-10
@@ -82,6 +84,7 @@ class Answer(NamedTuple):
     factor: float | None
     breaks: tuple[Break, ...]
     everywhere: bool    # it holds for all samples that were compared
+    of_all: bool        # these are nearly all of the recording
 
 
 class _Rows(NamedTuple):
@@ -126,7 +129,8 @@ def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answ
     if factor is None or len(_lost(breaks)) > MOST_LOST:    # of few sines any relation is exact
         breaks = [each for each in breaks if each not in _lost(breaks)]
     return Answer(direct[0], direct[1], factor, tuple(breaks),
-                  bool(np.abs(residual).max() < BREAK * span))
+                  bool(np.abs(residual).max() < BREAK * span),
+                  len(rows.samples) > MOST_ROWS * len(time))
 
 
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
@@ -146,7 +150,8 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
             moved = np.append(values[lag:], np.full(lag, np.nan))
             pair = (reference, moved) if name == 'signal' else (moved, signal)
             found = answer(time, command, *pair)
-            sure = found is not None and (name == 'signal' or found.factor == 1.0)
+            sure = found is not None and found.everywhere and (
+                name == 'signal' or found.factor == 1.0)
             if found and sure and abs(getattr(found, name)) > 0.0:
                 return name, int(lag)
     return '', 0
@@ -355,8 +360,8 @@ def _explained(residual: Array, own: Array) -> bool:
     are earlier samples in the relation. What a nonlinear controller does has not that form.
     """
     altered = len(residual) - len(own) + 1
-    # Without a memory any residuals have that form.
-    if len(own) == 1 or not 0 < altered <= LONGEST:
+    # With a short memory almost any residuals have that form.
+    if len(own) < LEAST_MEMORY or not 0 < altered <= LONGEST:
         return False
     table = linalg.toeplitz(np.append(own, np.zeros(altered - 1)),
                             np.append(own[0], np.zeros(altered - 1)))

@@ -5,6 +5,7 @@ Compared are the controlled signal with its reference, the command with both, an
 the velocity.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
@@ -30,6 +31,7 @@ from asi_analysis.measures.finding import (
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
 # in any case. Below SAME_SIZE the signal does not follow, and is not compared further.
 UNIT_FACTOR: Final = 100.0
+DECADE: Final = 0.1     # of the logarithm of a ratio that is one of units
 SAME_SIZE: Final = 0.3
 CORRELATED: Final = 0.7
 # The same ratio to a command of the same unit.
@@ -99,7 +101,7 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         yield wrong
         return
     ratio, strange = _ratio(run, reference, values, both)
-    by_command = (_ByCommand([], True, True, True) if as_recorded else
+    by_command = (_ByCommand([], True, True, True, True) if as_recorded else
                   _of_command(run, name, ratio, _correlation(reference, values)))
     yield from by_command.findings
     if any(each.kind in WHOLE for each in by_command.findings):
@@ -119,7 +121,9 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         yield Finding('sign', name, DOUBTFUL, whole,
                       f'the {name_of(name)} moves against its reference: is its sign right?')
         return
-    yield from _of_continuity(run, name, time, reference, values)
+    for each in _of_continuity(name, time, reference, values):
+        if each.kind != 'jump' or not by_command.same_samples:
+            yield each
     if not by_command.same_time:
         yield from _of_order(run, name, time, reference, values)
 
@@ -131,7 +135,9 @@ def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | No
     command = reference if run.command_n is None else run.command_n[np.isfinite(run.command_n)]
     commanded = len(command) > 0 and np.ptp(command) > 0.0 and all(
         each.state == 'enabled' for each in run.states)
-    if len(values) >= COPIED and span > 0.0 and moved == 0.0 and commanded:
+    others = any(_changes(each) for signal, each in run.signals().items()
+                 if signal not in (name, 'reference', 'command'))
+    if len(values) >= COPIED and span > 0.0 and moved == 0.0 and (commanded or others):
         return Finding('frozen', name, NOTE, whole,
                        f'the {name_of(name)} does not change at all: is it measured?')
     away = float(np.median(np.abs(values - reference)))
@@ -142,6 +148,11 @@ def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | No
                        f'{away / max(span, moved):.3g} times as far as either moves: is its zero '
                        'right?')
     return None
+
+
+def _changes(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and float(np.ptp(known)) > 0.0
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -159,10 +170,13 @@ def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_
     strange = ratio > UNIT_FACTOR ** 2 or abs(_correlation(reference, values)) > CORRELATED
     if not strange and run.command_n is not None and run.unit('command') == run.unit('reference'):
         strange = output_sd > COMMAND_FACTOR * float(np.nanstd(run.command_n[both]))
+    if ratio < 1.0 and run.velocity_m_s is not None and _changes(run.velocity_m_s):
+        # The force on a piston that moves freely is small, too.
+        strange = strange and abs(math.log10(ratio) - round(math.log10(ratio))) < DECADE
     return ratio, strange
 
 
-def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: Array
+def _of_continuity(name: str, time: Array, reference: Array, values: Array
                    ) -> Iterator[Finding]:
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
@@ -243,6 +257,7 @@ class _ByCommand(NamedTuple):
     same_unit: bool = False
     same_sign: bool = False
     same_time: bool = False
+    same_samples: bool = False      # as the controller had them, jumps included
 
 
 def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCommand:
@@ -274,7 +289,7 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
     return _ByCommand(problems, usual or found.factor == 1.0,
                       found.everywhere and found.signal < 0.0 and not found.reference < 0.0,
-                      found.everywhere)
+                      found.everywhere, found.everywhere and found.of_all)
 
 
 def _wrong_unit(found: Answer, words: str, moved: float, correlation: float

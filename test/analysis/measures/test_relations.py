@@ -113,6 +113,15 @@ def test_a_velocity_in_the_place_of_another_signal_is_found(other: str) -> None:
     assert 'motion' in {each.kind for each in findings(exchanged)}
 
 
+def test_a_force_that_rests_while_the_piston_moves_is_marked() -> None:
+    """Also if the command is lost, too; all of a loop that is switched off may rest."""
+    rests = replace(a_loop(), force_n=np.ones(1000), command_n=np.ones(1000))
+    finding, = findings(rests)
+    assert (finding.kind, finding.signal) == ('frozen', 'force')
+    assert findings(replace(rests, position_m=None, velocity_m_s=None,
+                            valve_position_m=None)) == []
+
+
 @pytest.mark.parametrize('compensator', ['lead4', 'proportional'])
 def test_a_reference_of_the_wrong_sign(compensator: str) -> None:
     run = a_loop(compensator=compensator)
