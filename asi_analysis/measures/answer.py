@@ -125,7 +125,7 @@ def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answ
     factor = _factor(rows, obeys, span)
     if factor is None:
         factor = _scale(rows, obeys, span, factors, known)
-    breaks = _breaks(rows, factors, residual, span)
+    breaks = _breaks(rows, factors, residual, span, _remembers(rows, obeys, span))
     if factor is None or len(_lost(breaks)) > MOST_LOST:    # of few sines any relation is exact
         breaks = [each for each in breaks if each not in _lost(breaks)]
     return Answer(direct[0], direct[1], factor, tuple(breaks),
@@ -304,8 +304,22 @@ def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -
     return float(found[0]) if abs(found[0] - 1.0) > OTHER_SCALE else None
 
 
-def _breaks(rows: _Rows, factors: Array, residual: Array, span: float) -> list[Break]:
-    """Return the parts that break a relation because samples were altered, lost or repeated."""
+def _remembers(rows: _Rows, obeys: Mask, span: float) -> bool:
+    """Return whether the command takes earlier samples: else any residuals may be altered ones."""
+    chosen = np.flatnonzero(obeys)[::1 + int(obeys.sum()) // MOST]
+    shorter = rows.of_order(0)
+    factors = _fit(shorter.known[chosen], rows.command[chosen])
+    error = np.abs(rows.command[obeys] - shorter.known[obeys] @ factors)
+    return bool(error.max() > BREAK * span)
+
+
+def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, remembers: bool
+            ) -> list[Break]:
+    """
+    Return the parts that break a relation because samples were altered, lost or repeated.
+
+    remembers: whether the command depends on earlier samples.
+    """
     broken = np.flatnonzero(np.abs(residual) > 10.0 * EXACT * span)
     if not len(broken):
         return []
@@ -323,7 +337,7 @@ def _breaks(rows: _Rows, factors: Array, residual: Array, span: float) -> list[B
             rows.samples) - APART
         factor, offset = _altered(rows, part, rest, of_signal, span)
         lost = 0 < len(rest) == rows.order and np.abs(rest).min() > 10.0 * EXACT * span
-        if factor is not None or inside and (lost or _explained(rest, of_signal)
+        if factor is not None or inside and remembers and (lost or _explained(rest, of_signal)
                                              or _explained(rest, of_reference)):
             found.append(Break(int(samples[0]), int(samples[-1]), factor, offset, bool(lost)))
     return found
