@@ -235,6 +235,8 @@ REPLACED: dict[str, Callable[[Run], Run]] = {
     'held': lambda run: with_force(run, lambda f: np.repeat(f[::2], 2)),
     'of another run': lambda run: with_force(run, lambda f: f + np.random.default_rng(9).normal(
         0.0, 0.5, len(f))),
+    'median filter': lambda run: with_force(run, lambda f: signal.medfilt(f, 9)),
+    'sign lost': lambda run: with_force(run, np.abs),
     'exchanged': lambda run: replace(
         run, force_n=run.signal('command'), command_n=run.signal('force')),
     'offset': lambda run: with_force(run, lambda f: 20.0 + f),
@@ -435,7 +437,7 @@ def test_an_actuator_that_is_none_tells_nothing(actuator: dict[str, float | str]
     assert findings(replace(run, information=run.information | {'actuator': actuator})) == []
 
 
-@pytest.mark.parametrize('how', ['drifting clock', 'of another run'])
+@pytest.mark.parametrize('how', ['drifting clock', 'of another run', 'median filter', 'sign lost'])
 def test_what_is_altered_all_the_time_looks_as_a_controller_that_is_not_linear(how: str) -> None:
     def relation(run: Run) -> object:
         return answer(run.time_s, run.signal('command'), run.signal('reference'),
@@ -459,3 +461,68 @@ def test_a_settled_loop_is_not_far_from_its_reference() -> None:
     settled = Run(time, np.full(2000, 100.0), np.full(2000, 76.0) + 1e-4 * time, creep)
     assert not findings(settled)
     assert [each.kind for each in findings(replace(settled, force_n=creep + 50.0))] == ['unit']
+
+
+ADDED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    'offset': lambda t: np.full(len(t), 12.0),
+    'drift': lambda t: 10.0 * t,
+    'hum': lambda t: 2.0 * np.sin(2.0 * np.pi * 50.0 * t)}
+
+
+@pytest.mark.parametrize('compensator_name', ['lead4', 'proportional'])
+@pytest.mark.parametrize('what', ADDED)
+def test_what_is_added_to_the_force_is_that_of_a_controller_with_a_trim(
+        what: str, compensator_name: str) -> None:
+    """One that adds to its command what this one answers to the addition: trim, drift, dither."""
+    run = a_loop('multisine', compensator=compensator_name)
+    added = ADDED[what](run.time_s)
+    altered = with_force(run, lambda f: f + added)
+
+    def answers(reference: np.ndarray, force: np.ndarray) -> np.ndarray:
+        own = compensator({'compensator': compensator_name}, RATE_HZ)
+        return np.asarray(commands(own, reference, force, run.signal('velocity')))
+
+    trim = answers(np.zeros(len(run)), -added)
+    np.testing.assert_allclose(answers(altered.reference_n, altered.force_n) + trim,
+                               run.signal('command'), rtol=0.0, atol=1e-6)
+    assert findings(altered) == []
+
+
+@pytest.mark.parametrize('altered', [
+    lambda f, r: (1.2 * f, r), lambda f, r: (f + 20.0, r), lambda f, r: (low_pass(f), r),
+    lambda f, r: (f, r - 50.0), lambda f, r: (f, np.where(np.arange(len(r)) < 700, r, 0.0)),
+    lambda f, r: (np.roll(f, 3), r), lambda f, r: (np.delete(f, slice(400, 500)),
+                                                   np.delete(r, slice(400, 500)))])
+def test_without_a_command_any_force_may_follow_any_reference(
+        altered: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> None:
+    """The loop may be slower, its sensor may have an offset or a lag, or it may be off."""
+    run = a_loop()
+    force, reference = altered(run.signal('force'), run.signal('reference'))
+    assert findings(Run(np.arange(len(force)) / RATE_HZ, reference, force_n=force)) == []
+
+
+def test_milliseconds_that_are_read_as_seconds_are_a_slower_loop() -> None:
+    """The relation of the samples has no time; position and velocity have."""
+    run = a_loop()
+    slow = replace(run, time_s=1e3 * run.time_s, position_m=None, velocity_m_s=None)
+    assert findings(slow) == []
+    relations = [answer(each.time_s, each.signal('command'), each.signal('reference'),
+                        each.signal('force')) for each in (run, slow)]
+    fast, slower = ((each.reference, each.signal) for each in relations if each is not None)
+    assert fast == pytest.approx(slower)
+
+
+def test_a_recording_that_was_cut_is_that_of_a_shorter_run() -> None:
+    run, shorter = a_loop(), Run(*simulate_loop(
+        {'load.type': 'spring', **NOISY}, {'compensator': 'lead4', 'reference.shape': 'step',
+                                           'reference.amplitude': 100.0}, 0.6, RATE_HZ))
+    for name, values in run[:600].signals().items():
+        assert (values == shorter.signal(name)).all()
+    assert findings(run[:600]) == []
+
+
+def test_the_samples_after_the_only_step_are_those_of_another_reference() -> None:
+    """With fewer of them than the controller has a memory, any share of them is exact."""
+    run = a_loop(compensator='proportional')
+    early = put(run.signal('reference').copy(), slice(JUMP, JUMP + 3), 50.0)
+    assert findings(replace(run, reference_n=early)) == []
