@@ -62,8 +62,8 @@ def commands() -> list[Command]:
         # Before it serves, it is a command that has not answered.
         asi('live', '--simulate', '--no-browser', '--port', '18731', statuses=SERVES | ANSWERS),
         asi('run', '--duration', '60', '--out', 'new_run'), asi('demo', '--out', 'new_demo'),
-        asi('analyze', 'bag'), asi('limit-cycle', 'bag'), asi('gap', 'bag'), asi('attribute'), asi('predict'),
-        asi('quench'), asi('reproduce'), asi('calibrate'),
+        asi('analyze', 'bag'), asi('limit-cycle', 'bag'), asi('gap', 'bag'), asi('attribute'),
+        asi('predict'), asi('quench'), asi('reproduce'), asi('calibrate'),
         asi('tune'), asi('sweep', '--over', 'controller.gain=1:10:10'),
         asi('compare', 'lead4', 'proportional')]
     if find_spec('rerun'):
