@@ -33,9 +33,10 @@ WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for 
     'pressure': 'pressure press p',
     'position': 'pos position angle q qm x displacement disp stroke encoder enc theta '
                 'extension'}.items()}
+VALVE: Final = frozenset(('valve', 'spool'))
 # Assumed unit of each signal without one.
 ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
-                  'pressure': 'Pa', 'position': 'm'}
+                  'pressure': 'Pa', 'position': 'm', 'valve_position': 'm'}
 # Signals that may be controlled.
 OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
 # What a LeRobot dataset calls the positions of the joints, unless their names say otherwise.
@@ -180,6 +181,8 @@ def _guess(name: str) -> _Guess | None:
     signals = [signal for signal, known in WORDS.items() if known & set(words)]
     if not signals and name.startswith(STATE):
         signals, words = ['position'], ['state', *words]
+    if 'position' in signals and VALVE & set(words):
+        signals = ['valve_position']
     motion = [signal for signal in signals if signal in ('position', 'velocity', 'pressure')]
     if 'command' in signals and motion:          # a commanded motion is a reference
         signals = ['reference', *motion]
@@ -189,7 +192,7 @@ def _guess(name: str) -> _Guess | None:
         signals, unit = (signals, '') if unit in ('m', 'in') else ([], unit)
     if signals:
         signal = next(each for each in signals if not unit or si in UNITS_OF[each])
-        matched = next((word for word in words if word in WORDS[signal]), words[0])
+        matched = next((word for word in words if word in WORDS.get(signal, VALVE)), words[0])
         return _Guess(signal, unit, f'named {matched}' + (f', in {unit}' if unit else ''))
     by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
                if si in UNITS_OF[signal]]
