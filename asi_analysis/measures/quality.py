@@ -155,7 +155,7 @@ def _of_time(time: Array) -> Iterator[Finding]:
     period = float(np.median(steps))
     if (wrong := _intervals(time, steps <= 0.0)):
         yield Finding('time_order', 'time', DOUBTFUL, wrong,
-                      f'the time stands still or falls {_times(wrong)}')
+                      f'the time repeats or decreases {_times(wrong)}')
     if not period > 0.0:
         return
     deviations = np.abs(steps - period)

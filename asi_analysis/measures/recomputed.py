@@ -137,7 +137,7 @@ def _of_rate(run: Run) -> Iterator[Finding]:
     if round(periods) > 1 and abs(periods - round(periods)) < EVEN and (
             periods * (len(run) - 1) <= ticks):
         yield Finding('rate', 'time', NOTE, whole,
-                      f'the recording has only every {round(periods)}. sample of this run, whose '
+                      f'the recording has one of {round(periods)} samples of this run, whose '
                       f'rate was {rate_hz:g} Hz')
     elif abs(periods - 1.0) > EVEN:
         yield Finding('rate', 'time', DOUBTFUL, whole,

@@ -67,7 +67,7 @@ FAR: Final = 30.0   # distance from a reference, in ranges of both: its zero is 
 STEADY_ERROR: Final = 0.1   # of a loop that has settled, as a share of the reference
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 BROKEN: Final = {'jump': 'jumps from one sample to the next',
-                 'frozen': 'stands still while it should move'}
+                 'frozen': 'is constant while it should move'}
 # Findings of a whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -95,7 +95,7 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         return
     if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES:
         yield Finding('clipping', name, DOUBTFUL, whole,
-                      f'the {name_of(name)} only jumps, and stands still between: it is cut off')
+                      f'the {name_of(name)} only jumps, and is constant in between: it is cut off')
         return
     if wrong := _rests(run, name, reference, values):
         yield wrong

@@ -13,9 +13,9 @@ class Tracking(NamedTuple):
     """
     Errors over the whole run, in the unit of the controlled signal; None if not recorded.
 
-    tracking_error_percent: of the rms of the reference about its mean; None if it stands still.
+    tracking_error_percent: of the rms of the reference about its mean; None if it is constant.
     impedance_real, impedance_imaginary: of force over velocity (N s/m) at `impedance_hz`, of a run
-    whose reference stands still while a single sine moves the piston; the force against the motion
+    whose reference is constant while a single sine moves the piston; the force against the motion
     counts as positive, so that a real part below 0 is not passive (Colgate, Hogan, "Robust control
     of dynamically interacting systems", Int. J. Control 48, 1988).
     """

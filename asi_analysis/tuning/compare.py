@@ -69,7 +69,7 @@ class Comparison(Result):
     def parts(self) -> Iterator[str | Table]:
         yield from self.tables('{} *')
         if any(each['met'] is False for each in self['figures']):
-            yield '* not what is to be reached'
+            yield '* target not reached'
         yield from self._notes()
 
     def tables(self, missing: str) -> Iterator[Table]:
@@ -147,7 +147,7 @@ class Comparison(Result):
 
     def write_markdown(self, path: Path, command: str) -> None:
         """Write the tables as a page of Markdown that names the command."""
-        write_text(path, f'# {self.title}\n\nWritten by `{command}`. Bold: not what is to be '
+        write_text(path, f'# {self.title}\n\nWritten by `{command}`. Bold: target not '
                          f'reached.\n\n{self.markdown()}')
 
     def pictures(self) -> Pictures:

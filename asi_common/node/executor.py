@@ -223,7 +223,7 @@ def _run(make_node: Callable[[], Node]) -> int:
     for number in SIGNALS:
         signal.signal(number, stop)
     # A node that is not complete yet has nothing to close.
-    made = end_while_compiling(SIGNALS, 0)
+    made = end_while_compiling(SIGNALS, 0, before=True)
     try:
         node = make_node()
     except (ParameterError, rclpy_implementation.RCLError) as error:

@@ -53,6 +53,34 @@ def test_a_signal_while_a_node_compiles_ends_it_at_once(
     assert 'lockstep at' not in node.text and 'Traceback' not in node.text
 
 
+# A signal comes just before the node compiles.
+SIGNAL_FIRST = """
+import signal
+import sys
+import numba
+import asi_common.jit
+from rclpy.node import Node
+from asi_common.node import executor as spin
+
+class Compiled(Node):
+    def __init__(self):
+        super().__init__('compiled')
+        signal.raise_signal(signal.SIGINT)
+        for number in range(1000):   # none of it from a cache
+            exec(f'def function(x): return x + {number}', globals())
+            numba.njit(function)(1.0)
+        print('compiled', flush=True)
+
+sys.exit(spin.run_node(Compiled))
+"""
+
+
+def test_a_signal_before_a_node_compiles_ends_it_too(ros_environment: dict[str, str]) -> None:
+    result = subprocess.run([sys.executable, '-c', SIGNAL_FIRST], capture_output=True, text=True,
+                            env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+    assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
+
+
 def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(
         start_node: Callable[..., NodeProcess]) -> None:
     """`ros2 launch` passes on the Ctrl-C that the terminal has sent to the node already."""

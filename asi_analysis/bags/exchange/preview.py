@@ -124,7 +124,7 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
         notes.append('no column is a time: give --rate HZ')
     others = [name for name in values if name != time]
     if others and not set(chosen) - {time}:
-        notes.append('no name speaks for a signal: say which column is what')
+        notes.append('no column has the name of a signal: map them yourself')
         mapping.append(f'SIGNAL={others[0]}[UNIT]')
     options = {'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
                'skip-lines': skip_lines, 'columns': ','.join(columns or ()),
@@ -172,7 +172,7 @@ def _unit(name: str) -> str:
 
 
 def _guess(name: str) -> _Guess | None:
-    """Return the signal that the name of a column speaks for; None if it speaks for none."""
+    """Return the signal that the name of a column stands for; None if for none."""
     unit = _unit(name)
     if name.startswith('/'):
         name = re.sub('/[xyz]$', '', name)
