@@ -149,9 +149,11 @@ def table(of: Loops, found: Found) -> str:
     kinds = {'one play': of.shape[:, 1] == 0.0,
              'widening from 0 (Rayleigh)': (of.shape[:, 1] > 0.0) & (of.shape[:, 2] == 0.0),
              'widening from any width': of.shape[:, 2] > 0.0}
-    lines = ['| static loop | tried | with gain and frequency of the onset | their highest ratio '
-             'without hysteresis | with gain and ratio 1.5: nearest frequency | with frequency and '
-             'ratio 1.5: nearest gain |', '|---|---|---|---|---|---|']
+    columns = ('static loop', 'tried', 'with gain and frequency of the onset',
+               'their highest ratio without hysteresis',
+               'with gain and ratio 1.5: nearest frequency',
+               'with frequency and ratio 1.5: nearest gain')
+    lines = [f'| {" | ".join(columns)} |', '|' + len(columns) * '---|']
     gain, hz = _inside(found.gain, ONSET), _inside(found.frequency_hz, ONSET_HZ)
     for words, kind in kinds.items():
         own = kind[found.loop]

@@ -65,7 +65,7 @@ FREE: Final = (
     _free('valve_hysteresis.lag_time', 2e-4, 4e-3, JUDGED + 'eddy currents in solid iron'),
     _free('valve_hysteresis.rate_exponent', 0.0, 1.0, JUDGED + 'eddy currents', Scale.LINEAR),
     _free('valve_hysteresis.rate_filter', 60.0, 10000.0, JUDGED + 'eddy currents'),
-    _free('valve_hysteresis.saturation', 900.0, 8000.0, 'Fig. 4: linear up to the thrust'),
+    _free('valve_hysteresis.saturation', 1000.0, 8000.0, 'Fig. 4: linear up to the thrust'),
     _free('hydraulic_damping.centre_share', 0.02, 1.0, FIG_3),
     _free('hydraulic_damping.saturation_velocity', 0.01, 0.8, FIG_3),
     _free('hydraulic_damping.saturation_shift', -0.7, 0.7, FIG_3, Scale.LINEAR),
@@ -93,11 +93,10 @@ FREE: Final = (
     _free('valve_hysteresis.widening', 0.0, 8.0, IRON, Scale.LINEAR),
     _free('valve_hysteresis.widening_from', 0.0, 1500.0, IRON, Scale.LINEAR),
     _free('valve_hysteresis.widening_range', 50.0, 6000.0, IRON),
-    _free('valve_characteristic.gain', 0.2, 1.5, JUDGED + 'scale of the command', Scale.LINEAR),
 )
 # Only the structures whose loop widens with the amplitude vary these.
 ONE_PLAY: Final = {'valve_hysteresis.widening': 0.0, 'valve_hysteresis.widening_from': 0.0,
-                   'valve_hysteresis.widening_range': 1500.0, 'valve_characteristic.gain': 1.0}
+                   'valve_hysteresis.widening_range': 1500.0}
 NO_RATE: Final = {'valve_hysteresis.lag_time': 0.0, 'valve_hysteresis.rate_exponent': 0.0,
                   'valve_hysteresis.rate_filter': 1000.0}
 # Values of a part that is switched off: they have no plausible range.
