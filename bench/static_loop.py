@@ -10,7 +10,9 @@ Kp = 8 and 92 Hz, and for none without hysteresis below 1.5 times (F13) and 2 ti
 
 Generous to the static loop: a step need not reach its unstable cycle, and damping, friction and
 the limit of the command never stop it. Only loops that leave no more than F18's error at Kp = 3
-are kept, and only cycles that do not saturate the valve (F7).
+are kept, and only cycles that do not saturate the valve (F7). Then those with the onset's gain and
+frequency and the highest ratios are simulated at Kp = 3, piston locked: a step of F begins with a
+command of 4 F, which widens the loop as a cycle does, and what remains of that is an error.
 """
 
 import sys
@@ -24,9 +26,13 @@ from asi_analysis.arrays import Array, Complex
 from asi_analysis.loop import linear_model as linear
 from asi_analysis.loop.describing_functions import hysteresis
 from asi_analysis.loop.linear_model import damping_slope
-from asi_analysis.paper.facts.conditions import LOCKED
+from asi_analysis.paper.facts.conditions import LOCKED, Conditions
+from asi_analysis.paper.facts.fact import Setup
+from asi_analysis.paper.facts.measures import onset_gains, onset_name
+from asi_analysis.paper.facts.table_1 import step_test
 from asi_analysis.reporting.figures import BLUE, GREEN, GREY, ORANGE, drawing, save
 from asi_common.files import write_text
+from asi_common.parameter import Value
 
 LOOPS: Final = 3000
 COMMANDS_N: Final = np.geomspace(60.0, 4000.0, 30)
@@ -41,7 +47,12 @@ OPEN_LOOP_N: Final = 300.0
 VALVE_N: Final = 900.0
 ONSET: Final = (7.6, 8.4)
 ONSET_HZ: Final = (88.67, 94.67)
-RATIOS: Final = (1.0, 1.25, 1.5, 2.0)
+# Of the loops that are simulated: about those limits.
+WIDER: Final = (7.2, 8.8)
+WIDER_HZ: Final = (86.0, 97.0)
+# Steps (N) at Kp = 3, and the number of loops whose error is simulated.
+STEPS_N: Final = (50.0, 100.0, 200.0, 300.0, 500.0)
+SIMULATED: Final = 20
 
 
 class Loops(NamedTuple):
@@ -165,6 +176,53 @@ def table(of: Loops, found: Found) -> str:
     return '\n'.join(lines) + '\n'
 
 
+def errors(of: Loops, found: Found) -> str:
+    """Return in Markdown the errors that loops of the onset leave after steps at Kp = 3."""
+    near = np.flatnonzero(_inside(found.gain, WIDER) & _inside(found.frequency_hz, WIDER_HZ))
+    near = near[np.argsort(-found.ratio[near])]
+    _, first = np.unique(found.loop[near], return_index=True)
+    chosen = near[np.sort(first)[:SIMULATED]]
+    left = np.array([[_error_after(of.shape[found.loop[k]], found, k, step_n)
+                      for step_n in STEPS_N] for k in chosen])
+    rises = np.array([_rise(of.shape[found.loop[k]], found, k) for k in chosen])
+    columns = ['onset without hysteresis over onset', 'loops',
+               *(f'error after {step_n:g} N' for step_n in STEPS_N),
+               'rise of the onset gain from 100 to 300 N']
+    lines = [f'| {" | ".join(columns)} |', '|' + len(columns) * '---|']
+    for low, high in ((1.1, 1.25), (1.25, 1.5), (1.5, np.inf)):
+        own = (found.ratio[chosen] >= low) & (found.ratio[chosen] < high)
+        if own.any():
+            cells = [f'{value:.1f} N' for value in np.min(left[own], axis=0)]
+            words = f'{low:g} to {high:g}' if np.isfinite(high) else f'at least {low:g}'
+            cells = [words, f'{own.sum()}', *cells, f'{np.nanmin(rises[own]):.0f} to '
+                     f'{np.nanmax(rises[own]):.0f} %']
+            lines.append(f'| {" | ".join(cells)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def _actuator(shape: Array, found: Found, k: int) -> dict[str, Value]:
+    return {**(PLAUSIBLE if found.plausible[k] else {}), 'valve_hysteresis.lag_time': 0.0,
+            **{f'valve_hysteresis.{name}': float(value)
+               for name, value in zip(NAMES, shape, strict=True)},
+            'valve_flexure.coil_frequency': float(found.coil_hz[k]),
+            'valve_flexure.delay': float(found.delay_s[k]), 'force_sensor.delay': 0.0}
+
+
+def _rise(shape: Array, found: Found, k: int) -> float:
+    """Return the rise (%) of the simulated onset gain from a step of 100 N to one of 300 N."""
+    setup = Setup(_actuator(shape, found, k), Conditions()._replace(
+        onset_accuracy=0.005, onset_watched_s=8.0, highest_gain=24.0), {})
+    gains = onset_gains(setup, (100.0, 300.0))
+    low, high = (gains[onset_name(step_n, 'gain')] for step_n in (100.0, 300.0))
+    return 100.0 * (high / low - 1.0) if np.isfinite(low) and np.isfinite(high) else np.nan
+
+
+def _error_after(shape: Array, found: Found, k: int, step_n: float) -> float:
+    """Return the steady-state error (N) of a loop after a step at Kp = 3, piston locked."""
+    test = Conditions().proportional._replace(amplitude_n=step_n, load=LOCKED)
+    return step_test(Setup(_actuator(shape, found, k), Conditions(), {}), test, 'p')['p_error_n']
+
+
 def _nearest(values: Array, wanted: float, unit: str = '') -> str:
     if not values.size:
         return '-'
@@ -175,7 +233,9 @@ def write(out: Path) -> str:
     """Write table and picture into `out`; return the table."""
     of = loops()
     found = onsets(of)
-    text = table(of, found)
+    text = (table(of, found) + '\nSome of them, simulated: the least error among them '
+            'after a step at Kp = 3, and how the onset rises:\n\n'
+            + errors(of, found))
     write_text(out / 'static_loop.md', text)
     with drawing(3.2) as figure:
         axes = figure.subplots()

@@ -24,7 +24,7 @@ from asi_analysis.paper.calibration.quantities import (
 )
 from asi_analysis.paper.calibration.search import LINES, calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import LOCKED, SPRING, Conditions, StepTest
-from asi_analysis.paper.facts.fact import Setup
+from asi_analysis.paper.facts.fact import Setup, Stage
 from asi_analysis.paper.facts.table import FITTED_ROWS
 from asi_analysis.paper.facts.table_1 import step_test
 
@@ -82,6 +82,30 @@ def test_structures_hold_what_they_say():
     assert [getattr(locked.conditions, name).load for name in TESTS] == 3 * [LOCKED]
     spring = result(new_search(Candidate({}, Conditions()), STRUCTURES['spring'], 1, 0.1))
     assert spring.conditions.proportional.load == pytest.approx(Conditions().proportional.load)
+
+
+def test_table_1_can_be_left_out_or_be_all_that_is_fitted():
+    start = Candidate({}, Conditions())
+    without = new_search(start, STRUCTURES['side'], 1, 0.1, SOME, table_1=False).problem
+    assert [FREE[k].name for k in without.free] == ['valve_flexure.coil_frequency']
+    assert without.stages == tuple(stage for stage in Stage if stage is not Stage.TABLE_1)
+    alone = new_search(start, STRUCTURES['side'], 1, 0.1, ['conditions']).problem
+    assert alone.stages == (Stage.TABLE_1,)
+    with pytest.raises(InputError, match='nothing varies'):
+        new_search(start, STRUCTURES['side'], 1, 0.1, ['conditions'], table_1=False)
+
+
+def test_a_demanded_row_costs_where_it_is_not_at_its_value():
+    name = 'predicted_onset_frequency_hz'
+    demanded = search.at_value(name, 125.0)
+    assert (demanded.low + demanded.high) / 2.0 == pytest.approx(125.0)
+    assert search.at_value('nothing', 1.0) is None
+    alone = new_search(Candidate({}, Conditions()), STRUCTURES['side'], 1, 0.1, ['conditions'])
+    problem = alone.problem._replace(demanded=demanded)
+    free = problem.cost(alone.best, {})
+    assert problem.cost(alone.best, {name: 125.0}) == pytest.approx(free)
+    assert problem.cost(alone.best, {name: 130.0}) > free + 5.0
+    assert alone.problem.cost(alone.best, {name: 130.0}) == pytest.approx(free)
 
 
 def test_table_1_is_one_experiment(tmp_path):
