@@ -3,8 +3,12 @@
 import importlib
 import os
 import signal
+import sys
 from collections.abc import Callable
-from typing import Any, NoReturn
+from contextlib import suppress
+from typing import Any, Final, NoReturn
+
+INTERRUPTED: Final = 130
 
 
 def asi() -> int:
@@ -16,7 +20,13 @@ def asi() -> int:
     main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
     try:
         signal.signal(signal.SIGINT, before)
-        return main()
+        status = main()
+        if status == INTERRUPTED:   # all is said; to unload the libraries takes a second
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError, ValueError):
+                    stream.flush()
+            os._exit(status)
+        return status
     except KeyboardInterrupt:
         return _interrupted()
     finally:
@@ -26,4 +36,4 @@ def asi() -> int:
 
 def _interrupted(*_: Any) -> NoReturn:
     os.write(2, b'asi: interrupted\n')
-    os._exit(130)
+    os._exit(INTERRUPTED)
