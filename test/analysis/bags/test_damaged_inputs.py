@@ -50,7 +50,7 @@ def test_no_figure_of_a_run_with_a_command_differs_silently(seed: int) -> None:
     assert not figure_problem(with_command(), Random(seed))
 
 
-@settings(few, max_examples=15)
+@settings(few, max_examples=6)
 @given(seed=seeds)
 def test_nor_while_the_command_is_saturated_or_without_it(seed: int) -> None:
     for run in (saturated(), without_command()):
