@@ -4,11 +4,13 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, NoReturn
 
 INTERRUPTED: Final = 130
+AGAIN_S: Final = 0.05
 
 
 def asi() -> int:
@@ -17,6 +19,7 @@ def asi() -> int:
     # In the background of a script SIGINT is ignored, and stays so.
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
+    sys.unraisablehook = _not_lost
     main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
     try:
         signal.signal(signal.SIGINT, before)
@@ -32,6 +35,17 @@ def asi() -> int:
     finally:
         # All is said. Python gives up its handlers at its end, and would be killed by the signal.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _not_lost(ignored: Any) -> None:
+    """Send a SIGINT again whose KeyboardInterrupt Python ignored, as in callbacks of imports."""
+    if ignored.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(ignored)
+        return
+    main = threading.main_thread().ident
+    assert main is not None
+    # Later, so that it is not ignored in here.
+    threading.Timer(AGAIN_S, signal.pthread_kill, (main, signal.SIGINT)).start()
 
 
 def _interrupted(*_: Any) -> NoReturn:

@@ -108,6 +108,33 @@ def test_ctrl_c_while_asi_imports_ends_it_with_one_line() -> None:
     assert (process.returncode, complaint) == (130, 'asi: interrupted\n')
 
 
+# A Ctrl-C that comes while Python ignores exceptions.
+IGNORED = """
+import signal
+import sys
+import time
+import asi_analysis.cli
+from asi_analysis.command import asi
+
+class Callback:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def main():
+    Callback()
+    time.sleep(600.0)
+
+asi_analysis.cli.main = main
+sys.exit(asi())
+"""
+
+
+def test_ctrl_c_is_not_lost_where_python_ignores_exceptions() -> None:
+    result = subprocess.run([sys.executable, '-c', IGNORED], capture_output=True, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)}, timeout=PATIENCE_S)
+    assert (result.returncode, result.stderr) == (130, 'asi: interrupted\n')
+
+
 # A node whose middleware never lets go, as Fast DDS was seen to, with Python's lock held.
 HANGING_END = """
 import ctypes
