@@ -271,8 +271,11 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     time, signals = run.time_s, (run.command_n, run.reference_n, run.signal(name))
     whole, words = ((float(time[0]), float(time[-1])),), name_of(name)
     found = answer(time, *signals)
+    if found is None or not found.everywhere:
+        if found_late := list(_of_no_answer(run, name)):
+            return _ByCommand(found_late)
     if found is None:
-        return _ByCommand(list(_of_no_answer(run, name)))
+        return _ByCommand([])
     problems = []
     alike = run.unit('command') == run.unit(name)
     if wrong := _wrong_unit(found, words, moved if alike else 1.0, correlation):

@@ -54,6 +54,8 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
     'copied': ('copy', lambda run: replace(run, force_n=run.signal('reference').copy())),
     'late reference': ('order', lambda run: replace(
         run, reference_n=late(run.signal('reference'), 30))),
+    'reference a little late': ('order', lambda run: replace(
+        run, reference_n=np.roll(run.signal('reference'), 5))),
     'sign of a beginning': ('answer', lambda run: with_force(
         run, lambda f: put(f, slice(0, JUMP + 15), -f[:JUMP + 15]))),
     'bridged': ('answer', lambda run: with_force(
