@@ -18,6 +18,7 @@ from asi_analysis.arrays import Array, Mask
 
 # Earlier samples that a command is computed from: the poles of the compensators of this package.
 ORDER: Final = 8
+LEAST_ROWS: Final = 20 * ORDER      # of commands that a relation is fitted to
 # Rows that the relation is fitted to at most; parts of the recording from which a fit begins.
 MOST: Final = 5000
 PARTS: Final = 8
@@ -107,7 +108,7 @@ class _Rows(NamedTuple):
 def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answer | None:
     """Return the relation of n samples at one rate; None if there is none that is exact."""
     rows = _rows(time, command, reference, signal)
-    if len(rows.samples) < 20 * ORDER:
+    if len(rows.samples) < LEAST_ROWS:
         return None
     span = float(np.ptp(rows.command))
     if not span > 0.0:
@@ -141,14 +142,21 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
     '', 0 unless the command answers exactly to samples that come later.
     """
     change = np.diff(np.nan_to_num(command), 2, prepend=[0.0, 0.0])
+    # A part with the largest change tells most lags that are none, in less time.
+    begin = max(int(np.argmax(np.abs(change[2:]))) - ORDER, 0)
+    part = slice(begin, begin + LEAST_ROWS + 4 * ORDER)
     for name, values in (('signal', signal), ('reference', reference)):
         other = np.diff(np.nan_to_num(values), 2, prepend=[0.0, 0.0])
         size = 2 ** int(np.ceil(np.log2(2 * len(change))))
         product = np.fft.irfft(np.fft.rfft(other, size) * np.conj(np.fft.rfft(change, size)))
         most = min(LATEST, len(change) // 4)
-        for lag in np.argsort(-np.abs(product[1:most]))[:TRIED] + 1:
+        likely = np.argsort(-np.abs(product[1:most]))[:TRIED] + 1
+        for lag in (*likely, *range(1, min(ORDER, most) + 1)):
             moved = np.append(values[lag:], np.full(lag, np.nan))
             pair = (reference, moved) if name == 'signal' else (moved, signal)
+            first = answer(time[part], command[part], *(each[part] for each in pair))
+            if first is None or not first.everywhere:
+                continue
             found = answer(time, command, *pair)
             sure = found is not None and found.everywhere and (
                 name == 'signal' or found.factor == 1.0)

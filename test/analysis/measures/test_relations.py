@@ -51,6 +51,7 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
     'in lbf': ('unit', lambda run: with_force(run, lambda f: f / 4.4482216)),
     'other sign': ('sign', lambda run: with_force(run, lambda f: -f)),
     'late': ('order', lambda run: with_force(run, lambda f: late(f, 5))),
+    'a little late': ('order', lambda run: with_force(run, lambda f: np.roll(f, 1))),
     'copied': ('copy', lambda run: replace(run, force_n=run.signal('reference').copy())),
     'late reference': ('order', lambda run: replace(
         run, reference_n=late(run.signal('reference'), 30))),
