@@ -87,9 +87,8 @@ def calibrate(
         help='best.json of an earlier calibration to start from; default: the defaults')] = None,
     only: Annotated[list[str] | None, typer.Option(
         help='Vary only this quantity, or those with this prefix; may be repeated')] = None,
-    table_1: Annotated[bool, typer.Option(
-        '--table-1/--no-table-1', help='Whether the rows and conditions of Table 1 take part')
-    ] = True,
+    no_table_1: Annotated[bool, typer.Option(
+        '--no-table-1', help='Leave out the rows and conditions of Table 1')] = False,
     jobs: Jobs = 1,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -110,13 +109,13 @@ def calibrate(
             from asi_analysis.paper.calibration.front import Fit
             from asi_analysis.paper.calibration.front import run as run_front
             fit = Fit(evaluations if evaluations is not None else 0, polish, structure, seed,
-                      spread, only or [], table_1)
+                      spread, only or [], not no_table_1)
             result = run_front(front, start, fit, out, progress)
         else:
             from asi_analysis.paper.calibration.answer import run as run_calibration
             result = run_calibration(out, structure, 2000 if evaluations is None else evaluations,
                                      polish, seed, spread, start,
-                                     only or [], progress, table_1)
+                                     only or [], progress, not no_table_1)
     show(result, as_json)
 
 
