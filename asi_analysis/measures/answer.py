@@ -272,7 +272,7 @@ def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
     chosen = np.union1d(np.arange(0, len(bend), step), np.argsort(-bend)[:FEW])
     command = rows.command[obeys][chosen]
     earlier, references, signals = (each[obeys][chosen] for each in rows.groups())
-    possible = []
+    possible, as_recorded = [], np.inf
     for feedforward in FEEDFORWARD:
         beyond = command - feedforward * references[:, 0]
         before = earlier - feedforward * references[:, 1:]
@@ -281,7 +281,11 @@ def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
             error = beyond - table @ _fit(table, beyond)
             if np.abs(error).max() < EXACT * span:
                 possible.append(factor)
-    return possible[0] if len(set(possible)) == 1 else None
+            if factor == 1.0:
+                as_recorded = min(as_recorded, float(np.abs(error).max()))
+    # Of a signal that is small beside the reference another factor may only fit a little better.
+    sure = possible[:1] == [1.0] or as_recorded > BREAK * span
+    return possible[0] if len(set(possible)) == 1 and sure else None
 
 
 def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -> float | None:
