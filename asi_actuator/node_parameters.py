@@ -22,8 +22,8 @@ SAFETY_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('limit.valve_position', 1e-4, 'm', 'A larger valve position is a fault', 0.0, 1.0),
     Parameter('limit.velocity', 20.0, 'm/s', 'A larger piston velocity is a fault', 0.0, 1e3),
     Parameter('limit.valve_disagreement', 1e-5, 'm',
-              'A larger mean distance of the valve from where the command should have brought it '
-              'is a fault', 0.0, 1.0, source='half of the full opening'),
+              'A larger mean difference between the valve position and that of the command is a '
+              'fault', 0.0, 1.0, source='half of the full opening'),
     Parameter('limit.valve_disagreement_time', 0.1, 's', 'Time constant of that mean', 1e-3, 10.0),
     Parameter('limit.state_age', 0.1, 's', 'Hardware: an older state is a fault', 1e-3, 60.0),
     Parameter('limit.lost_states', 100, '',

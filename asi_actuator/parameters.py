@@ -40,8 +40,8 @@ class ActuatorTable(Table):
 
 
 ACTUATOR_PARAMETERS: Final = ActuatorTable((
-    Parameter('command_limit', 4000.0, 'N', 'Largest valve command that the drive passes on',
-              1.0, 1e5, source='assumed'),
+    Parameter('command_limit', 4000.0, 'N', 'Largest valve command of the drive', 1.0, 1e5,
+              source='assumed'),
     Parameter('maximum_substep', 25e-6, 's', 'Longest sub-step of the integration',
               1e-6, 1e-4, read_only=True,
               source='convergence: test/actuator/test_model_convergence.py'),
@@ -71,6 +71,13 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               source=FITTED),
     Parameter('valve_hysteresis.saturation', 1225.0, 'N', 'Drive at which the iron saturates',
               100.0, 1e6, source=FITTED),
+    Parameter('valve_hysteresis.widening', 0.0, 'N/N',
+              'Slope that further plays add for large commands: the loop widens with the '
+              'amplitude; 0: none', 0.0, 100.0),
+    Parameter('valve_hysteresis.widening_from', 0.0, 'N',
+              'Half width at which those of the further plays begin', 0.0, 1e4),
+    Parameter('valve_hysteresis.widening_range', 1500.0, 'N',
+              'Range of their half widths, evenly spread', 0.0, 1e5),
 
     _model('valve_flexure', 'linear_gain, no dynamics', 'no dynamics'),
     Parameter('valve_flexure.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
@@ -111,11 +118,11 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('valve_characteristic.flow_limit', 0.0, 'N',
               'Largest static force; 0: that of the full opening', 0.0, 1e5),
     Parameter('valve_characteristic.supply_drop', 0.0, '',
-              'Share of the thrust that is missing for want of supply pressure', -1.0, 0.99),
+              'Share of the thrust that is missing for lack of supply pressure', -1.0, 0.99),
     Parameter('valve_characteristic.supply_sag', 0.0, '',
-              'Share of the thrust that is lost when the valve has long been fully open',
+              'Share of the thrust that is lost in steady state with the valve fully open',
               0.0, 0.99),
-    Parameter('valve_characteristic.supply_time', 0.3, 's', 'Time constant of that sag',
+    Parameter('valve_characteristic.supply_time', 0.3, 's', 'Time constant of that loss',
               1e-3, 10.0),
 
     _model('hydraulic_damping', 'linear_gain times the velocity', 'none'),
@@ -154,7 +161,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('fluid_dynamics.frequency', 1000.0, 'Hz', 'Corner of the lumped fluid dynamics',
               1.0, 1e5, source='paper, section 4.1'),
     Parameter('fluid_dynamics.leakage', 0.0, 'N/N',
-              'Leakage past the piston: static force over what is left of it, less one',
+              'Leakage past the piston: static force without over that with it, less one',
               0.0, 10.0),
     Parameter('fluid_dynamics.leakage_growth', 0.0, '1/N', 'Growth of that share with the force',
               0.0, 1.0),
@@ -193,7 +200,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('load.type', 'locked', '',
               'locked: held by the stiffness of the structure; spring: mass, spring and damper; '
               'free: the mass alone; prescribed: moved at a given velocity', choices=LOAD),
-    Parameter('load.mass', 0.5144, 'kg', 'Moving mass; when locked, with what locks it',
+    Parameter('load.mass', 0.5144, 'kg',
+              'Moving mass; when locked, including the moving part of the structure',
               1e-3, 1e4, source=FITTED),
     Parameter('load.locked_stiffness', 2.091e6, 'N/m', 'Stiffness of the locked structure',
               1.0, 1e9, source=FITTED),
@@ -210,7 +218,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               0.0, 1000.0),
     Parameter('load.external_force', 0.0, 'N', 'Push from outside on the piston', -1e5, 1e5),
     Parameter('load.external_force_start', 0.0, 's', 'Time at which the push begins', 0.0, 1e5),
-    Parameter('load.external_force_end', 0.0, 's', 'Time at which the push lets go; 0: never',
+    Parameter('load.external_force_end', 0.0, 's', 'Time at which the push ends; 0: never',
               0.0, 1e5),
     Parameter('load.external_force_frequency', 0.0, 'Hz',
               'Frequency of the push, then a sine of this amplitude; 0: constant', 0.0, 1000.0),
@@ -230,7 +238,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               'and spring; spring_damper: between mass and spring with damper',
               choices=('mass', 'spring', 'spring_damper')),
     Parameter('backlash.contact_stiffness', 1e7, 'N/m',
-              'Stiffness of what touches, where the coupling is rigid', 1e3, 1e9),
+              'Stiffness of the contact, where the coupling is rigid', 1e3, 1e9),
 
     _model('force_sensor', 'linear_gain, no dynamics', 'no dynamics'),
     Parameter('force_sensor.linear_gain', 1.0, 'N/N', 'Gain when the model is linear',
@@ -245,8 +253,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('force_sensor.delay', 1.997e-4, 's', 'Second of the two delays', 0.0, 0.01,
               source=FITTED),
     Parameter('force_sensor.mass_share', 0.8063, '',
-              'Share of the moving mass whose inertia the sensor does not feel: 0, it is between '
-              'cylinder and piston; 1, between the mass and what holds it', 0.0, 1.0,
+              'Share of the moving mass before the sensor, whose inertia it does not measure: 0, '
+              'it is between cylinder and piston; 1, between the mass and its support', 0.0, 1.0,
               source=FITTED),
     Parameter('force_sensor.gain', 1.0, 'N/N', 'Scale of the measured force', 0.1, 10.0),
     Parameter('force_sensor.offset', 0.0, 'N', 'Offset of the measured force', -1e4, 1e4),

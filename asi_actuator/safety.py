@@ -145,14 +145,14 @@ class Safety:
         if self._last_force_n is not None and periods > 0:
             rate = (force - self._last_force_n) / (periods * self._period_s)
         self._last_force_n = force
-        apart = self._apart(valve)
+        disagreement = self._mean_disagreement(valve)
         # Formulated so that nan trips too.
         if not (abs(force) <= self._force_n and abs(valve) <= self._valve_m
                 and abs(velocity) <= self._velocity and abs(rate) <= self._force_rate
-                and abs(apart) <= self._disagreement_m and math.isfinite(position)):
-            self._not_safe(measured, rate, apart)
+                and abs(disagreement) <= self._disagreement_m and math.isfinite(position)):
+            self._not_safe(measured, rate, disagreement)
 
-    def _not_safe(self, measured: Measurement, rate: float, apart: float) -> None:
+    def _not_safe(self, measured: Measurement, rate: float, disagreement: float) -> None:
         """Trip with the first limit that a state exceeds."""
         force, valve, position, velocity = measured
         if not math.isfinite(position):
@@ -162,14 +162,14 @@ class Safety:
                 ('valve_position', valve, 'm', 'limit.valve_position', self._valve_m),
                 ('velocity', velocity, 'm/s', 'limit.velocity', self._velocity),
                 ('rate of the force', rate, 'N/s', 'limit.force_rate', self._force_rate),
-                ('valve_position less that of the command', apart, 'm',
+                ('valve_position less that of the command', disagreement, 'm',
                  'limit.valve_disagreement', self._disagreement_m)):
             if not abs(value) <= limit:
                 self._exceeded(signal, value, unit, name, limit)
 
-    def _apart(self, valve_m: float) -> float:
+    def _mean_disagreement(self, valve_m: float) -> float:
         """
-        Return the mean distance (m) of the valve from the position that the command asks for.
+        Return the mean difference (m) between the valve position and that of the command.
 
         That is given by the static model (valve_characteristic.*); dynamics and hysteresis, which
         differ from one valve to the next, average out over time.

@@ -3,8 +3,14 @@
 import importlib
 import os
 import signal
+import sys
+import threading
 from collections.abc import Callable
-from typing import Any, NoReturn
+from contextlib import suppress
+from typing import Any, Final, NoReturn
+
+INTERRUPTED: Final = 130
+AGAIN_S: Final = 0.05
 
 
 def asi() -> int:
@@ -13,10 +19,17 @@ def asi() -> int:
     # In the background of a script SIGINT is ignored, and stays so.
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
+    sys.unraisablehook = _not_lost
     main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
     try:
         signal.signal(signal.SIGINT, before)
-        return main()
+        status = main()
+        if status == INTERRUPTED:   # all is said; to unload the libraries takes a second
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError, ValueError):
+                    stream.flush()
+            os._exit(status)
+        return status
     except KeyboardInterrupt:
         return _interrupted()
     finally:
@@ -24,6 +37,17 @@ def asi() -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def _not_lost(ignored: Any) -> None:
+    """Send a SIGINT again whose KeyboardInterrupt Python ignored, as in callbacks of imports."""
+    if ignored.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(ignored)
+        return
+    main = threading.main_thread().ident
+    assert main is not None
+    # Later, so that it is not ignored in here.
+    threading.Timer(AGAIN_S, signal.pthread_kill, (main, signal.SIGINT)).start()
+
+
 def _interrupted(*_: Any) -> NoReturn:
     os.write(2, b'asi: interrupted\n')
-    os._exit(130)
+    os._exit(INTERRUPTED)

@@ -1,11 +1,16 @@
 """Signals while modules are imported, and while numba compiles: a process ends at once."""
 
 import os
+import select
 import signal
 import sys
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from typing import Final
+
+# Interval at which a process that is to end looks whether it compiles, s.
+LOOK_S: Final = 0.05
 
 
 def end_quietly_while_importing() -> None:
@@ -18,23 +23,30 @@ def end_quietly_while_importing() -> None:
         signal.signal(number, lambda *_: os._exit(0))
 
 
-def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
-                        ) -> Callable[[], None]:
+def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b'',
+                        before: bool = False) -> Callable[[], None]:
     """
     Let signals end this process while numba compiles, with a status and `said` on stderr.
 
     LLVM takes up to a minute, in which no handler of Python runs. Nothing is lost: numba writes
     its cache under a temporary name. At other times the handlers of Python are called as usual.
+    before: a signal before a compilation ends the process as soon as that begins.
     Only for the main thread; the function that is returned ends it.
     """
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
 
     def watch() -> None:
-        while came := os.read(reading, 100):
+        ending = False
+        while True:
+            if select.select([reading], [], [], LOOK_S if ending and before else None)[0]:
+                came = os.read(reading, 100)
+                if not came:
+                    break
+                ending = bool(set(came) & set(numbers))
             # None while the module is not imported, or only in part.
             compiling = getattr(sys.modules.get('asi_common.jit'), 'compiling', None)
-            if set(came) & set(numbers) and compiling is not None and compiling():
+            if ending and compiling is not None and compiling():
                 os.write(2, said)
                 os._exit(status)
         os.close(reading)

@@ -6,6 +6,7 @@ these tables.
 """
 
 import math
+import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import NamedTuple, TypeGuard
@@ -58,7 +59,9 @@ class Parameter(NamedTuple):
             return isinstance(value, str) and (not self.choices or value in self.choices)
         if isinstance(self.default, int) and not isinstance(value, int):
             return False
-        return is_number(value) and math.isfinite(value) and self.low <= value <= self.high
+        # A whole number may be too large to be a float.
+        return (is_number(value) and self.low <= value <= self.high
+                and abs(value) <= sys.float_info.max)
 
 
 class ParameterError(ValueError):

@@ -27,6 +27,7 @@ from asi_controller.parameters import (
     COMPENSATOR_PARAMETERS,
     CONTROLLER_NODE_PARAMETERS,
     REFERENCE_PARAMETERS,
+    VELOCITY_NEEDED,
 )
 
 # An old state is ignored, unless it is repeated so often in a row: then the actuator has begun a
@@ -43,9 +44,6 @@ SIMULATED_NS: Final = 10**18
 # the deviation from it by which a tick corrects the next period.
 AFTER_STATE_S: Final = 0.0002
 IN_STEP: Final = 0.05
-# Parameters that, unless 0, need the velocity of the piston.
-VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.level',
-                          'gain_schedule.velocity')
 # Looked up once.
 ROS_TIME, TimePoint = ClockType.ROS_TIME, rclpy_implementation.rcl_time_point_t
 # Period of the checks for an awaited recorder and of the age of the reference, s.

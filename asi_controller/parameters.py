@@ -1,5 +1,7 @@
 """Parameters of the controller: compensators, reference, node."""
 
+from typing import Final
+
 from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.parameter import Parameter
 from asi_controller.additions import ADDITIONS
@@ -21,8 +23,8 @@ CHOICE_PARAMETERS: tuple[Parameter, ...] = (
               source='6 N at Kp = 3 (Table 1) need it'),
     Parameter('saturation', 4000.0, 'N', 'Largest valve command', 1.0, 1e5, source='assumed'),
     Parameter('transfer_time', 0.02, 's',
-              'Time constant with which the step of the command that a change of gain or '
-              'compensator would make is let in', 0.0, 10.0),
+              'Time constant of the transition of the command after a change of gain or '
+              'compensator, which would otherwise be a step', 0.0, 10.0),
 )
 ADDITION_PARAMETERS: tuple[Parameter, ...] = tuple(
     parameter for each in ADDITIONS.values() for parameter in each)
@@ -51,11 +53,15 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter('reference.seed', 1, '', 'Seed of the PRBS', 0, 2**31 - 1),
 )
 
+# Parameters that, unless 0, need the velocity of the piston.
+VELOCITY_NEEDED: Final = ('velocity_feedforward.share', 'friction_feedforward.level',
+                          'gain_schedule.velocity')
+
 CONTROLLER_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
     Parameter('state_timeout', 0.1, 's',
               'Real time: without a new state for so long no command is given', 1e-3, 60.0),
     Parameter('reference_timeout', 2.0, 's',
               'Without a force_reference for so long (time of the loop) the desired force is 0; '
-              '0: the last one holds for ever', 0.0, 3600.0,
+              '0: the last one is kept', 0.0, 3600.0,
               source='twice the period of ros2 topic pub'),
 )

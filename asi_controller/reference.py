@@ -87,3 +87,12 @@ def reference_force(time, r):
     elif shape == PRBS:
         value = _prbs(int(t * r.reference_frequency + 1e-9), int(r.reference_seed))
     return r.reference_offset + r.reference_amplitude * value
+
+
+@jit
+def reference_forces(r, period, count):
+    """Return the desired forces (N) at so many times, `period` s apart; see reference_force."""
+    found = np.empty(count)
+    for tick in range(count):
+        found[tick] = reference_force(tick * period, r)
+    return found

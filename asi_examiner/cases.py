@@ -237,7 +237,7 @@ def excite(kind: str, rng: np.random.Generator, peak: float) -> Array:
     return peak * np.asarray(signal) / np.abs(signal).max()
 
 
-def visibility(p: np.void, without: np.void, believed: Values, recording: Array,
+def visibility(p: np.void, without: np.void, nominal_values: Values, recording: Array,
                noise: Array) -> float:
     """
     Return the rms of the signal change due to an effect, in multiples of the noise.
@@ -251,7 +251,7 @@ def visibility(p: np.void, without: np.void, believed: Values, recording: Array,
     base = simulate(without, command, quiet, 0)
     change = simulate(p, command, quiet, 0) - base
     columns, low, high = [], [], []
-    for name, value in believed.items():
+    for name, value in nominal_values.items():
         low.append((1.0 - ERROR) * value / without[name] - 1.0)
         high.append((1.0 + ERROR) * value / without[name] - 1.0)
         varied = without.copy()
@@ -316,7 +316,7 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
                 true[key] = value * _log(far_rng, 1.0 + ERROR, beyond) ** _sign(far_rng)
     true['friction_inside'] = float(rng.random() < 0.5) if model == 'textbook' else 1.0
     true['saturates'] = true['family'] = float(model == 'full')
-    believed = {key: value for key, (_, value) in names.items()}
+    nominal_values = {key: value for key, (_, value) in names.items()}
 
     force = rng.uniform(250, 700)
     reference = excite(excitation, rng, force if bench.closed else force / true['gain'])
@@ -354,7 +354,7 @@ def draw(seed: int, world: str = 'textbook', load: str = 'spring', kind: str | N
             single = plant({**true, **change})
             recording = simulate(single, reference, bench, seed)
             if np.isfinite(recording).all():
-                weakest = min(weakest, visibility(single, without, believed, recording,
+                weakest = min(weakest, visibility(single, without, nominal_values, recording,
                                                   bench.noise))
             else:
                 weakest = -1.0

@@ -166,12 +166,12 @@ def following(p, course, substeps, out):
         out[0, k] = course[k]
         out[1, k] = (1.0 - p.fading_gain * k / course.size) * play + p.ripple * math.sin(
             p.teeth * play)
-        asked = course[k]
+        reference = course[k]
         if p.quantum > 0.0:
-            asked = p.quantum * math.floor(asked / p.quantum + 0.5)
+            reference = p.quantum * math.floor(reference / p.quantum + 0.5)
         for _ in range(substeps):
             at = (at + 1) % RING
-            ring[at] = asked
+            ring[at] = reference
             wanted = ring[(at - int(p.delay / STEP_S)) % RING]
             if p.lag > 0.0:
                 first, lag = delayed(p, first, lag, wanted)
@@ -208,8 +208,8 @@ def _unexplained(shapes: Array, signal: Array) -> float:
     """Return the residual of linear least squares, as a share of the signal (rms)."""
     columns = np.column_stack([shapes.T, np.ones(signal.size)])
     size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
-    left = signal - columns @ (np.linalg.lstsq(columns / size, signal)[0] / size)
-    return float(left.std() / signal.std())
+    residual = signal - columns @ (np.linalg.lstsq(columns / size, signal)[0] / size)
+    return float(residual.std() / signal.std())
 
 
 def _visibility(servo: bool, without: Values, course: Array, stiffness: float, substeps: int,

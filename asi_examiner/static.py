@@ -327,12 +327,12 @@ def draw_static(seed: int) -> StaticCase:
     def visible(name: str) -> float:
         """Return what an effect adds to the others and a line, over the noise (rms)."""
         rest = tuple(each for each in effects if each != name)
-        return max(_left(clean, _recorded(rest, course, bench, seed, number, shape)[1])
+        return max(_residual(clean, _recorded(rest, course, bench, seed, number, shape)[1])
                    for number, ((_, clean), shape) in enumerate(zip(made, shapes, strict=True))
                    ) / noise
 
-    seen = {name: visible(name) for name in effects}
-    shown = tuple(name for name in effects if seen[name] >= VISIBLE)
+    visibilities = {name: visible(name) for name in effects}
+    shown = tuple(name for name in effects if visibilities[name] >= VISIBLE)
     if kind == 'pair' and len(shown) == 1:
         kind = 'effect'
     if kind in ('effect', 'pair') and shown:
@@ -340,11 +340,11 @@ def draw_static(seed: int) -> StaticCase:
     else:
         also, kind = (), 'small' if kind in ('effect', 'pair') else kind
     return StaticCase(kind, effects, course, tuple(each for each, _ in made), fresh,
-                      min(seen.values(), default=0.0), also)
+                      min(visibilities.values(), default=0.0), also)
 
 
-def _left(clean: Array, without: Array) -> float:
-    """Return what the output without an effect, and a line, leave of that with it (rms)."""
+def _residual(clean: Array, without: Array) -> float:
+    """Return the rms residual of an output with an effect, fitted by that without and a line."""
     known = np.stack([np.ones(clean.shape[1]), clean[0], without[1]])
     return float(np.std(clean[1] - known.T @ np.linalg.lstsq(known.T, clean[1], rcond=None)[0]))
 

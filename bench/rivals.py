@@ -79,9 +79,9 @@ def slopes(x, command, flux, p):
     limit = sliding_friction(velocity, p) / p.friction_presliding_stiffness
     loss = sliding_share(x[SEAL], velocity, limit) / limit
     elastic = max(0.0, 1.0 - loss * abs(x[SEAL]))
-    rub = (p.friction_presliding_stiffness * x[SEAL]
+    seal_force = (p.friction_presliding_stiffness * x[SEAL]
            + p.friction_presliding_damping * elastic * velocity)
-    transmitted = x[HYDRAULIC] - rub
+    transmitted = x[HYDRAULIC] - seal_force
     out = np.empty(COUNT)
     out[FILTERED] = rate
     out[COIL] = 2.0 * np.pi * p.valve_flexure_coil_frequency * (drive - x[COIL])

@@ -82,12 +82,12 @@ def _shown(console: Console, tally: Tally, lasts_s: float) -> Iterator[None]:
         return time.monotonic() - begin, f'{tally.name}: {tally.tried} tried{failed}'
 
     def lines() -> None:
-        told = 0
+        printed = 0
         while not over.wait(LINE_S):
             console.print('{1}, {0:.0f} s'.format(*passed()))
-            for failure in tally.failures[told:]:   # now, for a later one may end the process
+            for failure in tally.failures[printed:]:   # now, for a later one may end the process
                 console.print(f'not survived: {failure}', markup=False)
-                told += 1
+                printed += 1
 
     def moving(bars: Progress) -> None:
         task = bars.add_task('', total=lasts_s)

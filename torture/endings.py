@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -65,6 +66,8 @@ def commands() -> list[Command]:
         asi('predict'), asi('quench'), asi('reproduce'), asi('calibrate'),
         asi('tune'), asi('sweep', '--over', 'controller.gain=1:10:10'),
         asi('compare', 'lead4', 'proportional')]
+    if find_spec('rerun'):
+        found.append(asi('view', 'bag', '--out', 'new.rrd'))
     if ros2 := shutil.which('ros2'):
         launch = [ros2, 'launch', str(ROOT / 'launch' / 'asi_actuator.launch.py')]
         found += [Command('ros2 launch', [*launch, 'reference:=sine'], SERVES),

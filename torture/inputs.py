@@ -14,6 +14,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from typing import Any, Final, NamedTuple
@@ -99,6 +100,19 @@ def with_command() -> Run:
     return simulate({'load.type': 'spring', 'force_sensor.noise': 0.3}, {
         'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
         'gain_schedule.velocity': 0.5}, 0.6, 1000.0)
+
+
+def saturated() -> Run:
+    """Return a run of the simulator whose command is saturated for long, with its controller."""
+    return simulate({'load.type': 'spring', 'force_sensor.noise': 0.3}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
+        'saturation': 110.0}, 0.6, 1000.0)
+
+
+def without_command() -> Run:
+    """Return the run of `with_command` with its reference and force alone."""
+    return replace(with_command(), command_n=None, valve_position_m=None, position_m=None,
+                   velocity_m_s=None)
 
 
 def corpus(folder: Path) -> list[Path]:
@@ -269,7 +283,7 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
                           'early', 'unit', 'rows twice', 'clock set', 'quantised', 'sign',
                           'sign of a part', 'unit from there', 'frozen', 'cell cut',
                           'spike of the reference', 'copied',
-                          *(OF_COMMAND if run.command_n is not None else ())))
+                          *(OF_COMMAND if run.information else ())))
     if kind == 'rows lost':
         kept[part] = False
     elif kind == 'cells empty':
@@ -407,6 +421,7 @@ def inputs(rig: Rig, tally: Tally, end: float) -> None:
     files = corpus(folder)
     # After so many files, samples of a recording: a limit cycle and a gap take longer.
     analyses = ((4, recording(), of_step), (5, with_command(), of_step),
+                (7, saturated(), of_step), (9, without_command(), of_step),
                 (100, cycle(), of_cycle), (500, with_a_gap(), of_gap))
     for number in range(FILES):
         if time.monotonic() > end:

@@ -82,7 +82,7 @@ def _reset_in_mid_run(rig: Rig) -> tuple[int, str]:
     return _explained(read_bag(bag), as_record(physics), actuator.text.count('reset: enabled'))
 
 
-def _explained(run: Run, p: np.void, asked: int) -> tuple[int, str]:
+def _explained(run: Run, p: np.void, requested: int) -> tuple[int, str]:
     """Return how often the recorded model began anew, and where it did not do as it must."""
     signals = [run.signal(name) for name in ('force', 'valve_position', 'position', 'velocity')]
     state, resets = rest(), 0
@@ -93,7 +93,7 @@ def _explained(run: Run, p: np.void, asked: int) -> tuple[int, str]:
         if measure(state, p) != recorded:
             resets, state = resets + 1, rest()
             step(state, command, p, 1.0 / RATE_HZ)
-            if resets > asked or measure(state, p) != recorded:
+            if resets > requested or measure(state, p) != recorded:
                 return resets, f'state {k + 2} is neither the next nor the first after a reset'
     missing = round(DURATION_S * RATE_HZ) - len(run)
     return resets, f'{missing} states are missing' if missing else ''

@@ -38,7 +38,7 @@ from asi_actuator.model.valve_flexure import (
     flexure_step,
     valve_flexure,
 )
-from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
+from asi_actuator.model.valve_hysteresis import FURTHER, magnetise, rate_decay
 from asi_actuator.parameters import RING
 from asi_common.jit import FULL, inlined, jit
 from asi_common.parameter import ParameterError
@@ -51,6 +51,7 @@ STATE_DTYPE = np.dtype([
     ('sample', np.int64),               # ticks so far
     ('command_filtered', np.float64),   # N, the rate filter of the hysteresis
     ('flux', np.float64),               # N, memory of the hysteresis
+    ('further_plays', np.float64, (FURTHER,)),  # N, of a loop that widens with the amplitude
     ('drive', np.float64),              # N, output of the hysteresis
     ('coil', np.float64),               # N
     ('flexure', np.float64),            # N

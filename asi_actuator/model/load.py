@@ -120,13 +120,13 @@ def load(state, static_before, opening, steady, p):
         damping, damping_slope = damping_force(velocity, curve, p)
         hydraulic = known - fluid.new * damping
         mean = 0.5 * (state.velocity + velocity)
-        rub = friction(state.seal, mean, velocity, p, h)
+        seals = friction(state.seal, mean, velocity, p, h)
         if not moves:
             break
         residual = (mass / h * (velocity - state.velocity) - begin
-                    - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean)
+                    - 0.5 * (hydraulic - seals.force) + (damper + 0.5 * h * stiffness) * mean)
         steepness = (mass / h + 0.25 * h * stiffness
-                     + 0.5 * (fluid.new * damping_slope + rub.force_slope + damper))
+                     + 0.5 * (fluid.new * damping_slope + seals.force_slope + damper))
         change = -residual / steepness
         if abs(change) <= STRAIGHT:
             break
@@ -147,5 +147,5 @@ def load(state, static_before, opening, steady, p):
     state.velocity = velocity
     state.hydraulic_force = hydraulic - fluid.new * damping_slope * change
     state.damping_force = damping + damping_slope * change
-    state.seal = rub.seal + rub.seal_slope * change
-    state.friction_force = rub.force + rub.force_slope * change
+    state.seal = seals.seal + seals.seal_slope * change
+    state.friction_force = seals.force + seals.force_slope * change

@@ -4,11 +4,17 @@ Valve hysteresis: the magnetic circuit that drives the valve (paper, section 2.2
 A play whose half width grows with the rate of the command. At rest it leaves the small remanence
 that the paper's steady-state errors allow; at 100 Hz it gives the phase lag that the paper's
 limit cycle needs. A play of constant width cannot do both.
+
+As a choice, further plays widen the loop with the amplitude, without any dependence on the rate
+(Prandtl 1928; with evenly spread widths from 0 on it is Rayleigh's law, Phil. Mag. 23, 1887).
 """
 
 import math
 
 from asi_common.jit import FULL, LINEAR, jit
+
+# Number of the further plays, of evenly spread widths.
+FURTHER = 8
 
 
 @jit
@@ -40,6 +46,26 @@ def play(drive, command, radius):
 
 
 @jit
+def widened(flux, plays, command, filtered, p):
+    """
+    Return the flux (N) of all plays, the first of which is at `flux` (N); updates the others.
+
+    plays: the further ones, N; command: valve command, N; filtered: state of the rate filter, N.
+    None of them moves before the command has swung by its width, so that the slope for small
+    motion stays 1, and the loop of a larger one is wider. Each has the rate's share of the first.
+    """
+    if p.valve_hysteresis_widening == 0.0 or p.valve_hysteresis_model != FULL:
+        return flux
+    grown = half_width(command_rate(command, filtered, p), p) - p.valve_hysteresis_radius
+    total, step = 0.0, p.valve_hysteresis_widening_range / FURTHER
+    for k in range(FURTHER):
+        width = p.valve_hysteresis_widening_from + (k + 0.5) * step
+        plays[k] = play(plays[k], command, width + grown)
+        total += plays[k]
+    return flux + p.valve_hysteresis_widening * total / FURTHER
+
+
+@jit
 def saturated(flux, p):
     """
     Return the drive (N) of a magnetic circuit at a flux (N: the drive if the iron were linear).
@@ -56,7 +82,7 @@ def saturated(flux, p):
 @jit
 def valve_hysteresis(flux, command, filtered, p):
     """
-    Return the flux (N) of the magnetic circuit.
+    Return the flux (N) of the magnetic circuit, without the further plays.
 
     flux: its last value, N; command: valve command, N; filtered: state of the rate filter, N.
     """
@@ -77,5 +103,6 @@ def magnetise(state, command, decay, p):
     # The rate filter is a lag: its exact solution.
     state.command_filtered = command + (state.command_filtered - command) * decay
     state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
-    state.drive = saturated(state.flux, p)
+    state.drive = saturated(
+        widened(state.flux, state.further_plays, command, state.command_filtered, p), p)
     return state.drive

@@ -320,9 +320,9 @@ def _missing_ends(series: Mapping[str, Series], topics: Mapping[str, Topic]) -> 
     stamps = np.unique(series['valve_command'].stamp_ns)
     if len(ticks) < 2 or stamps[-1] < ticks[0] or stamps[0] > ticks[-1]:    # of another clock
         return
-    enough = MOST_LATE * float(np.median(np.diff(ticks)))
+    tolerated = MOST_LATE * float(np.median(np.diff(ticks)))
     for missing, part in ((stamps[0] - ticks[0], 'first'), (ticks[-1] - stamps[-1], 'last')):
-        if missing > enough:
+        if missing > tolerated:
             yield f'the {part} {1e-9 * missing:.3g} s have no valve_command'
 
 

@@ -344,10 +344,10 @@ def _extract(data: bytes, starts: npt.NDArray[np.int64], headers: npt.NDArray[np
 
 def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Contents) -> None:
     """Read sqlite3 and compressed files, which have no times of publication."""
-    left = most_unpacked(with_files_only(path))
+    remaining = most_unpacked(with_files_only(path))
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
-            left -= len(_unzipped(packed, left))
+            remaining -= len(_unzipped(packed, remaining))
     with Reader(path) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
@@ -360,8 +360,8 @@ def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Conten
         by_message = reader.compression_mode == 'message'
         for connection, time_ns, data in (_packed(reader, select) if by_message else
                                           reader.messages(connections)):
-            plain = _unzipped(BytesIO(data), left) if by_message else bytes(data)
-            left -= len(plain)
+            plain = _unzipped(BytesIO(data), remaining) if by_message else bytes(data)
+            remaining -= len(plain)
             unsigned_ns = time_ns % 2**64    # as in MCAP
             contents.topics[connection.topic].add(unsigned_ns, unsigned_ns, plain)
 

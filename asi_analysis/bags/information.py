@@ -13,6 +13,11 @@ def _is_mapping(value: object) -> bool:
     return isinstance(value, dict)
 
 
+def _are_finite(value: object) -> bool:
+    return isinstance(value, dict) and all(
+        -math.inf < each < math.inf for each in value.values() if is_number(each))
+
+
 def _are_parameters(value: object) -> bool:
     return isinstance(value, dict) and all(
         is_number(number := value.get(parameter.name, parameter.default))
@@ -33,7 +38,7 @@ def _are_units(value: object) -> bool:
 
 
 FORMS: Final[dict[str, Callable[[object], bool]]] = {
-    'experiment': _is_experiment, 'actuator': _are_parameters, 'controller': _is_mapping,
+    'experiment': _is_experiment, 'actuator': _are_parameters, 'controller': _are_finite,
     'versions': _is_mapping, 'imported': _is_mapping, 'signals': _are_units}
 
 

@@ -72,11 +72,13 @@ def reproduce(
 
 @command('calibrate', 'asi calibrate --evaluations 2000 --jobs 2 --out runs/calibration')
 def calibrate(
-    evaluations: Annotated[int, typer.Option(
-        help='Candidates of the global search, including those of an earlier call', min=0)] = 2000,
+    evaluations: Annotated[int | None, typer.Option(
+        help='Candidates of the global search, including those of an earlier call; default: 2000, '
+             'for a front none', min=0)] = None,
     polish: Annotated[int, typer.Option(
         help='Largest number of successive linear programs from the best candidate', min=0)] = 20,
-    structure: Annotated[Literal['side', 'cylinder', 'locked', 'spring'], typer.Option(
+    structure: Annotated[Literal['side', 'cylinder', 'behind', 'locked', 'spring', 'static',
+                                 'widening'], typer.Option(
         help='Structure of the model that is fitted')] = 'side',
     seed: Annotated[int, typer.Option(help='Seed of the search', min=0, max=MOST_SEED)] = 1,
     spread: Annotated[float, typer.Option(
@@ -85,6 +87,8 @@ def calibrate(
         help='best.json of an earlier calibration to start from; default: the defaults')] = None,
     only: Annotated[list[str] | None, typer.Option(
         help='Vary only this quantity, or those with this prefix; may be repeated')] = None,
+    no_table_1: Annotated[bool, typer.Option(
+        '--no-table-1', help='Leave out the rows and conditions of Table 1')] = False,
     jobs: Jobs = 1,
     dask: Dask = None,
     out: Annotated[Path, typer.Option(
@@ -92,7 +96,8 @@ def calibrate(
         help='Directory of state and result; a search in it is continued')
     ] = Path('runs/calibration'),
     front: Annotated[str | None, typer.Option(
-        help='NAME=V1,V2,…: fix a quantity at each value, fit the others, and show the cost')
+        help='NAME=V1,V2,…: hold a quantity or a row at each value, fit the others, and show the '
+             'cost')
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -101,12 +106,16 @@ def calibrate(
     result: Any
     with workers(jobs, dask), bar() as progress:
         if front:
+            from asi_analysis.paper.calibration.front import Fit
             from asi_analysis.paper.calibration.front import run as run_front
-            result = run_front(front, start, polish, out, progress)
+            fit = Fit(evaluations if evaluations is not None else 0, polish, structure, seed,
+                      spread, only or [], not no_table_1)
+            result = run_front(front, start, fit, out, progress)
         else:
             from asi_analysis.paper.calibration.answer import run as run_calibration
-            result = run_calibration(out, structure, evaluations, polish, seed, spread, start,
-                                     only or [], progress)
+            result = run_calibration(out, structure, 2000 if evaluations is None else evaluations,
+                                     polish, seed, spread, start,
+                                     only or [], progress, not no_table_1)
     show(result, as_json)
 
 

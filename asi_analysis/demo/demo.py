@@ -61,18 +61,18 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
     for plan in RUNS:
         bag, found = run(plan.name, plan.title, plan.experiment)
         recorded.append(Recorded(plan, checked(plan.experiment), bag, found, analyze(found)))
-    hidden = find_hidden_effect(
+    diagnosed = find_hidden_effect(
         lambda name, experiment: run(f'{GAP}_{name}', f'Sim-to-real gap, {name}', experiment)[1],
         out / GAP, lambda text, share: progress(f'Sim-to-real gap: {text}',
                                                 (done + (share or 0.0)) / steps))
     progress('writing the report', 1.0 - 1.0 / steps)
     return Demo({
-        'report': str(write_demo_report(recorded, hidden, out)),
-        'gap': {'withheld': HIDDEN.name, 'verdict': hidden.gap.verdict,
-                'probability': hidden.gap.probability,
-                'nominal_error_n': hidden.error_n['nominal'],
-                'improved_error_n': hidden.error_n['improved'] if hidden.put_in else None,
-                'shrink': hidden.shrink if hidden.put_in else None,
+        'report': str(write_demo_report(recorded, diagnosed, out)),
+        'gap': {'withheld': HIDDEN.name, 'verdict': diagnosed.gap.verdict,
+                'probability': diagnosed.gap.probability,
+                'nominal_error_n': diagnosed.error_n['nominal'],
+                'improved_error_n': diagnosed.error_n['improved'] if diagnosed.put_in else None,
+                'shrink': diagnosed.shrink if diagnosed.put_in else None,
                 'report': str(out / GAP / 'report.html')},
         'runs': [{'name': each.plan.name, 'bag': str(each.bag), 'analysis': each.analysis}
                  for each in recorded],

@@ -46,7 +46,7 @@ class Cell(NamedTuple):
     similar: bool
 
 
-def write_demo_report(recorded: list[Recorded], hidden: FoundEffect, out: Path) -> Path:
+def write_demo_report(recorded: list[Recorded], found: FoundEffect, out: Path) -> Path:
     """Write report.html and the PNGs into `out`; return the path of report.html."""
     by_name = {each.plan.name: each for each in recorded}
     cycle_run, loop_run = by_name['limit_cycle'], by_name['hysteresis']
@@ -56,7 +56,7 @@ def write_demo_report(recorded: list[Recorded], hidden: FoundEffect, out: Path) 
     drawn = {'step_responses': _steps(recorded), 'hysteresis': _hysteresis(loop)}
     if cycle:
         drawn |= _of_cycle(cycle_run.run, cycle)
-    drawn |= _of_gap(hidden)
+    drawn |= _of_gap(found)
     steps = [each for each in recorded if each.plan.published]
     return write_report(
         out, 'demo.html', {name: (drawn[name], CAPTIONS[name]) for name in drawn},
@@ -69,21 +69,21 @@ def write_demo_report(recorded: list[Recorded], hidden: FoundEffect, out: Path) 
                 _load(each)) for each in steps],
         cycle=cycle, swing=swing, cycle_run=cycle_run, loop=loop, loop_run=loop_run,
         recorded=recorded, gains={each.plan.name: _gain(each) for each in recorded},
-        delay_ms=_delay_ms(recorded[0]), hidden=hidden, effect=HIDDEN, noise=NOISE,
-        said=sentences(hidden.gap)[0])
+        delay_ms=_delay_ms(recorded[0]), found=found, effect=HIDDEN, noise=NOISE,
+        said=sentences(found.gap)[0])
 
 
-def _of_gap(hidden: FoundEffect) -> dict[str, Figure]:
-    time_s = hidden.runs['machine'].time_s
+def _of_gap(found: FoundEffect) -> dict[str, Figure]:
+    time_s = found.runs['machine'].time_s
     shown = (time_s >= SHOWN_S[0]) & (time_s < SHOWN_S[1])
-    force = {name: run.signal('force')[shown] for name, run in hidden.runs.items()}
+    force = {name: run.signal('force')[shown] for name, run in found.runs.items()}
     largest = max(float(np.abs(force['machine'] - force['nominal']).max()), 1e-9)
 
     def compared(model: str) -> Figure:
         return pictures.compared(time_s[shown], force['machine'], force[model], model, largest)
 
     return {'gap_before': compared('nominal'),
-            'gap_why': pictures.probabilities(chances(hidden.gap)),
+            'gap_why': pictures.probabilities(chances(found.gap)),
             'gap_after': compared('improved')}
 
 

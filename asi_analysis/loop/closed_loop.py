@@ -124,6 +124,9 @@ def close_many(loops: Loops, duration_s: float, last_s: float | None = None
                          loops.references[part], loops.period_s, begin,
                          min(begin + PIECE, ticks), ticks - last, out[part])
 
+    if loops.states.size == 1:
+        block(0)    # a pool takes some milliseconds
+        return out
     with ThreadPoolExecutor(cores) as threads:
         try:
             list(threads.map(block, range(0, loops.states.size, size)))

@@ -14,7 +14,13 @@ import numpy as np
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.valve_characteristic import valve_characteristic
-from asi_actuator.model.valve_hysteresis import rate_decay, saturated, valve_hysteresis
+from asi_actuator.model.valve_hysteresis import (
+    FURTHER,
+    rate_decay,
+    saturated,
+    valve_hysteresis,
+    widened,
+)
 from asi_common.jit import jit
 from asi_controller.additions.hysteresis_inverse import follow
 
@@ -30,7 +36,8 @@ def _hysteresis(amplitude, frequency, limit, samples, p, size, dead_zone):
     # Exact lag of the rate filter for a piecewise linear command.
     lag = (1.0 - decay) / (2.0 * math.pi * p.valve_hysteresis_rate_filter * step)
     half = samples // 2
-    flux = filtered = 0.0
+    flux = filtered = all_plays = 0.0
+    plays = np.zeros(FURTHER)
     before = min(max(amplitude * math.sin(-2.0 * math.pi / samples), -limit), limit)
     centre = max(min(dead_zone - min(amplitude, limit), 0.0), before - dead_zone)
     before += size * (before - centre) / dead_zone
@@ -49,8 +56,9 @@ def _hysteresis(amplitude, frequency, limit, samples, p, size, dead_zone):
         before = command
         if k >= half:
             flux = valve_hysteresis(flux, command, filtered, p)
+            all_plays = widened(flux, plays, command, filtered, p)
         if k >= 2 * half:
-            total += saturated(flux, p) * complex(sine, math.cos(angle))
+            total += saturated(all_plays, p) * complex(sine, math.cos(angle))
     return total * 2.0 / (half * amplitude)
 
 

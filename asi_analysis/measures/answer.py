@@ -18,6 +18,7 @@ from asi_analysis.arrays import Array, Mask
 
 # Earlier samples that a command is computed from: the poles of the compensators of this package.
 ORDER: Final = 8
+LEAST_ROWS: Final = 20 * ORDER      # of commands that a relation is fitted to
 # Rows that the relation is fitted to at most; parts of the recording from which a fit begins.
 MOST: Final = 5000
 PARTS: Final = 8
@@ -35,6 +36,8 @@ APART: Final = ORDER
 # Breaks at most, more are another controller; altered samples of one break at most.
 MOST_BREAKS: Final = 20
 LONGEST: Final = 400
+LEAST_MEMORY: Final = 3     # samples of a signal in a relation that tell altered ones
+MOST_ROWS: Final = 0.9      # share of the samples that are compared: nearly all
 MOST_LOST: Final = 2    # places with lost rows, more are what a nonlinear controller does
 # Singular values below this share of the largest are rounding errors.
 SMALL: Final = 1e-10
@@ -82,6 +85,7 @@ class Answer(NamedTuple):
     factor: float | None
     breaks: tuple[Break, ...]
     everywhere: bool    # it holds for all samples that were compared
+    of_all: bool        # these are nearly all of the recording
 
 
 class _Rows(NamedTuple):
@@ -104,7 +108,7 @@ class _Rows(NamedTuple):
 def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answer | None:
     """Return the relation of n samples at one rate; None if there is none that is exact."""
     rows = _rows(time, command, reference, signal)
-    if len(rows.samples) < 20 * ORDER:
+    if len(rows.samples) < LEAST_ROWS:
         return None
     span = float(np.ptp(rows.command))
     if not span > 0.0:
@@ -122,30 +126,40 @@ def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answ
     factor = _factor(rows, obeys, span)
     if factor is None:
         factor = _scale(rows, obeys, span, factors, known)
-    breaks = _breaks(rows, factors, residual, span)
+    breaks = _breaks(rows, factors, residual, span, _remembers(rows, obeys, span))
     if factor is None or len(_lost(breaks)) > MOST_LOST:    # of few sines any relation is exact
         breaks = [each for each in breaks if each not in _lost(breaks)]
     return Answer(direct[0], direct[1], factor, tuple(breaks),
-                  bool(np.abs(residual).max() < BREAK * span))
+                  bool(np.abs(residual).max() < BREAK * span),
+                  len(rows.samples) > MOST_ROWS * len(time))
 
 
-def late(time: Array, command: Array, reference: Array, signal: Array) -> tuple[str, int]:
+def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
+                   ) -> tuple[str, int]:
     """
     Return which of 'reference' and 'signal' was recorded late, and by how many samples.
 
     '', 0 unless the command answers exactly to samples that come later.
     """
     change = np.diff(np.nan_to_num(command), 2, prepend=[0.0, 0.0])
+    # A part with the largest change tells most lags that are none, in less time.
+    begin = max(int(np.argmax(np.abs(change[2:]))) - ORDER, 0)
+    part = slice(begin, begin + LEAST_ROWS + 4 * ORDER)
     for name, values in (('signal', signal), ('reference', reference)):
         other = np.diff(np.nan_to_num(values), 2, prepend=[0.0, 0.0])
         size = 2 ** int(np.ceil(np.log2(2 * len(change))))
         product = np.fft.irfft(np.fft.rfft(other, size) * np.conj(np.fft.rfft(change, size)))
         most = min(LATEST, len(change) // 4)
-        for lag in np.argsort(-np.abs(product[1:most]))[:TRIED] + 1:
+        likely = np.argsort(-np.abs(product[1:most]))[:TRIED] + 1
+        for lag in (*likely, *range(1, min(ORDER, most) + 1)):
             moved = np.append(values[lag:], np.full(lag, np.nan))
             pair = (reference, moved) if name == 'signal' else (moved, signal)
+            first = answer(time[part], command[part], *(each[part] for each in pair))
+            if first is None or not first.everywhere:
+                continue
             found = answer(time, command, *pair)
-            sure = found is not None and (name == 'signal' or found.factor == 1.0)
+            sure = found is not None and found.everywhere and (
+                name == 'signal' or found.factor == 1.0)
             if found and sure and abs(getattr(found, name)) > 0.0:
                 return name, int(lag)
     return '', 0
@@ -258,7 +272,7 @@ def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
     chosen = np.union1d(np.arange(0, len(bend), step), np.argsort(-bend)[:FEW])
     command = rows.command[obeys][chosen]
     earlier, references, signals = (each[obeys][chosen] for each in rows.groups())
-    possible = []
+    possible, as_recorded = [], np.inf
     for feedforward in FEEDFORWARD:
         beyond = command - feedforward * references[:, 0]
         before = earlier - feedforward * references[:, 1:]
@@ -267,7 +281,11 @@ def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
             error = beyond - table @ _fit(table, beyond)
             if np.abs(error).max() < EXACT * span:
                 possible.append(factor)
-    return possible[0] if len(set(possible)) == 1 else None
+            if factor == 1.0:
+                as_recorded = min(as_recorded, float(np.abs(error).max()))
+    # Of a signal that is small beside the reference another factor may only fit a little better.
+    sure = possible[:1] == [1.0] or as_recorded > BREAK * span
+    return possible[0] if len(set(possible)) == 1 and sure else None
 
 
 def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -> float | None:
@@ -298,8 +316,22 @@ def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -
     return float(found[0]) if abs(found[0] - 1.0) > OTHER_SCALE else None
 
 
-def _breaks(rows: _Rows, factors: Array, residual: Array, span: float) -> list[Break]:
-    """Return the parts that break a relation because samples were altered, lost or repeated."""
+def _remembers(rows: _Rows, obeys: Mask, span: float) -> bool:
+    """Return whether the command takes earlier samples: else any residuals may be altered ones."""
+    chosen = np.flatnonzero(obeys)[::1 + int(obeys.sum()) // MOST]
+    shorter = rows.of_order(0)
+    factors = _fit(shorter.known[chosen], rows.command[chosen])
+    error = np.abs(rows.command[obeys] - shorter.known[obeys] @ factors)
+    return bool(error.max() > BREAK * span)
+
+
+def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, remembers: bool
+            ) -> list[Break]:
+    """
+    Return the parts that break a relation because samples were altered, lost or repeated.
+
+    remembers: whether the command depends on earlier samples.
+    """
     broken = np.flatnonzero(np.abs(residual) > 10.0 * EXACT * span)
     if not len(broken):
         return []
@@ -317,7 +349,7 @@ def _breaks(rows: _Rows, factors: Array, residual: Array, span: float) -> list[B
             rows.samples) - APART
         factor, offset = _altered(rows, part, rest, of_signal, span)
         lost = 0 < len(rest) == rows.order and np.abs(rest).min() > 10.0 * EXACT * span
-        if factor is not None or inside and (lost or _explained(rest, of_signal)
+        if factor is not None or inside and remembers and (lost or _explained(rest, of_signal)
                                              or _explained(rest, of_reference)):
             found.append(Break(int(samples[0]), int(samples[-1]), factor, offset, bool(lost)))
     return found
@@ -354,8 +386,8 @@ def _explained(residual: Array, own: Array) -> bool:
     are earlier samples in the relation. What a nonlinear controller does has not that form.
     """
     altered = len(residual) - len(own) + 1
-    # Without a memory any residuals have that form.
-    if len(own) == 1 or not 0 < altered <= LONGEST:
+    # With a short memory almost any residuals have that form.
+    if len(own) < LEAST_MEMORY or not 0 < altered <= LONGEST:
         return False
     table = linalg.toeplitz(np.append(own, np.zeros(altered - 1)),
                             np.append(own[0], np.zeros(altered - 1)))

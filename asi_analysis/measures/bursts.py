@@ -42,8 +42,8 @@ def bursts(time: Array, values: Array, period: float) -> Bursts | None:
     phase = (PHASES * seconds / period).astype(int) % PHASES
     course = np.bincount(phase, envelope) / np.maximum(np.bincount(phase), 1)
     independent = frequency * seconds[-1]
-    left = np.var(envelope - course[phase]) / np.var(envelope)
-    follows = 1.0 - left * independent / max(independent - PHASES, 1.0)
+    unexplained = np.var(envelope - course[phase]) / np.var(envelope)
+    follows = 1.0 - unexplained * independent / max(independent - PHASES, 1.0)
     high = np.concatenate([[False], envelope > 0.5 * envelope.max(), [False]])
     edges = np.flatnonzero(np.diff(high.astype(int)))
     cycles = float((edges[1::2] - edges[::2]).max()) * step * frequency

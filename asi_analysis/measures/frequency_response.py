@@ -195,8 +195,8 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
         k = int(np.argmin(np.abs(response.frequency_hz - _strongest_hz(run))))
         ratio = response.response[k]
         return Bandwidth(None, None, None, None, (
-            f'the reference is a single sine of {response.frequency_hz[k]:.4g} Hz, which tells '
-            f'only the gain there, {abs(ratio):.3g}, and the phase, '
+            f'the reference is a single sine of {response.frequency_hz[k]:.4g} Hz, which '
+            f'shows only the gain there, {abs(ratio):.3g}, and the phase, '
             f'{math.degrees(np.angle(ratio)):.0f} degrees'))
     valid = np.isfinite(run.reference_n) & np.isfinite(output)
     lag = correlation_delay(np.where(valid, run.reference_n, 0.0), np.where(valid, output, 0.0),

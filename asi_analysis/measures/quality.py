@@ -155,12 +155,12 @@ def _of_time(time: Array) -> Iterator[Finding]:
     period = float(np.median(steps))
     if (wrong := _intervals(time, steps <= 0.0)):
         yield Finding('time_order', 'time', DOUBTFUL, wrong,
-                      f'the time stands still or falls {_times(wrong)}')
+                      f'the time repeats or decreases {_times(wrong)}')
     if not period > 0.0:
         return
-    late = np.abs(steps - period)
-    gaps = steps - period > max((GAP_PERIODS - 1.0) * period, 5.0 * float(np.median(late)))
-    jitter = float(np.quantile(late[~gaps], 0.9))
+    deviations = np.abs(steps - period)
+    gaps = steps - period > max((GAP_PERIODS - 1.0) * period, 5.0 * float(np.median(deviations)))
+    jitter = float(np.quantile(deviations[~gaps], 0.9))
     clock = gaps & (steps > max(CLOCK_PERIODS * period, CLOCK_S))
     if (pauses := _intervals(time, clock)):
         yield Finding('clock_step', 'time', DOUBTFUL, pauses,

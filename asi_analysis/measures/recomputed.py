@@ -1,9 +1,12 @@
 """
-Whether the command of a run is what its controller computes from the recorded signals.
+Whether a run is what its controller and its actuator compute from the recorded signals.
 
-A bag of this package holds the controller of its run with all parameters. In lock-step the
-command is then known to the last bit, also of a controller that is not linear: a difference is
-due to samples that were altered, replaced or moved in time afterwards.
+A bag of this package holds both with all parameters. In lock-step the reference, the command that
+the controller computes from it and the recorded force, and the motion and force that the actuator
+gives for these commands, are then known to the last bit: a difference is due to samples that were
+altered, replaced or moved in time afterwards. As the force is that of the commands, and they are
+those of the force, no other run has both; and neither is simulated in a loop of its own, in which
+a rounding error of another machine could grow.
 """
 
 from collections.abc import Iterator
@@ -11,21 +14,47 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from asi_analysis.arrays import Array
+from asi_actuator.model.actuator import Trajectory, check_period, simulate
+from asi_actuator.node_parameters import SAFETY_PARAMETERS
+from asi_actuator.parameters import as_record
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.information import missing_ticks
-from asi_analysis.bags.run import Run
-from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, place_of
+from asi_analysis.bags.run import SIGNALS, Run
+from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, Interval, name_of, place_of
 from asi_analysis.versions import versions
 from asi_common.parameter import ParameterError
-from asi_controller.parameters import REFERENCE_PARAMETERS
+from asi_common.record import record_of
+from asi_controller.parameters import REFERENCE_PARAMETERS, VELOCITY_NEEDED
+from asi_controller.reference import TOPIC, reference_forces
 
-# Largest difference that is no finding, as a share of the range of the command.
+# Largest difference that is no finding, as a share of the largest value of a signal.
 SHARE: Final = 1e-5
+# The same, where it shows that the actuator or the controller began in another state.
+SAME: Final = 1e-9
 # Share of a period by which samples may be early or late.
 EVEN: Final = 0.01
 # Sample by which a controller that was in another state at the beginning shows.
 FIRST: Final = 3
 MOST_HZ: Final = 1e9   # of a control rate: more is no rate
+# Sub-steps of the actuator that are computed, about a second; later samples are not compared.
+MOST_SUBSTEPS: Final = 3e6
+# Trials for a velocity that was not recorded.
+PASSES: Final = 30
+# Fastest change of the command that the actuator's node passes on by default, N/s.
+COMMAND_RATE: Final = next(float(each.default) for each in SAFETY_PARAMETERS
+                           if each.name == 'limit.command_rate')
+# Real time: the largest change of the difference from sample to sample that is no finding, as a
+# share of the range of the command; time for which a lost state shows in the memory of the
+# controller, s; least and most periods between samples; share of samples that may be altered:
+# beyond, another controller is as likely.
+CHANGE: Final = 1e-3
+REMEMBERED_S: Final = 0.05
+BEFORE: Final = 2       # samples before a command that stays, which may be of another state
+LEAST_PERIODS: Final = 0.9
+MOST_PERIODS: Final = 3.0
+LATE: Final = 0.3       # share of a period
+MOST_ALTERED: Final = 0.3
+MOVED: Final = ('force', 'valve_position', 'position', 'velocity')
 
 
 class ByController(NamedTuple):
@@ -36,28 +65,68 @@ class ByController(NamedTuple):
 
 
 def of_controller(run: Run) -> ByController:
-    """Compare rate and commands of a run in lock-step with those of its recorded controller."""
+    """Compare a run with what its recorded controller and, in lock-step, actuator compute."""
     if _rate(run) is None:
-        return ByController(False, [])
+        return ByController(False, list(_of_real_time(run)))
     found = list(_of_rate(run))
-    if run.command_n is None and run.information.get('controller'):
+    again = recomputed(run)
+    if again is not None and run.command_n is not None:
+        command = run.command_n
+        wrong = np.abs(command - again) > SHARE * float(np.ptp(command))
+        if wrong.any():
+            if _in_another_state(run, [(command, again)]):
+                return ByController(False, found)
+            where = _interval(run, wrong)
+            return ByController(False, [*found, Finding(
+                'answer', 'time', DOUBTFUL, where,
+                'the command is not what the controller of this run computes from the recorded '
+                f'reference and force {place_of(where)}: samples were altered, or its parameters '
+                'were changed')])
+    moved = None if again is None else moved_by(run, again)
+    if run.command_n is None and moved is None and run.information.get('controller'):
         found.append(Finding(
             'reading', 'time', NOTE, ((float(run.time_s[0]), float(run.time_s[-1])),),
             'the recording lacks the command of its run: samples that were altered may not show'))
-    again = recomputed(run)
-    if again is None:
-        return ByController(False, found)
-    command = run.signal('command')
-    wrong = np.flatnonzero(np.abs(command - again) > SHARE * float(np.ptp(command)))
-    if not len(wrong):
-        return ByController(bool(np.ptp(command) > 0.0), found)
-    where = ((float(run.time_s[wrong[0]]), float(run.time_s[wrong[-1]])),)
-    if wrong[0] < FIRST and missing_ticks(run.information, len(run)):
-        return ByController(False, found)   # in which state it was is not known
-    return ByController(False, [*found, Finding(
-        'answer', 'time', DOUBTFUL, where,
-        'the command is not what the controller of this run computes from the recorded reference '
-        f'and force {place_of(where)}: samples were altered, or its parameters were changed')])
+    altered = [] if again is None or moved is None else list(_of_moved(run, moved))
+    agrees = (again is not None and not altered and run.command_n is not None
+              and bool(np.ptp(run.command_n) > 0.0))
+    return ByController(agrees, found + altered)
+
+
+def _interval(run: Run, wrong: Mask) -> tuple[Interval, ...]:
+    samples = np.flatnonzero(wrong)
+    return ((float(run.time_s[samples[0]]), float(run.time_s[samples[-1]])),)
+
+
+def _in_another_state(run: Run, pairs: list[tuple[Array, Array]]) -> bool:
+    """Return whether a run of which samples are missing began in a state that is not known."""
+    return missing_ticks(run.information, len(run)) > 0 and any(
+        np.abs(recorded[:FIRST] - again[:FIRST]).max() > SAME * np.abs(again).max()
+        for recorded, again in pairs)
+
+
+def _of_moved(run: Run, moved: Trajectory) -> Iterator[Finding]:
+    """Compare reference, motion and force with those of the recorded actuator."""
+    count = len(moved.time_s)
+    pairs = {each.name: (values[:count], getattr(moved, each.field)) for each in SIGNALS
+             if each.name in MOVED and run.unit(each.name) == each.unit
+             and (values := getattr(run, each.field)) is not None}
+    if _in_another_state(run, list(pairs.values())):
+        return
+    if (reference := generated(run)) is not None:
+        pairs['reference'] = (run.signal('reference'), reference)
+    wrong = {name: found for name, (recorded, again) in pairs.items()
+             if (found := np.abs(recorded - again) > SHARE * np.abs(again).max()).any()}
+    if not wrong:
+        return
+    first = min(np.flatnonzero(each)[0] for each in wrong.values())
+    last = max(np.flatnonzero(each)[-1] for each in wrong.values())
+    where = ((float(run.time_s[first]), float(run.time_s[last])),)
+    yield Finding('answer', next(iter(wrong)) if len(wrong) == 1 else 'time', DOUBTFUL, where,
+                  f'the {" and the ".join(name_of(name) for name in wrong)} '
+                  f'{"is" if len(wrong) == 1 else "are"} not what controller and actuator of this '
+                  f'run compute {place_of(where)}: samples were altered, lost or repeated, or '
+                  'parameters were changed')
 
 
 def _of_rate(run: Run) -> Iterator[Finding]:
@@ -68,7 +137,7 @@ def _of_rate(run: Run) -> Iterator[Finding]:
     if round(periods) > 1 and abs(periods - round(periods)) < EVEN and (
             periods * (len(run) - 1) <= ticks):
         yield Finding('rate', 'time', NOTE, whole,
-                      f'the recording has only every {round(periods)}. sample of this run, whose '
+                      f'the recording has one of {round(periods)} samples of this run, whose '
                       f'rate was {rate_hz:g} Hz')
     elif abs(periods - 1.0) > EVEN:
         yield Finding('rate', 'time', DOUBTFUL, whole,
@@ -76,31 +145,133 @@ def _of_rate(run: Run) -> Iterator[Finding]:
                       f'{1.0 / rate_hz:.4g} s: is the time right?')
 
 
-def _rate(run: Run) -> float | None:
-    """Return the control rate of a run in lock-step, Hz; None for another run."""
+def _of_real_time(run: Run) -> Iterator[Finding]:
+    """
+    Compare the rate and the commands of a run in real time with those of its controller.
+
+    There the controller has a memory from before the first sample, and may answer a state twice
+    or not at all, which the recording shows by a command that stays, or late states. So compared
+    is how much the difference changes, except shortly after such places.
+    """
+    if (rate_hz := _rate(run, 'realtime')) is None:
+        return
+    if not LEAST_PERIODS <= run.period_s * rate_hz <= MOST_PERIODS:
+        yield Finding('rate', 'time', DOUBTFUL, ((float(run.time_s[0]), float(run.time_s[-1])),),
+                      f'the samples are {run.period_s:.4g} s apart, those of this run were '
+                      f'{1.0 / rate_hz:.4g} s: is the time right?')
+        return
+    if run.command_n is None or not np.isfinite(run.command_n).any():
+        return
+    known = np.flatnonzero(np.isfinite(run.command_n))
+    part = run[int(known[0]):int(known[-1]) + 1]
+    again = recomputed(part, 'realtime')
+    if again is None:
+        return
+    command, time = part.signal('command'), part.time_s
+    late = np.abs(np.diff(time) * rate_hz - 1.0) > LATE
+    unknown = np.append(True, late | (np.diff(command) == 0.0))
+    unknown[-1] = True      # it may have no answer
+    after = round(REMEMBERED_S * rate_hz)
+    remembered = np.convolve(unknown, np.ones(BEFORE + after + 1))[BEFORE:][:len(part)] > 0.5
+    changes = np.abs(np.diff(again - command, prepend=0.0)) > CHANGE * float(np.ptp(command))
+    wrong = changes & ~remembered
+    if not wrong.any():
+        return
+    lasting = wrong.sum() > MOST_ALTERED * np.count_nonzero(~remembered)
+    where = _interval(part, wrong)
+    yield Finding('answer', 'time', NOTE if lasting else DOUBTFUL, where,
+                  'the command is not what the controller of this run computes from the recorded '
+                  f'reference and force {place_of(where)}: '
+                  + ('its parameters were changed, or samples were altered' if lasting else
+                     'samples were altered, lost or repeated'))
+
+
+def _rate(run: Run, mode: str = 'lockstep') -> float | None:
+    """Return the control rate of a run in a mode, Hz; None for another run."""
     experiment = run.information.get('experiment', {})
-    rate_hz = experiment.get('rate_hz', 0.0) if experiment.get('mode') == 'lockstep' else 0.0
+    rate_hz = experiment.get('rate_hz', 0.0) if experiment.get('mode') == mode else 0.0
     return float(rate_hz) if 0.0 < rate_hz < MOST_HZ else None
 
 
-def recomputed(run: Run) -> Array | None:
+def recomputed(run: Run, mode: str = 'lockstep') -> Array | None:
     """
     Return the commands that the recorded controller computes in a run of n samples.
 
-    None for a recording that does not hold the controller, or not all samples from its first, or
-    that is not in lock-step, or of another version of this package.
+    None for a recording that does not hold the controller, or that is not in this mode, or of
+    another version of this package; or in lock-step not all samples from its first.
     """
     controller: dict[str, Any] = dict(run.information.get('controller', {}))
-    rate_hz = _rate(run)
+    rate_hz = _rate(run, mode)
     if not controller or rate_hz is None or not _same_version(run):
         return None
-    signals = [getattr(run, name) for name in ('reference_n', 'force_n', 'command_n')]
+    signals = (run.reference_n, run.force_n)
     if any(each is None or not np.isfinite(each).all() for each in signals) or any(
             each.state != 'enabled' for each in run.states):
         return None
-    if (period := _even(run)) is None or abs(period * rate_hz - 1.0) > EVEN:
+    if any(each is not None and not np.isfinite(each).all()
+           for each in (run.command_n, run.velocity_m_s)):
         return None
-    return _commands(run, controller, rate_hz)
+    if mode == 'lockstep' and (
+            (period := _even(run)) is None or abs(period * rate_hz - 1.0) > EVEN):
+        return None
+    for parameter in REFERENCE_PARAMETERS:
+        controller.pop(parameter.name, None)
+    if run.velocity_m_s is not None:
+        return _commands(run, controller, rate_hz, run.velocity_m_s)
+    if not any(controller.get(name) for name in VELOCITY_NEEDED):
+        return _commands(run, controller, rate_hz, np.zeros(len(run)))
+    return _by_velocity(run, controller, rate_hz)
+
+
+def _by_velocity(run: Run, controller: dict[str, Any], rate_hz: float) -> Array | None:
+    """Return the commands for a velocity that was not recorded: that of the actuator."""
+    velocity = np.zeros(len(run))
+    for _ in range(PASSES):
+        command = run.command_n
+        if command is None:
+            command = _commands(run, controller, rate_hz, velocity)
+        moved = None if command is None else moved_by(run, command)
+        if moved is None or len(moved.time_s) < len(run):
+            return None
+        if np.abs(moved.velocity_m_s - velocity).max() <= SAME * np.abs(velocity).max():
+            return _commands(run, controller, rate_hz, velocity)
+        velocity = moved.velocity_m_s
+    return None
+
+
+def generated(run: Run) -> Array | None:
+    """Return the reference (N) of a run in lock-step; None if the controller did not make it."""
+    controller = run.information.get('controller', {})
+    names = {each.name for each in REFERENCE_PARAMETERS}
+    rate_hz = _rate(run)
+    try:
+        record = record_of({name: value for name, value in controller.items() if name in names},
+                           REFERENCE_PARAMETERS)
+    except (ParameterError, TypeError, ValueError, OverflowError):
+        return None
+    if rate_hz is None or record['reference_shape'] == TOPIC:
+        return None
+    return np.asarray(reference_forces(record, 1.0 / rate_hz, len(run)))
+
+
+def moved_by(run: Run, command: Array) -> Trajectory | None:
+    """
+    Return what the recorded actuator does with n commands (N), or with the first of them.
+
+    None where that is not known: no or other parameters, commands that its node slows down.
+    """
+    actuator, rate_hz = run.information.get('actuator'), _rate(run)
+    if not actuator or rate_hz is None or not np.isfinite(command).all():
+        return None
+    if np.abs(np.diff(command, prepend=0.0)).max() * rate_hz > COMMAND_RATE:
+        return None
+    try:
+        record = as_record(actuator)
+        check_period(1.0 / rate_hz)
+    except (ParameterError, TypeError, ValueError, OverflowError):
+        return None
+    substeps = np.ceil(1.0 / rate_hz / float(record['maximum_substep']))
+    return simulate(record, command[:int(MOST_SUBSTEPS / substeps)], 1.0 / rate_hz)
 
 
 def _same_version(run: Run) -> bool:
@@ -116,17 +287,11 @@ def _even(run: Run) -> float | None:
     return period if even else None
 
 
-def _commands(run: Run, values: dict[str, Any], rate_hz: float) -> Array | None:
+def _commands(run: Run, values: dict[str, Any], rate_hz: float, velocity: Array
+              ) -> Array | None:
     from asi_controller.compensator import commands, compensator
-    for parameter in REFERENCE_PARAMETERS:
-        values.pop(parameter.name, None)
     try:
         record = compensator(values, rate_hz)
     except (ParameterError, TypeError, ValueError, OverflowError):
-        return None
-    velocity = run.velocity_m_s
-    if velocity is None:
-        velocity = np.zeros(len(run))
-    elif not np.isfinite(velocity).all():
         return None
     return np.asarray(commands(record, run.signal('reference'), run.signal('force'), velocity))

@@ -5,15 +5,17 @@ Compared are the controlled signal with its reference, the command with both, an
 the velocity.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
-from asi_analysis.measures.answer import Answer, answer, late
+from asi_analysis.measures.answer import Answer, answer, delayed_signal
 from asi_analysis.measures.breaks import frozen, jumps, spikes
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
 from asi_analysis.measures.finding import (
@@ -29,6 +31,7 @@ from asi_analysis.measures.finding import (
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
 # in any case. Below SAME_SIZE the signal does not follow, and is not compared further.
 UNIT_FACTOR: Final = 100.0
+DECADE: Final = 0.1     # of the logarithm of a ratio that is one of units
 SAME_SIZE: Final = 0.3
 CORRELATED: Final = 0.7
 # The same ratio to a command of the same unit.
@@ -45,8 +48,15 @@ BEFORE: Final = 0.3
 # otherwise; parts of a run that are compared, and samples of each at least.
 MOTION_FACTOR: Final = 1.5
 AGREE: Final = 0.98
+SURELY: Final = 0.995     # of another signal than the velocity
 RESOLVED: Final = 0.5     # largest change of the velocity in a period, rms, as a share of it
 MOTION_PARTS: Final = 8
+# A jump of the position: how much farther it moves in a period than the velocity within so many
+# samples says, than it usually does for its noise, and as a share of its range.
+JUMP_FACTOR: Final = 5.0
+JUMP_SAMPLES: Final = 10
+JUMP_NOISE: Final = 20.0
+JUMP_SHARE: Final = 1e-3
 MOTION_SAMPLES: Final = 20
 # Change of a command with a signal of the same unit beyond which that is probably wrong.
 MOST_GAIN: Final = 1000.0
@@ -54,9 +64,10 @@ LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
 COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
 FAR: Final = 30.0   # distance from a reference, in ranges of both: its zero is another
+STEADY_ERROR: Final = 0.1   # of a loop that has settled, as a share of the reference
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 BROKEN: Final = {'jump': 'jumps from one sample to the next',
-                 'frozen': 'stands still while it should move'}
+                 'frozen': 'is constant while it should move'}
 # Findings of a whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -84,13 +95,13 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         return
     if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES:
         yield Finding('clipping', name, DOUBTFUL, whole,
-                      f'the {name_of(name)} only jumps, and stands still between: it is cut off')
+                      f'the {name_of(name)} only jumps, and is constant in between: it is cut off')
         return
     if wrong := _rests(run, name, reference, values):
         yield wrong
         return
     ratio, strange = _ratio(run, reference, values, both)
-    by_command = (_ByCommand([], True, True, True) if as_recorded else
+    by_command = (_ByCommand([], True, True, True, True) if as_recorded else
                   _of_command(run, name, ratio, _correlation(reference, values)))
     yield from by_command.findings
     if any(each.kind in WHOLE for each in by_command.findings):
@@ -110,7 +121,9 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         yield Finding('sign', name, DOUBTFUL, whole,
                       f'the {name_of(name)} moves against its reference: is its sign right?')
         return
-    yield from _of_continuity(run, name, time, reference, values)
+    for each in _of_continuity(name, time, reference, values):
+        if each.kind != 'jump' or not by_command.same_samples:
+            yield each
     if not by_command.same_time:
         yield from _of_order(run, name, time, reference, values)
 
@@ -118,20 +131,28 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
     """Return a finding on a signal that rests, or is far from its reference."""
     whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
-    asked, moved = float(np.ptp(reference)), float(np.ptp(values))
+    span, moved = float(np.ptp(reference)), float(np.ptp(values))
     command = reference if run.command_n is None else run.command_n[np.isfinite(run.command_n)]
     commanded = len(command) > 0 and np.ptp(command) > 0.0 and all(
         each.state == 'enabled' for each in run.states)
-    if len(values) >= COPIED and asked > 0.0 and moved == 0.0 and commanded:
+    others = any(_changes(each) for signal, each in run.signals().items()
+                 if signal not in (name, 'reference', 'command'))
+    if len(values) >= COPIED and span > 0.0 and moved == 0.0 and (commanded or others):
         return Finding('frozen', name, NOTE, whole,
                        f'the {name_of(name)} does not change at all: is it measured?')
     away = float(np.median(np.abs(values - reference)))
-    if away > FAR * max(asked, moved) > 0.0:
+    settled = away < STEADY_ERROR * abs(float(np.median(reference)))
+    if away > FAR * max(span, moved) > 0.0 and not settled:
         return Finding('unit', name, DOUBTFUL, whole,
                        f'the {name_of(name)} is {away:.4g} {run.unit(name)} from its reference, '
-                       f'{away / max(asked, moved):.3g} times as far as either moves: is its zero '
+                       f'{away / max(span, moved):.3g} times as far as either moves: is its zero '
                        'right?')
     return None
+
+
+def _changes(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and float(np.ptp(known)) > 0.0
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -149,10 +170,13 @@ def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_
     strange = ratio > UNIT_FACTOR ** 2 or abs(_correlation(reference, values)) > CORRELATED
     if not strange and run.command_n is not None and run.unit('command') == run.unit('reference'):
         strange = output_sd > COMMAND_FACTOR * float(np.nanstd(run.command_n[both]))
+    if ratio < 1.0 and run.velocity_m_s is not None and _changes(run.velocity_m_s):
+        # The force on a piston that moves freely is small, too.
+        strange = strange and abs(math.log10(ratio) - round(math.log10(ratio))) < DECADE
     return ratio, strange
 
 
-def _of_continuity(run: Run, name: str, time: Array, reference: Array, values: Array
+def _of_continuity(name: str, time: Array, reference: Array, values: Array
                    ) -> Iterator[Finding]:
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
@@ -233,6 +257,7 @@ class _ByCommand(NamedTuple):
     same_unit: bool = False
     same_sign: bool = False
     same_time: bool = False
+    same_samples: bool = False      # as the controller had them, jumps included
 
 
 def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCommand:
@@ -246,8 +271,11 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     time, signals = run.time_s, (run.command_n, run.reference_n, run.signal(name))
     whole, words = ((float(time[0]), float(time[-1])),), name_of(name)
     found = answer(time, *signals)
+    if found is None or not found.everywhere:
+        if found_late := list(_of_no_answer(run, name)):
+            return _ByCommand(found_late)
     if found is None:
-        return _ByCommand(list(_of_no_answer(run, name)))
+        return _ByCommand([])
     problems = []
     alike = run.unit('command') == run.unit(name)
     if wrong := _wrong_unit(found, words, moved if alike else 1.0, correlation):
@@ -263,7 +291,8 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
                                 where, what.format(words, place_of(where))))
     usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
     return _ByCommand(problems, usual or found.factor == 1.0,
-                      found.everywhere and found.signal < 0.0, found.everywhere)
+                      found.everywhere and found.signal < 0.0 and not found.reference < 0.0,
+                      found.everywhere, found.everywhere and found.of_all)
 
 
 def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
@@ -275,7 +304,7 @@ def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
     if factor not in (None, 1.0, -1.0):
         return 'unit', (f'the command answers 1/{factor:.4g} of the {words} as it answers the '
                         'reference: is the unit of each right?')
-    if factor == -1.0 or factor is None and found.signal > 0.0 and (
+    if factor == -1.0 or factor is None and found.everywhere and found.signal > 0.0 and (
             found.reference > 0.0 or correlation < 0.0):
         return 'sign', f'the command rises with the {words}: is its sign right?'
     ratio = abs(found.reference / found.signal)
@@ -293,7 +322,7 @@ def _of_no_answer(run: Run, name: str) -> Iterator[Finding]:
     """Say which signal was recorded late, where the command shows it."""
     signals = (run.signal('command'), run.signal('reference'), run.signal(name))
     whole, words = ((float(run.time_s[0]), float(run.time_s[-1])),), name_of(name)
-    which, samples = late(run.time_s, *signals)
+    which, samples = delayed_signal(run.time_s, *signals)
     if which:
         signal, word = (name, words) if which == 'signal' else (which, which)
         yield Finding('order', signal, DOUBTFUL, whole,
@@ -309,17 +338,44 @@ def of_motion(run: Run) -> Iterator[Finding]:
     known = np.flatnonzero(np.isfinite(run.position_m) & np.isfinite(run.velocity_m_s))
     if len(known) < MOTION_PARTS * MOTION_SAMPLES:
         return
-    whole = _way_by_velocity(run, known)
-    parts = [known] if whole and not _alike(whole) else np.array_split(known, MOTION_PARTS)
-    ratios = [_way_by_velocity(run, part) for part in parts]
+    if jumped := _position_jumps(run, known):
+        yield Finding('motion', 'time', DOUBTFUL, jumped,
+                      f'the position jumps {place_of(jumped)}, which the velocity beside it does '
+                      'not say: samples were lost, or altered')
+    whole = _way_by_velocity(run, known, run.velocity_m_s)
+    if whole is None and (other := _exchanged(run, known)):
+        time = ((float(run.time_s[known[0]]), float(run.time_s[known[-1]])),)
+        yield Finding('motion', 'time', DOUBTFUL, time,
+                      f'the position is the integral of the {name_of(other)}, not of the '
+                      'velocity: are they exchanged?')
+        return
+    parts = [known] if whole and not _near_one(whole) else np.array_split(known, MOTION_PARTS)
+    ratios = [_way_by_velocity(run, part, run.velocity_m_s) for part in parts]
     wrong = [(ratio, part) for ratio, part in zip(ratios, parts, strict=True)
-             if ratio and not _alike(ratio)]
+             if ratio and not _near_one(ratio)]
     if wrong:
         where = tuple((float(run.time_s[part[0]]), float(run.time_s[part[-1]]))
                       for _, part in wrong)
         yield Finding('motion', 'time', DOUBTFUL, where,
                       f'the position changes by {wrong[0][0]:.3g} times the integral of the '
                       f'velocity {place_of(where)}: is the time right, and both units and signs?')
+
+
+def _position_jumps(run: Run, known: npt.NDArray[np.intp]) -> tuple[Interval, ...]:
+    """Return where the position moves in one period, and the velocity beside it says nothing."""
+    assert run.position_m is not None
+    assert run.velocity_m_s is not None
+    time, position, velocity = run.time_s[known], run.position_m[known], run.velocity_m_s[known]
+    periods, moved = np.diff(time), np.abs(np.diff(position))
+    beside = ndimage.maximum_filter1d(np.abs(velocity), 2 * JUMP_SAMPLES + 1)
+    longest = np.maximum(periods, run.period_s)     # stamps may be late
+    expected = JUMP_FACTOR * longest * np.maximum(beside[1:], beside[:-1])
+    # Of a position with noise, or with few digits.
+    usual = max(float(np.quantile(moved - np.minimum(moved, expected / JUMP_FACTOR), 0.9)),
+                float(moved[moved > 0.0].min(initial=np.inf)))
+    jumped = (moved > expected) & (moved > JUMP_NOISE * usual) & (
+        moved > JUMP_SHARE * float(np.ptp(position))) & (periods < 1.5 * run.period_s)
+    return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(jumped))
 
 
 def moved_by(run: Run, present: npt.NDArray[np.intp]) -> Mask:
@@ -339,25 +395,34 @@ def moved_by(run: Run, present: npt.NDArray[np.intp]) -> Mask:
     return moved
 
 
-def _alike(ratio: float) -> bool:
+def _near_one(ratio: float) -> bool:
     return 1.0 / MOTION_FACTOR < ratio < MOTION_FACTOR
 
 
-def _way_by_velocity(run: Run, part: npt.NDArray[np.intp]) -> float | None:
+def _exchanged(run: Run, known: npt.NDArray[np.intp]) -> str:
+    """Return the signal that is the derivative of the position instead of the velocity, or ''."""
+    return next((name for name, values in run.signals().items()
+                 if name not in ('position', 'velocity', 'reference')
+                 and np.isfinite(values[known]).all() and run.velocity_m_s is not None
+                 and np.ptp(run.velocity_m_s[known]) > 0.0
+                 and _way_by_velocity(run, known, values, SURELY) is not None), '')
+
+
+def _way_by_velocity(run: Run, part: npt.NDArray[np.intp], values: Array, agree: float = AGREE
+                     ) -> float | None:
     """
-    Return the change of position over the integral of velocity.
+    Return the change of position over the integral of a velocity of n samples.
 
     None if they do not agree, or the samples are too far apart for an integral.
     """
     assert run.position_m is not None
-    assert run.velocity_m_s is not None
-    time, position, velocity = run.time_s[part], run.position_m[part], run.velocity_m_s[part]
+    time, position, velocity = run.time_s[part], run.position_m[part], values[part]
     if np.mean(np.diff(velocity) ** 2) > RESOLVED ** 2 * np.mean(velocity ** 2):
         return None
     way = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)))
     for apart in (1, len(part) // 20):
         moved, expected = (each[apart:] - each[:-apart] for each in (position, way))
         sizes = np.sqrt(np.mean(moved ** 2)), np.sqrt(np.mean(expected ** 2))
-        if min(sizes) > 0.0 and abs(alike := np.mean(moved * expected) / np.prod(sizes)) > AGREE:
+        if min(sizes) > 0.0 and abs(alike := np.mean(moved * expected) / np.prod(sizes)) > agree:
             return float(np.copysign(sizes[0] / sizes[1], alike))
     return None

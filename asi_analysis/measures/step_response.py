@@ -189,8 +189,8 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
     assert ten is not None and ninety is not None  # the mean of the end is 1
     shape = _shape(t, share, ten, ninety)
     if shape != 'monotone':
-        notes.append(f'the rise from 10 to 90 % is not one rise but a {shape}: '
-                     'its time says little')
+        notes.append(f'the rise from 10 to 90 % is no single rise but a {shape}: '
+                     'the rise time is not meaningful')
     settled = []
     for band in (0.02, 0.05):
         moment = _settling(t, share, band)
@@ -286,9 +286,9 @@ class StepResponse(Result):
                   step.time_s + 3.0 * (step.settling_time_2_s or np.inf)) - step.time_s
         percent = 100.0 / (step.final_n - step.initial_n)
         output = percent * (self.run.signal(self.signal) - step.initial_n)
-        alike = self.run.unit('command') == self.unit
+        same_unit = self.run.unit('command') == self.unit
         command = (percent * (self.run.command_n - step.initial_n)
-                   if self.run.command_n is not None and alike else None)
+                   if self.run.command_n is not None and same_unit else None)
         what = self.signal.capitalize()
         return {'step': (figures.step_responses(
             {self.run.source or 'run': (self.run.time_s - step.time_s, output, command)}, end,

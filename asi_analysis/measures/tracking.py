@@ -13,9 +13,9 @@ class Tracking(NamedTuple):
     """
     Errors over the whole run, in the unit of the controlled signal; None if not recorded.
 
-    tracking_error_percent: of the rms of the reference about its mean; None if it stands still.
+    tracking_error_percent: of the rms of the reference about its mean; None if it is constant.
     impedance_real, impedance_imaginary: of force over velocity (N s/m) at `impedance_hz`, of a run
-    whose reference stands still while a single sine moves the piston; the force against the motion
+    whose reference is constant while a single sine moves the piston; the force against the motion
     counts as positive, so that a real part below 0 is not passive (Colgate, Hogan, "Robust control
     of dynamically interacting systems", Int. J. Control 48, 1988).
     """
@@ -40,10 +40,10 @@ def tracking(run: Run, name: str | None = None) -> Tracking:
         return Tracking(command_rms_n=command)
     reference, error = run.reference_n[known], (run.reference_n - output)[known]
     rms, moved = float(np.sqrt(np.mean(error ** 2))), float(np.std(reference))
-    stands = moved < 1e-9 * max(float(np.abs(reference).max()), 1.0)
-    found = Tracking(rms, float(np.abs(error).max()), None if stands else 100.0 * rms / moved,
+    constant = moved < 1e-9 * max(float(np.abs(reference).max()), 1.0)
+    found = Tracking(rms, float(np.abs(error).max()), None if constant else 100.0 * rms / moved,
                      command)
-    return found._replace(**_impedance(run)) if stands else found
+    return found._replace(**_impedance(run)) if constant else found
 
 
 def _impedance(run: Run) -> dict[str, float]:

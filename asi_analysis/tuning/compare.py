@@ -69,7 +69,7 @@ class Comparison(Result):
     def parts(self) -> Iterator[str | Table]:
         yield from self.tables('{} *')
         if any(each['met'] is False for each in self['figures']):
-            yield '* not what is to be reached'
+            yield '* target not reached'
         yield from self._notes()
 
     def tables(self, missing: str) -> Iterator[Table]:
@@ -78,8 +78,8 @@ class Comparison(Result):
             found: dict[str, dict[str, Any]] = {}
             for each in self['figures']:
                 if each['condition'] == condition:
-                    late = each['unit'] == 's' and each['value'] >= STEP_S
-                    text = filled('over {value:.3g}' if late else '{value:.3g}', each)
+                    not_settled = each['unit'] == 's' and each['value'] >= STEP_S
+                    text = filled('over {value:.3g}' if not_settled else '{value:.3g}', each)
                     found.setdefault(each['name'], dict(each))[each['controller']] = (
                         missing.format(text) if each['met'] is False else text)
             yield Table(['', 'to reach', '', *self.controllers], [
@@ -147,7 +147,7 @@ class Comparison(Result):
 
     def write_markdown(self, path: Path, command: str) -> None:
         """Write the tables as a page of Markdown that names the command."""
-        write_text(path, f'# {self.title}\n\nWritten by `{command}`. Bold: not what is to be '
+        write_text(path, f'# {self.title}\n\nWritten by `{command}`. Bold: target not '
                          f'reached.\n\n{self.markdown()}')
 
     def pictures(self) -> Pictures:

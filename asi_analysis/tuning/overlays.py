@@ -50,7 +50,7 @@ def simulated(found: Mapping[str, Responses], rate_hz: float) -> Pictures:
                  'A sine of the reference on the locked piston'),
         'gain': (overlays([Panel('From reference to force at 50 N', 'frequency (Hz)', 'gain (dB)',
                                  gain)]), 'Gain of the closed loop'),
-        'felt_force': (overlays(felt), 'Force that a moved piston gives at reference 0'),
+        'felt_force': (overlays(felt), 'Force of a moved piston at reference 0'),
         'impedance': (overlays(impedance), 'Real part of the impedance; below 0 not passive')}
 
 

@@ -72,12 +72,12 @@ OUTSIDE: Final = 100.0
 
 
 class Candidate(NamedTuple):
-    """Settings with their cost, figures, and remaining oscillation (sum of logarithms)."""
+    """Settings with their cost, figures, and remaining amplitude (sum of logarithms)."""
 
     cost: float
     controller: Mapping[str, Value]
     figures: Mapping[str, float]
-    left: float
+    remaining_amplitude: float
 
 
 def settings(point: np.ndarray) -> dict[str, Value]:
@@ -99,7 +99,7 @@ def attacked_rates(rate_hz: float) -> tuple[float, ...]:
     return (rate_hz, *(each for each in RATES_HZ if each < rate_hz))
 
 
-def left(conditions: Sequence[Condition], actuator: Values, controller: Values,
+def remaining_amplitude(conditions: Sequence[Condition], actuator: Values, controller: Values,
          rates_hz: tuple[float, ...]) -> float:
     """Return the sum of log(amplitude / LEFT_N) of the oscillations that do not decay."""
     gain, delay = MARGIN
@@ -145,7 +145,7 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
     def candidate(point: np.ndarray) -> Candidate:
         controller = settings(point)
         found = figures(actuator, controller, rate_hz)
-        oscillation = left(conditions, actuator, controller, rates)
+        oscillation = remaining_amplitude(conditions, actuator, controller, rates)
         beyond = np.maximum(0.0, -point) + np.maximum(0.0, point - 1.0)
         cost = (sum(MISSED * max(miss, 0.0) + REACHED * miss
                     for miss in missed(found, goals).values())
@@ -178,7 +178,7 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
 
 def front(tried: Sequence[Candidate], names: Sequence[str]) -> list[Candidate]:
     """Return those quiet under attack that no other one beats in all the figures of `names`."""
-    quiet = [each for each in tried if each.left == 0.0]
+    quiet = [each for each in tried if each.remaining_amplitude == 0.0]
     values = np.array([[each.figures[name] for name in names] for each in quiet])
     return [each for each, row in zip(quiet, values, strict=True)
             if not ((values <= row).all(1) & (values < row).any(1)).any()]

@@ -36,10 +36,10 @@ class Frames:
         """Be notified of new messages, in the event loop that calls this."""
         loop = asyncio.get_running_loop()
 
-        def told() -> None:
+        def notify() -> None:
             with contextlib.suppress(RuntimeError):   # the loop has ended
                 loop.call_soon_threadsafe(self._tell)
-        self._recent.told = told
+        self._recent.on_message = notify
 
     def _tell(self) -> None:
         """Wake up all that wait for news."""

@@ -183,12 +183,12 @@ def _actions(session: Session) -> None:
     with ui.row().classes('items-center'):
         for label, question in (('Is it a limit cycle?', 'limit-cycle'),
                                 ('Where is the gap?', 'gap'), ('How well?', 'analyze')):
-            ui.button(label, on_click=lambda question=question: asked(question))
+            ui.button(label, on_click=lambda question=question: answered(question))
         busy = ui.spinner()
         busy.visible = False
     answer = ui.label().classes('whitespace-pre font-mono text-xs overflow-auto').mark('answer')
 
-    async def asked(question: str) -> None:
+    async def answered(question: str) -> None:
         busy.visible, answer.text = True, f'asking about the last {ASKED_S:g} s …'
         try:
             answer.text = await ask(question, link.recent.run(ASKED_S), session.nominal)

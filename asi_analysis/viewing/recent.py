@@ -35,13 +35,13 @@ class Recent:
     """
     The messages of the last KEEP_S of loop time. Filled in one thread, read in others.
 
-    heard: how many states have been added; lost: how many are missing between them; told: is
-    called when states have been added.
+    heard: how many states have been added; lost: how many are missing between them;
+    on_message: is called when states have been added.
     """
 
     def __init__(self) -> None:
         self.lost = self.heard = 0
-        self.told: Callable[[], object] = lambda: None
+        self.on_message: Callable[[], object] = lambda: None
         self._lock = threading.Lock()
         self._parts: dict[str, list[Series]] = {name: [] for name in HEARD}
         self._number = 0
@@ -76,7 +76,7 @@ class Recent:
             while len(parts) > 1 and (_last_ns(parts[-1]) - _last_ns(parts[0])) * 1e-9 > KEEP_S:
                 parts.pop(0)
         if name == 'joint_states':
-            self.told()
+            self.on_message()
 
     def run(self, seconds: float, information: Mapping[str, Any] | None = None) -> Run | None:
         """Return the last seconds of loop time; None without two states."""

@@ -143,7 +143,7 @@ class LoopExecutor(SingleThreadedExecutor):
                     if timer.handle.is_timer_ready():
                         timer.handle.call_timer()
                         timer.callback()
-                if self._asked(slow, services, clients):
+                if self._requested(slow, services, clients):
                     return
 
     def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],
@@ -177,7 +177,7 @@ class LoopExecutor(SingleThreadedExecutor):
                     callback()
                     ticked = True
 
-    def _asked(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
+    def _requested(self, wait_set: Any, services: list[Any], clients: list[Any]) -> bool:
         """Return whether a service, a client, or a task or change of a node needs spin_once."""
         wait_set.clear_entities()
         for service in services:
@@ -223,7 +223,7 @@ def _run(make_node: Callable[[], Node]) -> int:
     for number in SIGNALS:
         signal.signal(number, stop)
     # A node that is not complete yet has nothing to close.
-    made = end_while_compiling(SIGNALS, 0)
+    made = end_while_compiling(SIGNALS, 0, before=True)
     try:
         node = make_node()
     except (ParameterError, rclpy_implementation.RCLError) as error:

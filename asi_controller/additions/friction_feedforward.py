@@ -1,11 +1,11 @@
 """
-Coulomb friction compensated from the measured velocity, for a motion that starts easily.
+Compensation of Coulomb friction from the measured velocity.
 
-Added to the command is a force in the direction of the motion, which rises over the given speed,
-so that the noise of a piston at rest does not switch it (Armstrong-Hélouvry, Dupont and Canudas de
+It adds a force in the direction of motion, which rises smoothly over the given speed, so that
+noise at rest does not switch it (Armstrong-Hélouvry, Dupont and Canudas de
 Wit, A Survey of Models, Analysis Tools and Compensation Methods for the Control of Machines with
-Friction, 1994, section 6). With a level above the friction the actuator pushes in the direction in
-which it is moved, and is not passive.
+Friction, 1994, section 6). With a level above the friction the actuator pushes in the direction of
+motion, and is not passive.
 """
 
 from math import hypot

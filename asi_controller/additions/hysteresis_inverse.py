@@ -1,11 +1,11 @@
 """
-The inverse of a play, in front of the valve: it crosses the hysteresis when the command reverses.
+The inverse of a play, in front of the valve: it compensates the hysteresis at a reversal.
 
 The inverse of a play of half width r adds r in the direction in which the command moves (Tao and
 Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, 1996). At a
-reversal it jumps by 2r, at every noise; here it crosses in proportion to the way since the
-reversal, over a dead zone on each side. While `size` is at most the half width of the valve, the
-two in series have at most the gain 1 at any amplitude.
+reversal it jumps by 2r, also at reversals by noise. Here the jump is spread over the change of the
+command since the reversal, over a dead zone on each side. While `size` is at most the half width
+of the valve's play, the two in series have at most the gain 1 at any amplitude.
 """
 
 from asi_common.jit import jit
@@ -13,8 +13,9 @@ from asi_common.parameter import Parameter
 
 PARAMETERS = (
     Parameter('size', 0.0, 'N', 'Half width of the play that is inverted; 0: none', 0.0, 1e3),
-    Parameter('dead_zone', 10.0, 'N', 'Half of the way of the command after a reversal over which '
-              'it is crossed', 0.1, 1e3, source='assumed'),
+    Parameter('dead_zone', 10.0, 'N',
+              'Half of the change of the command after a reversal over which the play is '
+              'compensated', 0.1, 1e3, source='assumed'),
 )
 
 

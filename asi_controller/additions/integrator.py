@@ -1,8 +1,8 @@
 """
 An integrator of the error, added to the output of the compensator.
 
-Anti-windup by conditional integration: it stands still while the command is saturated in the
-direction in which it would move.
+Anti-windup by conditional integration: it stops while the command is saturated in the direction
+in which it would move.
 """
 
 from asi_common.jit import jit

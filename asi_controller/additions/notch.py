@@ -1,9 +1,9 @@
 """
-A notch in series with the compensator, for a resonance of what the piston moves.
+A notch in series with the compensator, for a resonance of the load.
 
 It is (s² + 2dζωs + ω²)/(s² + 2ζωs + ω²): its gain is d, the depth, at its frequency, and 1 far
-from it; ζ is half of its width divided by its frequency. Below its frequency it takes phase from
-the loop, so it is to stay well above the frequency of the limit cycle.
+from it; ζ is half of its width divided by its frequency. Below its frequency it adds a
+phase lag, so keep it well above the frequency of the limit cycle.
 """
 
 import cmath

@@ -1,12 +1,12 @@
 """
 A reference that the actuator can follow, and the command that makes it do so.
 
-The model is the lag of the valve's coil, driven so that it approaches the desired force with the
-given bandwidth, as far as the drive allows: its drive is the feed-forward, and its force, delayed
-as the actuator's, is what the compensator compares with the measured one. So a step needs no
-overshoot of the feedback, and a large one does not wind it up (model following: Åström and
-Wittenmark, Computer-Controlled Systems, 1997, ch. 4). A reference that moves is extrapolated by
-the lead time, which takes back the delay; a jump, with a larger slope than allowed, is not.
+The model is the lag of the valve's coil, driven to the desired force with the given bandwidth,
+within the limits of the drive. Its drive is the feed-forward; its force, delayed as the
+actuator's, is the set point of the compensator. So the feedback need not overshoot after a step,
+and a large step does not wind it up (model following: Åström and Wittenmark,
+Computer-Controlled Systems, 1997, ch. 4). A moving reference is extrapolated by the lead time,
+which compensates the delay; a jump (a slope above `slope`) is not.
 """
 
 import math
@@ -37,10 +37,10 @@ def extrapolated(reference, before, lead_time, slope, period):
 
 def model_ratio(bandwidth: float, lag_frequency: float, period: float) -> float:
     """
-    Return the drive per missing force of the model; corners in Hz, period: of control, s.
+    Return the gain of the model from force error to drive; corners in Hz, control period in s.
 
-    With it the lag comes in a period as near as a loop of that bandwidth would. The ratio of the
-    corners alone, with 325 Hz at 1 kHz, would take it nearly twice as far.
+    Discretised exactly: after a period, the force error is that of a loop with this bandwidth. The
+    ratio of the corners would overshoot: with 325 Hz at 1 kHz the step is nearly twice as large.
     """
     return (math.expm1(-2.0 * math.pi * bandwidth * period)
             / math.expm1(-2.0 * math.pi * lag_frequency * period))

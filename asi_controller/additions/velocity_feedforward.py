@@ -1,17 +1,16 @@
 """
-The damping of the actuator compensated from its measured velocity, for a motion that feels light.
+Compensation of the actuator's damping from the measured velocity, to reduce the felt force.
 
-Added to the command is a share of the command at which the actuator, moved at that velocity, gives
-no force. For the default actuator it is proportional to the velocity within 10 %, although the
-damping is not: the more it compensates, the further the valve opens, and the damping changes with
-the opening. The share is at most 1, since with more the actuator would push in the direction in
-which it is moved and would not be passive. The force loop around it has its own limit, which
-`asi tune` checks.
+It adds a share of the command at which the force of the actuator, moved at that velocity, is zero.
+For the default actuator this command is proportional to the velocity within 10 %, although the
+damping is not: the damping changes with the opening of the valve. The share is at most 1; with
+more the actuator would push in the direction of motion and would not be passive. The passivity of
+the whole force loop has a lower limit, which `asi tune` checks.
 
-The valve follows the command late, and what is compensated late acts as a mass, which the
-integrator of the force turns into a negative damping. So the velocity is taken ahead, by a lead
-whose gain rises to LEAD at high frequencies: by little, since a heavy load on a stiff spring is
-fast, and too much compensation there makes a limit cycle (doc/explanation/force_control.md).
+The valve has a lag. A lagging compensation acts as a mass, which the integrator of the force turns
+into a negative damping. A lead on the velocity compensates the lag. Its gain rises to LEAD only at
+high frequencies, since overcompensation causes a limit cycle with a heavy load on a stiff spring
+(doc/explanation/force_control.md).
 """
 
 import math
@@ -25,7 +24,7 @@ PARAMETERS = (
     Parameter('share', 0.0, '', 'Share of the damping that is compensated; 0: none', 0.0, 1.0),
     Parameter('damping', 1450.0, 'N s/m', 'Command per velocity at which the actuator gives no '
               'force', 0.0, 1e5, source='default hydraulic_damping'),
-    Parameter('lead_time', 0.0, 's', 'Time by which the velocity is taken ahead; 0: none',
+    Parameter('lead_time', 0.0, 's', 'Time constant of the lead on the velocity; 0: none',
               0.0, 0.05),
 )
 LEAD: Final = 1.1   # pole over zero of the lead

@@ -48,12 +48,8 @@ def force(values: dict[str, Value], commands: npt.ArrayLike) -> npt.NDArray[np.f
 # --- valve hysteresis
 
 
-STATE = rest().dtype
-
-
 @jit
-def _flux(commands, p, period):
-    state = np.zeros(1, STATE)[0]
+def _flux(state, commands, p, period):
     out = np.empty(commands.size)
     for i in range(commands.size):
         magnetise(state, commands[i], 1.0, p)
@@ -65,7 +61,7 @@ def _flux(commands, p, period):
 def flux(values: dict[str, Value], commands: npt.ArrayLike, period: float
          ) -> npt.NDArray[np.float64]:
     """Return the flux (N) at the end of each period at a command."""
-    return _flux(np.asarray(commands, float), as_record(values), period)
+    return _flux(rest(), np.asarray(commands, float), as_record(values), period)
 
 
 def triangle(amplitude: float, points: int) -> npt.NDArray[np.float64]:
@@ -102,6 +98,65 @@ def test_minor_loop_closes_and_the_major_loop_forgets_it() -> None:
     through = flux({}, np.concatenate([up, back, np.linspace(100, 300, 400)]), 1.0)
     assert through[-1] == pytest.approx(through[599], abs=1e-6)
     assert through[599] - through[999] == pytest.approx(200.0 - 2 * 14.0, abs=0.6)
+
+
+WIDENING = {'valve_hysteresis.lag_time': 0.0, 'valve_hysteresis.radius': 10.0,
+            'valve_hysteresis.saturation': 1e6, 'valve_hysteresis.widening': 2.0,
+            'valve_hysteresis.widening_range': 800.0}
+
+
+@jit
+def _drive(state, commands, p):
+    out = np.empty(commands.size)
+    for i in range(commands.size):
+        out[i] = magnetise(state, commands[i], 1.0, p)
+    return out
+
+
+def drive(values: dict[str, Value], commands: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the drive (N) at each command of a static loop."""
+    return _drive(rest(), np.asarray(commands, float), as_record(values))
+
+
+def way(*turns: float) -> npt.NDArray[np.float64]:
+    """Return commands by 1 N from turn to turn."""
+    return np.concatenate([np.linspace(a, b, round(abs(b - a)), endpoint=False)
+                           for a, b in zip(turns[:-1], turns[1:], strict=True)] + [[turns[-1]]])
+
+
+def test_widening_loop_is_rayleighs() -> None:
+    """Its area grows with the cube of the amplitude, its slope in proportion to that."""
+    for amplitude in (400.0, 800.0):
+        values = WIDENING | {'valve_hysteresis.radius': 0.0}
+        u = way(0.0, amplitude, -amplitude, amplitude)
+        y = drive(values, u)
+        last = slice(-round(4 * amplitude) - 1, None)
+        area = np.trapezoid(y[last], u[last])
+        slope = 2.0 / 800.0
+        assert -area == pytest.approx(2.0 / 3.0 * slope * amplitude**3, rel=0.05)
+        # Eight plays are Rayleigh's law in steps.
+        assert y[-1] / amplitude == pytest.approx(1.0 + 0.5 * slope * amplitude, rel=0.01)
+
+
+def test_widening_loop_forgets_minor_loops_and_they_are_congruent() -> None:
+    # Wiped out: after 600, the way over 200 and -100 is forgotten.
+    assert drive(WIDENING, way(0, 600, 200, 450, -100, 700))[-1] == pytest.approx(
+        drive(WIDENING, way(0, 700))[-1], abs=1e-9)
+    # Congruent: loops between 100 and 400 have one shape, whether reached from above or below.
+    loops = [drive(WIDENING, way(0, *before, 100, 400, 100, 400))[-601:]
+             for before in ((900,), (-900,), (500, -300))]
+    for loop in loops[1:]:
+        np.testing.assert_allclose(loop - loop[0], loops[0] - loops[0][0], atol=1e-9)
+    assert abs(loops[0][0] - loops[1][0]) > 50.0
+
+
+def test_widening_loop_is_static_and_costs_nothing_when_null() -> None:
+    u = way(0, 700, -300, 500)
+    slowly = np.repeat(u, 7)
+    np.testing.assert_array_equal(drive(WIDENING, slowly)[6::7], drive(WIDENING, u))
+    null = WIDENING | {'valve_hysteresis.widening': 0.0}
+    np.testing.assert_array_equal(drive(null, u), drive(
+        null | {'valve_hysteresis.widening_from': 50.0}, u))
 
 
 # --- linear dynamics
@@ -202,9 +257,9 @@ def seal_force(positions: npt.NDArray[np.float64], h: float,
     velocity = np.diff(positions) / h
     ends = np.append(0.5 * (velocity[1:] + velocity[:-1]), velocity[-1])
     for mean, end in zip(velocity, ends, strict=True):
-        rub = friction(seal, mean, end, p, h)
-        seal = rub.seal
-        out.append(rub.force)
+        resistance = friction(seal, mean, end, p, h)
+        seal = resistance.seal
+        out.append(resistance.force)
     return np.array(out)
 
 

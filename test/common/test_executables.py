@@ -53,6 +53,34 @@ def test_a_signal_while_a_node_compiles_ends_it_at_once(
     assert 'lockstep at' not in node.text and 'Traceback' not in node.text
 
 
+# A signal comes just before the node compiles.
+SIGNAL_FIRST = """
+import signal
+import sys
+import numba
+import asi_common.jit
+from rclpy.node import Node
+from asi_common.node import executor as spin
+
+class Compiled(Node):
+    def __init__(self):
+        super().__init__('compiled')
+        signal.raise_signal(signal.SIGINT)
+        for number in range(1000):   # none of it from a cache
+            exec(f'def function(x): return x + {number}', globals())
+            numba.njit(function)(1.0)
+        print('compiled', flush=True)
+
+sys.exit(spin.run_node(Compiled))
+"""
+
+
+def test_a_signal_before_a_node_compiles_ends_it_too(ros_environment: dict[str, str]) -> None:
+    result = subprocess.run([sys.executable, '-c', SIGNAL_FIRST], capture_output=True, text=True,
+                            env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+    assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
+
+
 def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(
         start_node: Callable[..., NodeProcess]) -> None:
     """`ros2 launch` passes on the Ctrl-C that the terminal has sent to the node already."""
@@ -78,6 +106,33 @@ def test_ctrl_c_while_asi_imports_ends_it_with_one_line() -> None:
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, complaint) == (130, 'asi: interrupted\n')
+
+
+# A Ctrl-C that comes while Python ignores exceptions.
+IGNORED = """
+import signal
+import sys
+import time
+import asi_analysis.cli
+from asi_analysis.command import asi
+
+class Callback:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def main():
+    Callback()
+    time.sleep(600.0)
+
+asi_analysis.cli.main = main
+sys.exit(asi())
+"""
+
+
+def test_ctrl_c_is_not_lost_where_python_ignores_exceptions() -> None:
+    result = subprocess.run([sys.executable, '-c', IGNORED], capture_output=True, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)}, timeout=PATIENCE_S)
+    assert (result.returncode, result.stderr) == (130, 'asi: interrupted\n')
 
 
 # A node whose middleware never lets go, as Fast DDS was seen to, with Python's lock held.

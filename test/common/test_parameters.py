@@ -195,3 +195,10 @@ def test_shipped_file_is_what_asi_run_reads(which: str) -> None:
     from asi_analysis.experiments.experiment import TABLES, read_parameters
 
     assert read_parameters(ROOT / 'config' / f'{which}.yaml', which) == defaults(TABLES[which])
+
+
+def test_a_whole_number_that_is_no_float_is_refused() -> None:
+    """As the metadata of a bag may hold it."""
+    for parameter in EVERY:
+        if isinstance(parameter.default, float):
+            assert 'is not allowed' in (parameter.problem(10 ** 400) or '')

@@ -69,19 +69,19 @@ def read_information(path: Path) -> Dataset:
                          ) from None
     except (ValueError, RecursionError) as error:
         raise InputError(f'{file} is not JSON: {error}') from None
-    version = _told(info, 'codebase_version', str, file)
+    version = _entry(info, 'codebase_version', str, file)
     if not version.startswith(('v2', 'v3')):
         raise InputError(f'{file}: version {version}: v2 and v3 can be read; LeRobot converts '
                          'older ones')
-    episodes, chunk = (_told(info, name, int, file) for name in ('total_episodes', 'chunks_size'))
-    features = _told(info, 'features', dict, file)
+    episodes, chunk = (_entry(info, name, int, file) for name in ('total_episodes', 'chunks_size'))
+    features = _entry(info, 'features', dict, file)
     if len(features) > MOST_COLUMNS:
         raise InputError(f'{file} has {len(features)} features')
-    return Dataset(path, episodes, _told(info, 'data_path', str, file), max(chunk, 1),
+    return Dataset(path, episodes, _entry(info, 'data_path', str, file), max(chunk, 1),
                    {name: _feature(name, each, file) for name, each in features.items()})
 
 
-def _told(info: Any, name: str, kind: type, file: Path) -> Any:
+def _entry(info: Any, name: str, kind: type, file: Path) -> Any:
     value = info.get(name) if isinstance(info, dict) else None
     if not isinstance(value, kind) or isinstance(value, bool):
         raise InputError(f'{file}: {name} is missing, or no '
@@ -89,14 +89,14 @@ def _told(info: Any, name: str, kind: type, file: Path) -> Any:
     return value
 
 
-def _feature(name: str, told: Any, file: Path) -> Feature:
-    shape = told.get('shape') if isinstance(told, dict) else None
-    dtype = told.get('dtype') if isinstance(told, dict) else None
+def _feature(name: str, entry: Any, file: Path) -> Feature:
+    shape = entry.get('shape') if isinstance(entry, dict) else None
+    dtype = entry.get('dtype') if isinstance(entry, dict) else None
     if not isinstance(dtype, str) or not isinstance(shape, list) or not all(
             isinstance(each, int) and each >= 0 for each in shape):
         raise InputError(f'{file}: feature {name} has no dtype and shape')
     width = shape[0] if len(shape) == 1 else 0
-    names = told.get('names')
+    names = entry.get('names')
     if isinstance(names, dict):   # such as {"motors": [...]}
         names = [each for part in names.values() if isinstance(part, list) for each in part]
     known = ([str(each) for each in names] if isinstance(names, list) else [])
@@ -189,10 +189,10 @@ def _rows(file: Path, episode: int, wanted: Sequence[str], dataset: Dataset
     import pyarrow.compute as pc
     from pyarrow.parquet import ParquetFile
     with ParquetFile(file, page_checksum_verification=True) as parquet:
-        there = parquet.schema_arrow.names
-        if EPISODE not in there:
+        present = parquet.schema_arrow.names
+        if EPISODE not in present:
             raise InputError(f'{file}: no column {EPISODE}')
-        if missing := [name for name in wanted if name not in there]:
+        if missing := [name for name in wanted if name not in present]:
             raise InputError(f'{file}: no column {", ".join(missing)}, which meta/info.json has')
         numeric = [name for name in wanted if _is_numeric(parquet.schema_arrow.field(name).type)]
         if strange := [name for name in wanted if name not in numeric]:
@@ -233,15 +233,15 @@ def _numbers(column: Any, name: str, width: int, file: Path) -> npt.NDArray:
     import pyarrow as pa
     import pyarrow.compute as pc
     found = np.full((len(column), width), np.nan)
-    there = column.is_valid().to_numpy(zero_copy_only=False)
+    present = column.is_valid().to_numpy(zero_copy_only=False)
     if pa.types.is_nested(column.type):
-        lengths = pc.list_value_length(column).to_numpy(zero_copy_only=False)[there]
+        lengths = pc.list_value_length(column).to_numpy(zero_copy_only=False)[present]
         if (wrong := lengths != width).any():
             raise InputError(f'{file}: {name} has {int(lengths[wrong][0])} numbers in a row, but '
                              f'{width} in meta/info.json')
         column = pc.list_flatten(column)
         values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-        found[there] = values.reshape(-1, width)
+        found[present] = values.reshape(-1, width)
     elif width != 1:
         raise InputError(f'{file}: {name} has one number in a row, but {width} in meta/info.json')
     else:
@@ -271,9 +271,9 @@ def notes_of(path: Path, episode: int | None) -> list[str]:
     number = chosen_episode(dataset, episode, guess=True)
     notes = [f'this is episode {number} of {dataset.episodes}, 0 to {dataset.episodes - 1}'
              ] if dataset.episodes > 1 else []
-    left = [f'{name} ({each.dtype})' for name, each in dataset.features.items()
+    omitted = [f'{name} ({each.dtype})' for name, each in dataset.features.items()
             if each.dtype in (*VISUAL, 'string') or (not each.names and name not in PLACES)]
-    if left:
-        notes.append('left out, as no row of numbers: ' + ', '.join(left))
+    if omitted:
+        notes.append('left out, as no row of numbers: ' + ', '.join(omitted))
     return [*notes, 'a LeRobot dataset has no units; a motor bus may record degrees, or shares of '
             'its range (-100 to 100)']

@@ -33,9 +33,10 @@ WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for 
     'pressure': 'pressure press p',
     'position': 'pos position angle q qm x displacement disp stroke encoder enc theta '
                 'extension'}.items()}
+VALVE: Final = frozenset(('valve', 'spool'))
 # Assumed unit of each signal without one.
 ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
-                  'pressure': 'Pa', 'position': 'm'}
+                  'pressure': 'Pa', 'position': 'm', 'valve_position': 'm'}
 # Signals that may be controlled.
 OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
 # What a LeRobot dataset calls the positions of the joints, unless their names say otherwise.
@@ -123,7 +124,7 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
         notes.append('no column is a time: give --rate HZ')
     others = [name for name in values if name != time]
     if others and not set(chosen) - {time}:
-        notes.append('no name speaks for a signal: say which column is what')
+        notes.append('no column has the name of a signal: map them yourself')
         mapping.append(f'SIGNAL={others[0]}[UNIT]')
     options = {'rate': rate_hz or ('HZ' if time_s is None else None), 'delimiter': delimiter,
                'skip-lines': skip_lines, 'columns': ','.join(columns or ()),
@@ -171,26 +172,28 @@ def _unit(name: str) -> str:
 
 
 def _guess(name: str) -> _Guess | None:
-    """Return the signal that the name of a column speaks for; None if it speaks for none."""
+    """Return the signal that the name of a column stands for; None if for none."""
     unit = _unit(name)
     if name.startswith('/'):
         name = re.sub('/[xyz]$', '', name)
         unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
     words = _words(name.rpartition('/')[2] if _of_joint(name) else name)
-    told = [signal for signal, known in WORDS.items() if known & set(words)]
-    if not told and name.startswith(STATE):
-        told, words = ['position'], ['state', *words]
-    motion = [signal for signal in told if signal in ('position', 'velocity', 'pressure')]
-    if 'command' in told and motion:          # a commanded motion is a reference
-        told = ['reference', *motion]
+    signals = [signal for signal, known in WORDS.items() if known & set(words)]
+    if not signals and name.startswith(STATE):
+        signals, words = ['position'], ['state', *words]
+    if 'position' in signals and VALVE & set(words):
+        signals = ['valve_position']
+    motion = [signal for signal in signals if signal in ('position', 'velocity', 'pressure')]
+    if 'command' in signals and motion:          # a commanded motion is a reference
+        signals = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
-    if unit and told and not any(si in UNITS_OF[signal] for signal in told):
+    if unit and signals and not any(si in UNITS_OF[signal] for signal in signals):
         # The m of tau_m is for measured, and u_in is an input.
-        told, unit = (told, '') if unit in ('m', 'in') else ([], unit)
-    if told:
-        signal = next(each for each in told if not unit or si in UNITS_OF[each])
-        seen = next((word for word in words if word in WORDS[signal]), words[0])
-        return _Guess(signal, unit, f'named {seen}' + (f', in {unit}' if unit else ''))
+        signals, unit = (signals, '') if unit in ('m', 'in') else ([], unit)
+    if signals:
+        signal = next(each for each in signals if not unit or si in UNITS_OF[each])
+        matched = next((word for word in words if word in WORDS.get(signal, VALVE)), words[0])
+        return _Guess(signal, unit, f'named {matched}' + (f', in {unit}' if unit else ''))
     by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
                if si in UNITS_OF[signal]]
     return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None

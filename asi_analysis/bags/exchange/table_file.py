@@ -89,7 +89,7 @@ def _read_mat(path: Path) -> Table:
         raise ValueError(lines[-1].removeprefix('ValueError: ') if lines and done.returncode == 1
                          else 'it is damaged')
     with np.load(BytesIO(done.stdout)) as arrays:
-        return _told({str(name): arrays[f'arr_{number}'] for number, name
+        return _with_warnings({str(name): arrays[f'arr_{number}'] for number, name
                       in enumerate(arrays['names'])}, map(str, arrays['left_out']), path)
 
 
@@ -116,11 +116,11 @@ def _read_npz(path: Path) -> Table:
         _refuse_large(path, sum(member.file_size for member in archive.infolist()))
     with np.load(path) as arrays:
         # A member that is no array is bytes.
-        return _told(*_columns({name: values for name, values in arrays.items()
+        return _with_warnings(*_columns({name: values for name, values in arrays.items()
                                 if isinstance(values, np.ndarray)}), path)
 
 
-def _told(table: Table, left_out: Iterable[str], path: Path) -> Table:
+def _with_warnings(table: Table, left_out: Iterable[str], path: Path) -> Table:
     """Return a table, with a warning of each variable that is left out."""
     for each in left_out:
         warnings.warn(f'{path}: {each}', InputWarning, stacklevel=3)
@@ -193,7 +193,7 @@ def _read_parquet(path: Path) -> Table:
             raise ValueError(f'two columns are called {min(twice)}')
         found |= listed
         left_out += more
-    return _told(found, left_out, path)
+    return _with_warnings(found, left_out, path)
 
 
 # By the suffix of a file; a format is added here.

@@ -131,10 +131,10 @@ class TickOrder:
 
     def _can_be_written(self, stamp: int, now_s: float) -> bool:
         """Return whether a tick is complete, or has waited long enough for missing messages."""
-        behind = [topic for topic, latest in self._latest.items()
+        awaited = [topic for topic, latest in self._latest.items()
                   if latest < stamp and topic not in self._not_awaited]
         age_s = now_s - self._ticks[stamp].arrived_s
-        regular = [topic for topic in behind
+        regular = [topic for topic in awaited
                    if self._ticks_with[topic] > max(FEW_TICKS, self._written / 2)]
         if age_s > PATIENCE_S:
             for topic in regular:
@@ -142,7 +142,7 @@ class TickOrder:
             return True
         # Before the second tick the loop waits for an answer that is still in flight.
         begun = self._written or stamp < self._newest
-        return not behind or bool(begun and age_s > HOLD_S and not regular)
+        return not awaited or bool(begun and age_s > HOLD_S and not regular)
 
     def _release(self, stamp: int) -> list[Item]:
         tick = self._ticks[stamp]

@@ -6,10 +6,10 @@ from typing import Any, Final
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.course import passes, rates
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.static import static_signals, zero_of
-from asi_analysis.gap.model.static_course import passes, rates
 from asi_analysis.reporting.result import Table
 
 BINS, PER_BIN = 60, 20   # over the range of the input, at most; samples of each

@@ -13,7 +13,7 @@ from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
-from asi_analysis.gap.model.joint import RIGID_ERROR
+from asi_analysis.gap.model.group import RIGID_ERROR
 from asi_analysis.gap.words import SIZES, between, digits, in_words, unit_of_free
 from asi_common.jit import FULL
 

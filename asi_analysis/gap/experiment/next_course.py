@@ -8,12 +8,12 @@ import numpy as np
 from scipy.signal import sawtooth
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.course import rates
 from asi_analysis.gap.experiment.next_experiment import pairs_of, separation
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group
-from asi_analysis.gap.model.static_course import rates
 from asi_analysis.gap.prepare import Recording
 
 SAMPLES: Final = 2000

@@ -2,8 +2,8 @@
 
 from typing import Final
 
+from asi_analysis.gap.course import one_rate
 from asi_analysis.gap.inference.hypotheses import Weighed
-from asi_analysis.gap.model.static_course import one_rate
 
 # Effects that make a loop of any input that goes to and fro: at one rate they differ only where it
 # turns, and there other laws of hysteresis do too.

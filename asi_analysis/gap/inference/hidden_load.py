@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, weigh_groups
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model.effects import UNKNOWN
+from asi_analysis.gap.model.gravity import LEFT_WITHOUT
 from asi_analysis.gap.model.group import Group, with_tolerances
-from asi_analysis.gap.model.joint import LEFT_WITHOUT
 
 
 def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence[Group], object]],

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.gap.course import in_step
 from asi_analysis.gap.inference.fit import (
     Fitted,
     LinearScreen,
@@ -56,7 +57,6 @@ from asi_analysis.gap.model.group import (
 )
 from asi_analysis.gap.model.predict import propagated_noise
 from asi_analysis.gap.model.static import as_limit, at_the_end
-from asi_analysis.gap.model.static_course import in_step
 from asi_common.record import field_name
 
 NOISE_UNCERTAINTY = 0.2   # of the mean square of the propagated noise

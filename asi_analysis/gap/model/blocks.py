@@ -23,12 +23,14 @@ from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import second_order, second_order_step
 from asi_actuator.model.valve_characteristic import valve_position
 from asi_actuator.model.valve_hysteresis import (
+    FURTHER,
     command_rate,
     half_width,
     play,
     rate_decay,
     saturated,
     valve_hysteresis,
+    widened,
 )
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 from asi_analysis.arrays import Array, Complex
@@ -201,7 +203,7 @@ def valve(command, p, e, period, count, out):
     start = command[0] + e.command_bias
     widths = spread(e.valve_hysteresis_spread)
     # What remembers has come from rest: each play lags behind the first command by its width.
-    plays, fluxes = np.zeros(PLAYS), np.zeros(PLAYS)
+    plays, fluxes, further = np.zeros(PLAYS), np.zeros(PLAYS), np.zeros(FURTHER)
     magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
@@ -221,7 +223,8 @@ def valve(command, p, e, period, count, out):
             flux_before = flux
             flux = magnetised(fluxes, widths, u, filtered, p, e)
             slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
-            drive = loop(plays, saturated(slow_flux, p), e)
+            every = widened(slow_flux, further, u, filtered, p)
+            drive = loop(plays, saturated(every, p), e)
             after = dead_zone(drive, e.command_deadband)
             lagged_before = lagged
             first_before = first

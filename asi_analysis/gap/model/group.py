@@ -24,6 +24,7 @@ Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
 NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the noise is lower
 MODEL_ERROR = 0.005  # of a signal (rms): general error of any model
+RIGID_ERROR = 0.02   # and of a rigid model of gears, belts and cables
 PASS_S = 1.0
 SIMULATOR_ERROR = 0.001   # the same of the simulator's prediction
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'

@@ -11,7 +11,6 @@ kg.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -20,9 +19,17 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
-from asi_analysis.gap.model.group import MODEL_ERROR, Group, make_group, scales
+from asi_analysis.gap.model.gravity import (
+    by_position,
+    from_one_origin,
+    inner_samples,
+    turns_measured,
+    without_bias,
+    without_gravity,
+)
+from asi_analysis.gap.model.group import MODEL_ERROR, RIGID_ERROR, Group, make_group, scales
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, load_motion, rattling_of
+from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, rattling_of
 from asi_analysis.gap.model.servo import (
     LAG_SPLIT,
     Servo,
@@ -36,7 +43,7 @@ from asi_analysis.gap.model.servo import (
 from asi_analysis.gap.model.stepped import Steps, in_steps, placed_by, steps_of
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import RIGID_BAND_HZ, Recording, prepare
-from asi_common.jit import FULL, jit
+from asi_common.jit import FULL
 from asi_common.parameter import Value
 
 OFF = {f'{block}.model': 'off' for block in (
@@ -52,27 +59,15 @@ OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
 AT_ONCE_HZ = 1e9
 OF_A_SERVO = (0.2, 5.0)
 SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
-# General model error, share of a signal: a rigid model of gears, belts and cables,
-RIGID_ERROR = 0.02
-SECOND_ORDER = 0.002   # of its tracking error: what a servo is not of second order
-SERVO_ERROR = 0.03   # and a drive without dynamics,
-FEW = 2.0            # or that many times what a delay and a lag leave
-BIASED = 0.5        # of the standard deviation of a force: a larger mean is removed
+SECOND_ORDER = 0.002   # of its tracking error: model error of a servo of second order
+SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
+SERVO_RESIDUAL = 2.0   # or so many times the residual of a delay and a lag, if that is less
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
 TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
 MOST = 10.0         # times what was identified: a load behind a spring is hardly seen
-# Gravity and spring: share of the power left without them, below which they are there.
-LEFT_WITHOUT = 0.7
 ONE_WAY = 0.02      # share of the time in which a joint may move the other way, for the noise
-INDEPENDENT = 0.1   # share of their force that nothing else can make
-# What friction may be made of beside them: full from this share of the usual speed on, larger
-# below it; elements that give way over these shares of the range of motion.
-CREEP = 0.05
-SLIPS = (0.002, 0.02, 0.1)
-GRAVITY_SHAPES, SPRING = ('sine', 'cosine'), ('spring',)
-SIGNED = ('rate', 'constant', *GRAVITY_SHAPES)   # the others push against the motion
 # A load behind a compliance may swing when a recording begins; friction may be before it.
 BEHIND = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
           Free('damping_share', 0.0, 1.0, (0.5,)))
@@ -133,7 +128,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
         return [_servo(followed, tolerance, False, servos, steps, error)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
-    turns = _turns(recordings, runs)
+    turns = turns_measured(recordings, runs)
     stiffness = given.get('load.stiffness')
     rattling = _rattling(of, healthy or runs)
     found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness),
@@ -145,13 +140,13 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
                                      - found.cosine * np.cos(middle))
     recordings, notes = without_gravity(recordings, runs, found)
     of = without_gravity(of, healthy, found)[0] if healthy else recordings
-    recordings, of = (_from_one_origin(each, which, found.stiffness)
+    recordings, of = (from_one_origin(each, which, found.stiffness)
                       for each, which in ((recordings, runs), (of, healthy or runs)))
-    recordings, more = _without_bias(recordings, of)
+    recordings, more = without_bias(recordings, of)
     if turns:
         recordings = [replace(r, taken={**r.taken, 'middle': float(np.nanmean(
             run.signal('position')))}) for run, r in zip(runs, recordings, strict=True)]
-    notes = [*notes, *more, *_not_told(recordings, runs)]
+    notes = [*notes, *more, *_not_identifiable(recordings, runs)]
     groups = []
     if all({'command', 'force'} <= run.signals().keys() for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
@@ -164,12 +159,12 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
-def _not_told(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[str]:
-    """Return notes of what recordings of a joint cannot tell."""
+def _not_identifiable(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[str]:
+    """Return notes of what cannot be identified from recordings of a joint."""
     notes = []
     if any(run.position_m is None for run in runs):
         notes.append('without the position neither gravity nor a spring is looked for')
-    ways = [np.sign(np.quantile(r.motion.velocity[_inner(r)], [ONE_WAY, 1.0 - ONE_WAY]))
+    ways = [np.sign(np.quantile(r.motion.velocity[inner_samples(r)], [ONE_WAY, 1.0 - ONE_WAY]))
             for r in recordings if r.motion is not None]
     if ways and (np.all(np.array(ways) > 0.0) or np.all(np.array(ways) < 0.0)):
         notes.append('the joint moves one way only: its friction cannot be told from a constant '
@@ -187,7 +182,7 @@ def _without_hidden_compliance(group: Group) -> Group:
     for recording in group.recordings:
         motion, force = recording.motion, recording.force_judged
         assert motion is not None and force is not None
-        moved = np.gradient(motion.velocity[_inner(recording)], recording.period_s)
+        moved = np.gradient(motion.velocity[inner_samples(recording)], recording.period_s)
         if mass * float(moved.std()) > QUASI_STATIC * float(force.std()):
             return group
     return replace(group, effects=tuple(effect for effect in group.effects
@@ -205,17 +200,17 @@ def _identified_servo(recordings: Sequence[Recording]
     if not all(any(part.any() for part in parts) for parts in (
             [r.fit for r in recordings], [r.held_out for r in recordings])):
         return [], None, SERVO_ERROR
-    few = thinned(recordings)
-    slow = slow_servo(few)
-    steps = steps_of(few, slow)
-    stepped = in_steps(few, steps)
+    decimated = thinned(recordings)
+    slow = slow_servo(decimated)
+    steps = steps_of(decimated, slow)
+    stepped = in_steps(decimated, steps)
     if steps:   # they were placed without the response of second order, which moves them
-        steps = placed_by(second_order(stepped), few, steps)
-        stepped = in_steps(few, steps)
+        steps = placed_by(second_order(stepped), decimated, steps)
+        stepped = in_steps(decimated, steps)
         slow = slow_servo(stepped)
-    moved = float(np.std(np.concatenate([r.valve_position for r in few
+    moved = float(np.std(np.concatenate([r.valve_position for r in decimated
                                          if r.valve_position is not None])))
-    error = min(SERVO_ERROR, max(MODEL_ERROR, FEW * error_of(slow, stepped) / moved))
+    error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
     return servo_of(stepped, slow), steps, error
 
 
@@ -335,7 +330,8 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     # A held command acts half a sample late, and its stamp may be off by as much; a force may be
     # sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
-    travel = max(float(np.ptp(r.motion.position[_inner(r)])) for r in recordings if r.motion)
+    travel = max(float(np.ptp(r.motion.position[inner_samples(r)]))
+                 for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
                             rattling_in(rattling))
     if weighs and healthy:
@@ -436,211 +432,6 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     return tuple(effects)
 
 
-class ByPosition(NamedTuple):
-    """
-    What a joint's position makes: gravity, sine * sin q + cosine * cos q (N m), and a spring.
-
-    given: the stiffness (N/m or N m/rad) was. left: share of the power that is left with them;
-    alike: another choice leaves about as little.
-    """
-
-    sine: float = 0.0
-    cosine: float = 0.0
-    stiffness: float = 0.0
-    given: bool = False
-    left: float = 1.0
-    alike: bool = False
-
-
-def _turns(recordings: Sequence[Recording], runs: Sequence[Run]) -> bool:
-    """Return whether the angle of a joint, on which its gravity depends, was measured."""
-    return not any(run.position_m is None or run.unit('position') != 'rad'
-                   or r.force_judged is None or r.motion is None
-                   for run, r in zip(runs, recordings, strict=True))
-
-
-def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
-                stiffness: float | None = None, rattling: Rattling | None = None) -> ByPosition:
-    """
-    Return the gravity of a joint that turns, and the spring of any.
-
-    stiffness: of the spring, if that is given; rattling: they act on a load behind that gap, if
-    any. Gravity is a sin q + b cos q, a spring c q; a, b
-    and c are identified together with inertia, damping, friction and offset, by least squares on
-    the fitted parts. They are there if the held-out parts need them: they then have less than
-    LEFT_WITHOUT of their residual power, which is more than that of RIGID_ERROR, by a force that
-    nothing else can make: in a single wave that of a spring is an inertia. Of several choices that
-    leave about as little, it is the simplest.
-    """
-    turns, unknown = _turns(recordings, runs), stiffness is None
-    if not any(r.held_out.any() for r in recordings) or any(
-            run.position_m is None or r.force_judged is None or r.motion is None
-            for run, r in zip(runs, recordings, strict=True)):
-        return ByPosition(stiffness=stiffness or 0.0, given=not unknown)
-    shapes = [_shapes(r, run, turns, stiffness or 0.0, rattling)
-              for run, r in zip(runs, recordings, strict=True)]
-
-    def stacked(part: str, names: Sequence[str]) -> Array:
-        return np.vstack([np.column_stack([each[name] for name in names])[getattr(r, part)]
-                          for each, r in zip(shapes, recordings, strict=True)])
-
-    # A stiffness that was given may be a little off.
-    sought = {'force', *GRAVITY_SHAPES, *SPRING * (not stiffness)}
-    always = [name for name in shapes[0] if name not in sought]
-
-    def fitted(more: tuple[str, ...]) -> tuple[float, dict[str, float]] | None:
-        names = [*always, *more]
-        force, columns = np.split(stacked('fit', ['force', *names]), [1], axis=1)
-        size = np.sqrt(np.mean(columns ** 2, axis=0)) + 1e-30
-        low = [-np.inf if name in SIGNED or (name in SPRING and stiffness) else 0.0
-               for name in names]
-        values = lsq_linear(columns / size, force[:, 0], (low, np.inf), method='bvls').x / size
-        for kind in (kind for kind in (GRAVITY_SHAPES, SPRING) if kind[0] in more):
-            own = np.isin(names, kind)
-            added, others = columns[:, own] @ values[own], columns[:, ~own] / size[~own]
-            alone = added - others @ np.linalg.lstsq(others, added)[0]
-            if alone.std() < INDEPENDENT * added.std():
-                return None
-        force, columns = np.split(stacked('held_out', ['force', *names]), [1], axis=1)
-        left = float(np.mean((force[:, 0] - columns @ values) ** 2))
-        return left, dict(zip(names, map(float, values), strict=True))
-
-    # The simplest first: nothing, gravity, a spring, both.
-    choices = ((), *[GRAVITY_SHAPES] * turns, *[SPRING] * unknown,
-               *[GRAVITY_SHAPES + SPRING] * (turns and unknown))
-    found = {more: each for more in choices if (each := fitted(more)) is not None}
-    without = found[()][0]
-    least = RIGID_ERROR ** 2 * float(np.var(stacked('held_out', ['force'])))
-    needed = {more: each for more, each in found.items()
-              if each[0] < LEFT_WITHOUT * without > LEFT_WITHOUT * least} or {(): found[()]}
-    least = min(left for left, _ in needed.values())
-    close = [more for more, (left, _) in needed.items() if not least < LEFT_WITHOUT * left]
-    left, values = found[close[0]]
-    spring = stiffness or (values['spring'] if SPRING[0] in close[0] else 0.0)
-    sine, cosine = (values.get(name, 0.0) for name in GRAVITY_SHAPES)
-    return ByPosition(sine, cosine, spring, not unknown, left / without if close[0] else 1.0,
-                      len(close) > 1)
-
-
-def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByPosition
-                    ) -> tuple[list[Recording], list[str]]:
-    """Return recordings of a joint without its gravity, and notes of that and of a spring."""
-    leaves = (f'leaves {100.0 * found.left:.2g} % of what inertia, damping and friction leave')
-    notes = [f'a spring holds the joint: it {leaves}'] * bool(
-        found.stiffness and not found.given)
-    if not found.sine and not found.cosine:
-        return recordings, notes
-    taken = []
-    for run, r in zip(runs, recordings, strict=True):
-        if run.position_m is None or r.motion is None or r.force is None or r.force_judged is None:
-            raise InputError(f'{run.source}: without the position the gravity of the joint '
-                             'cannot be taken off')
-        angle = _angle(r, float(np.nanmean(run.signal('position'))))
-        torque = (found.sine * np.sin(angle) + found.cosine * np.cos(angle))[_inner(r)]
-        taken.append(replace(r, force=r.force - torque,
-                             force_judged=r.force_judged - judged(torque, r.motion),
-                             taken={'gravity_sine': found.sine,
-                                    'gravity_cosine': found.cosine}))
-    return taken, [f'the joint has gravity: it {leaves}'
-                   + ('; a spring in its place would leave about as little' if found.alike
-                      and not found.stiffness else ''), *notes]
-
-
-def _from_one_origin(recordings: Sequence[Recording], runs: Sequence[Run], stiffness: float
-                     ) -> list[Recording]:
-    """
-    Return recordings whose spring is counted from the middle of the first one's motion.
-
-    The fit counts each position from its own middle.
-    """
-    if not stiffness:
-        return list(recordings)
-    middles = [float(np.nanmean(run.signal('position'))) if run.position_m is not None else 0.0
-               for run in runs]
-    return [r if r.force is None or r.force_judged is None or middle == middles[0] else
-            replace(r, force=r.force - more, force_judged=r.force_judged - more,
-                    taken={**r.taken, 'constant': more})
-            for r, middle in zip(recordings, middles, strict=True)
-            for more in [stiffness * (middle - middles[0])]]
-
-
-def _inner(recording: Recording) -> slice:
-    """Return the samples of a recording within those of its motion."""
-    assert recording.motion is not None
-    return slice(recording.motion.pad, recording.motion.pad + recording.fit.size)
-
-
-def _angle(recording: Recording, middle: float) -> Array:
-    """Return the position (rad) that was measured, smoothed; its middle was the origin."""
-    assert recording.motion is not None
-    return recording.motion.position + middle
-
-
-@jit
-def _slip(position: Array, reach: float) -> Array:
-    """Return the deflection (-1 to 1) of an element that gives way over a reach, then slides."""
-    out = np.zeros(position.size)
-    for k in range(1, position.size):
-        out[k] = min(max(out[k - 1] + (position[k] - position[k - 1]) / reach, -1.0), 1.0)
-    return out
-
-
-def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float,
-            rattling: Rattling | None) -> dict[str, Array]:
-    """
-    Return the force of a joint less that of its spring (N/m), and what it may be made of, by name.
-
-    The rate of the force makes a short delay or lag of it, which would else bias the gravity.
-    rattling: position and damping are those of the load behind that gap, if any.
-    """
-    motion, inner, force = recording.motion, _inner(recording), recording.force_judged
-    assert motion is not None and force is not None
-    angle = _angle(recording, float(np.nanmean(run.signal('position'))))
-    speed, usual = motion.velocity, float(motion.velocity.std()) + 1e-30
-    behind = {}
-    if rattling is not None:
-        load, speed = load_motion(motion, recording.period_s, rattling)
-        angle = angle + load - motion.position
-        behind = {'inertia_behind': np.gradient(speed, recording.period_s)}
-    slips = [_slip(angle, share * float(np.ptp(angle)) + 1e-30) for share in SLIPS]
-    shapes = {name: judged(each[inner], motion) for name, each in {
-        'inertia': motion.acceleration, **behind, 'damping': speed,
-        'friction': np.tanh(speed / (CREEP * usual)),
-        **{f'friction_{n}': each for n, each in enumerate(slips)},
-        'breakaway': slips[0] * np.exp(-np.abs(speed) / (CREEP * usual)),
-        'constant': np.ones_like(angle), 'sine': np.sin(angle), 'cosine': np.cos(angle),
-        'spring': angle}.items()}
-    shapes |= {'force': force - stiffness * shapes['spring'],
-               'rate': np.gradient(force, recording.period_s)}
-    if not turns and recording.fit.any():   # each recording may have a constant force of its own
-        shapes = {name: each - each[recording.fit].mean() for name, each in shapes.items()}
-    return shapes
-
-
-def _without_bias(recordings: list[Recording], of: Sequence[Recording]
-                  ) -> tuple[list[Recording], list[str]]:
-    """
-    Return recordings without a large mean force (pressure, gravity), and notes.
-
-    The error is relative to the varying part of the force. It is the mean of `of`, but if their
-    means differ by more than that, each recording has its own.
-    """
-    def means(each: Sequence[Recording]) -> list[float]:
-        return [float(r.force[r.valid].mean()) for r in each if r.force is not None]
-
-    common, deviation = means(of), min(float(r.force.std()) for r in of if r.force is not None)
-    if max(map(abs, common), default=0.0) < BIASED * deviation:
-        return recordings, []
-    similar = max(common) - min(common) < 2.0 * deviation
-    taken = [float(np.mean(common))] * len(recordings) if similar else means(recordings)
-    shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean,
-                       taken={**r.taken, 'constant': r.taken.get('constant', 0.0) + mean})
-               if r.force is not None and r.force_judged is not None else r
-               for r, mean in zip(recordings, taken, strict=True)]
-    return shifted, ['a constant force is taken off, load_offset counts from there: '
-                     + ', '.join(f'{mean:.4g}' for mean in dict.fromkeys(taken))]
-
-
 def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
                 ) -> tuple[dict[str, float], dict[str, float]]:
     """
@@ -655,7 +446,7 @@ def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
         if motion is None or force is None:
             raise InputError(f'{recording.source}: a joint that is driven by a force needs its '
                              'force (or command) and its position or velocity')
-        count, inner = motion.velocity.size, _inner(recording)
+        count, inner = motion.velocity.size, inner_samples(recording)
         columns: list[Array] = [
             np.fft.irfft(motion.velocity_spectrum * factor * motion.judge, count)[inner]
             for factor in (1j * motion.omega, 1.0)]

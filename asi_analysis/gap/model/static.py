@@ -18,6 +18,7 @@ import numpy as np
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap.course import at_rest, cycle, one_rate, passes, turning_points
 from asi_analysis.gap.model import static_blocks
 from asi_analysis.gap.model.effects import (
     COMMAND_PATH,
@@ -32,7 +33,6 @@ from asi_analysis.gap.model.effects import (
 )
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import for_recordings
-from asi_analysis.gap.model.static_course import at_rest, cycle, one_rate, passes, turning_points
 from asi_analysis.gap.parts import reported, split
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import SHARED, noise_of, recorded, uniform

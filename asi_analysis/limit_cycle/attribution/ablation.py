@@ -3,11 +3,13 @@ Ablation of the model: the loop with each nonlinearity alone, and with all but t
 
 A nonlinearity that is removed is replaced by its gain for small motion; the limit of the command
 stays. Shapley values divide the amplitude of the cycle among the nonlinearities: the contribution
-of each, averaged over all orders in which they can be added (Shapley 1953).
+of each, averaged over all orders in which they can be added (Shapley 1953). The share of the
+hysteresis is divided among its parts by Owen values: the same average over the orders in which the
+parts come one after the other (Owen, in: Mathematical Economics and Game Theory, 1977).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -22,6 +24,12 @@ from asi_analysis.terminal import Progress, silent
 
 NONLINEARITIES: Final = ('valve_hysteresis', 'valve_characteristic', 'hydraulic_damping',
                          'friction')
+HYSTERESIS, *OTHERS = NONLINEARITIES
+# Parts of the hysteresis, each with the parameters that switch it off.
+PARTS: Final[Mapping[str, Mapping[str, float]]] = {
+    'static_loop': {'valve_hysteresis.radius': 0.0, 'valve_hysteresis.widening': 0.0},
+    'rate': {'valve_hysteresis.lag_time': 0.0},
+    'iron_saturation': {'valve_hysteresis.saturation': 1e6}}
 # Default gain of the comparison, over the onset gain of the complete model.
 ABOVE_ONSET: Final = 1.12
 HARMONICS: Final = 7
@@ -36,9 +44,43 @@ def only(active: Sequence[str], actuator: Values) -> dict[str, Any]:
             **{f'{name}.model': 'linear' for name in NONLINEARITIES if name not in active}}
 
 
+def with_parts(active: Sequence[str], actuator: Values) -> dict[str, Any]:
+    """Return the actuator's parameters without the parts of the hysteresis not in `active`."""
+    return {**actuator, **{name: value for part, off in PARTS.items() if part not in active
+                           for name, value in off.items()}}
+
+
+def _subsets(names: Iterable[str]) -> list[tuple[str, ...]]:
+    names = tuple(names)
+    return [subset for size in range(len(names) + 1) for subset in combinations(names, size)]
+
+
 def _all_subsets() -> list[tuple[str, ...]]:
-    return [subset for size in range(len(NONLINEARITIES) + 1)
-            for subset in combinations(NONLINEARITIES, size)]
+    return _subsets(NONLINEARITIES)
+
+
+def _weight(before: int, count: int) -> float:
+    """Return the share of the orders of `count` in which `before` given ones precede a given."""
+    return (math.factorial(before) * math.factorial(count - before - 1)
+            / math.factorial(count))
+
+
+def owen(amplitude: Mapping[tuple[tuple[str, ...], tuple[str, ...]], float]) -> dict[str, float]:
+    """
+    Return the Owen value of each part of the hysteresis: together, its Shapley value.
+
+    amplitude: by the other nonlinearities and the parts that are active.
+    """
+    values = dict.fromkeys(PARTS, 0.0)
+    for others in _subsets(OTHERS):
+        outside = _weight(len(others), len(NONLINEARITIES))
+        for parts in _subsets(PARTS):
+            for name in PARTS:
+                if name not in parts:
+                    joined = tuple(each for each in PARTS if each in parts or each == name)
+                    values[name] += outside * _weight(len(parts), len(PARTS)) * (
+                        amplitude[others, joined] - amplitude[others, parts])
+    return values
 
 
 def shapley(amplitude: dict[tuple[str, ...], float]) -> dict[str, float]:
@@ -49,10 +91,8 @@ def shapley(amplitude: dict[tuple[str, ...], float]) -> dict[str, float]:
         for name in NONLINEARITIES:
             if name in subset:
                 continue
-            weight = (math.factorial(len(subset)) * math.factorial(count - len(subset) - 1)
-                      / math.factorial(count))
             joined = tuple(each for each in NONLINEARITIES if each in subset or each == name)
-            values[name] += weight * (amplitude[joined] - amplitude[subset])
+            values[name] += _weight(len(subset), count) * (amplitude[joined] - amplitude[subset])
     return values
 
 
@@ -83,7 +123,8 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
         'amplitude_n': whole.amplitude_n if whole else None}
     if whole is None:
         return Attribution(document | {
-            'causes': [], 'verdict': 'no cycle at this gain: nothing to attribute'})
+            'causes': [], 'hysteresis_parts': [],
+            'verdict': 'no cycle at this gain: nothing to attribute'})
     progress('shares', 0.1)
     subsets = _all_subsets()
     runs = step_runs([only(subset, actuator) for subset in subsets],
@@ -105,8 +146,39 @@ def attribute_model(actuator: Values, controller: Values, rate_hz: float = 5000.
             **_figures('all_but', cycles[others], only(others, actuator), controller, rate_hz,
                        at)})
     linear = amplitudes[()] > 0.0
-    return Attribution(document | {'causes': causes,
-                                   'verdict': _verdict(causes, linear, document)})
+    progress('parts of the hysteresis', None)
+    return Attribution(document | {
+        'causes': causes,
+        'hysteresis_parts': _parts(actuator, with_gain(controller, at), rate_hz, amplitudes),
+        'verdict': _verdict(causes, linear, document)})
+
+
+def _parts(actuator: Values, controller: Values, rate_hz: float,
+           known: Mapping[tuple[str, ...], float]) -> list[dict[str, Any]]:
+    """Return the share of each part of the hysteresis, and the cycle with it alone."""
+    amplitudes: dict[tuple[tuple[str, ...], tuple[str, ...]], float] = {}
+    some = [parts for parts in _subsets(PARTS) if 0 < len(parts) < len(PARTS)]
+    for others in _subsets(OTHERS):
+        # Without any part it is a gain.
+        amplitudes[others, ()] = known[others]
+        amplitudes[others, tuple(PARTS)] = known[HYSTERESIS, *others]
+    tried = [(others, parts) for others in _subsets(OTHERS) for parts in some]
+    runs = step_runs([with_parts(parts, only((HYSTERESIS, *others), actuator))
+                      for others, parts in tried], [controller] * len(tried), rate_hz)
+    cycles = dict(zip(tried, map(sustained, runs), strict=True))
+    amplitudes |= {key: cycle.amplitude_n if cycle else 0.0 for key, cycle in cycles.items()}
+    shares, found = owen(amplitudes), []
+    for name in PARTS:
+        alone = with_parts((name,), only((HYSTERESIS,), actuator))
+        first = onset(alone, controller, rate_hz, 0.35 * float(controller['gain']), 0.01)
+        cycle = cycles[(), (name,)]
+        found.append({
+            'part': name, 'share': shares[name] / known[NONLINEARITIES],
+            'alone_frequency_hz': cycle.frequency_hz if cycle else None,
+            'alone_amplitude_n': cycle.amplitude_n if cycle else None,
+            'alone_onset_gain': first.gain if first else None,
+            'alone_onset_frequency_hz': first.frequency_hz if first else None})
+    return found
 
 
 def _figures(prefix: str, cycle: Oscillation | None, actuator: Values, controller: Values,

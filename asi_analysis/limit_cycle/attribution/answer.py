@@ -35,6 +35,12 @@ class Attribution(Result):
                 'predicted Hz': '{all_but_predicted_frequency_hz:.1f}',
                 'predicted N': '{all_but_predicted_amplitude_n:.0f}',
                 'onset gain': '{all_but_onset_gain:.3g}'}, 'all but this one')
+        if self.get('hysteresis_parts'):
+            yield table_of(self.hysteresis_parts, {
+                'part of the hysteresis': '{part}', 'share': '{share:.0%}',
+                'alone Hz': '{alone_frequency_hz:.1f}', 'N': '{alone_amplitude_n:.0f}',
+                'onset gain': '{alone_onset_gain:.3g}', 'at Hz': '{alone_onset_frequency_hz:.1f}'},
+                'parts of the hysteresis')
         if self.run is not None:
             yield table_of(self.causes, {'nonlinearity': '{nonlinearity}',
                                          'probability': '{probability:.1%}'},

@@ -92,7 +92,7 @@ def _and_beside(run: Run, segment: Segment) -> Segment:
         return segment
     course = 'sustained' if beside.sustained else beside.reason
     return segment._replace(why=(
-        f'{segment.why}; beside it an oscillation of {beside.frequency_hz:.4g} Hz and '
+        f'{segment.why}; in addition an oscillation of {beside.frequency_hz:.4g} Hz and '
         f'{beside.amplitude_n:.3g} {segment.unit}, {course}'))
 
 
@@ -106,7 +106,7 @@ def _unless_driven(run: Run, segment: Segment) -> Segment:
     if share is not None and share < CLOSED:
         return segment._replace(verdict='unsteady', confidence=AGREED, why=(
             'driven open loop, or a limit cycle: no reference is recorded, and the command does '
-            f'not answer the output, which tells {100 * share:.0f} % of what is new in it; {ask}'))
+            f'not answer the output, which explains {100 * share:.0f} % of its innovation; {ask}'))
     return segment._replace(
         confidence=min(segment.confidence, UNDRIVEN[share is not None]),
-        why=f'{segment.why}; unless something drives it, for no reference is recorded: {ask}')
+        why=f'{segment.why}; unless it is driven, since no reference is recorded: {ask}')

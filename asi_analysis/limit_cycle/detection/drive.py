@@ -148,18 +148,18 @@ def explained_by_output(run: Run, name: str, start_s: float, end_s: float, frequ
     cycle = max(round(1.0 / (frequency_hz * run.period_s)) if frequency_hz > 0.0 else 0, LAGS)
     if len(pair[0]) < cycle + 10 * LAGS or np.ptp(pair[0]) == 0.0:
         return None
-    past, seen = (np.lib.stride_tricks.sliding_window_view(
+    commands, outputs = (np.lib.stride_tricks.sliding_window_view(
         (each - each.mean()) / max(float(each.std()), 1e-300), LAGS + 1)[:, ::-1]
         for each in pair)
-    now, own = past[cycle:, 0], [past[cycle:, 1:], np.ones((len(past) - cycle, 1))]
+    now, own = commands[cycle:, 0], [commands[cycle:, 1:], np.ones((len(commands) - cycle, 1))]
     if cycle > LAGS:
-        own.append(past[LAGS // 2:LAGS // 2 - cycle])
+        own.append(commands[LAGS // 2:LAGS // 2 - cycle])
 
     def error(columns: list[Array]) -> float:
         given = np.hstack(columns)
-        left = now - given @ np.linalg.lstsq(given, now, rcond=1e-10)[0]
-        return float(left @ left) / max(len(left) - given.shape[1], 1)
+        innovation = now - given @ np.linalg.lstsq(given, now, rcond=1e-10)[0]
+        return float(innovation @ innovation) / max(len(innovation) - given.shape[1], 1)
 
     alone = error(own)
     # A command that its own past predicts exactly has no innovation.
-    return max(1.0 - error([*own, seen[cycle:]]) / alone, 0.0) if alone > NO_INNOVATION else 0.0
+    return max(1.0 - error([*own, outputs[cycle:]]) / alone, 0.0) if alone > NO_INNOVATION else 0.0

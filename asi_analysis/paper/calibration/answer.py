@@ -6,7 +6,6 @@ from pathlib import Path
 from asi_analysis.paper.calibration.quantities import STRUCTURES, Candidate, read_best, write_best
 from asi_analysis.paper.calibration.search import calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.fact import Stage
 from asi_analysis.paper.facts.table import FITTED_ROWS
 from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress
@@ -29,7 +28,8 @@ class Calibration(Result):
 
 
 def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spread: float,
-        start: Path | None, only: Sequence[str], report: Progress) -> Calibration:
+        start: Path | None, only: Sequence[str], report: Progress,
+        table_1: bool = True) -> Calibration:
     """
     Run or resume a calibration; return its result.
 
@@ -42,17 +42,18 @@ def run(out: Path, structure: str, evaluations: int, rounds: int, seed: int, spr
         search = load(state)
     else:
         search = new_search(read_best(start) if start else Candidate({}, Conditions()),
-                            STRUCTURES[structure], seed, spread, only, report)
+                            STRUCTURES[structure], seed, spread, only, report, table_1)
     calibrate(search, evaluations, rounds, state, report)
     write_best(result(search), out / 'best.json')
     measured = search.problem.measure(search.best)
+    rows = [row for row in FITTED_ROWS if row.name in measured]
     return Calibration({
         'evaluations': search.evaluations, 'budget': evaluations, 'seed': search.seed,
         'seconds_per_evaluation': (search.seconds / search.evaluations if search.evaluations
                                    else None),
         'stages': {str(stage): count for stage, count
-                   in zip(Stage, search.counts, strict=True)},
+                   in zip(search.problem.stages, search.counts, strict=True)},
         'polish_evaluations': search.polished, 'cost': search.problem.cost(search.best, measured),
         'best': str(out / 'best.json'),
-        'met': sum(row.met(measured[row.name]) for row in FITTED_ROWS), 'total': len(FITTED_ROWS),
-        'not_met': [row.name for row in FITTED_ROWS if not row.met(measured[row.name])]})
+        'met': sum(row.met(measured[row.name]) for row in rows), 'total': len(rows),
+        'not_met': [row.name for row in rows if not row.met(measured[row.name])]})

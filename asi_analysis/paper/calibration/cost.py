@@ -58,6 +58,6 @@ def cost(misses: Iterable[float]) -> float:
     return float(sum(min(m, FAR + FAR_SHARE * (m - FAR)) for m in misses))
 
 
-def misses(measured: Measured) -> list[float]:
-    """Return the misses of the fitted rows measured so far."""
-    return [miss(row, measured[row.name]) for row in FITTED_ROWS if row.name in measured]
+def misses(measured: Measured, rows: Iterable[Row] = FITTED_ROWS) -> list[float]:
+    """Return the misses of the rows measured so far, by default of the fitted ones."""
+    return [miss(row, measured[row.name]) for row in rows if row.name in measured]

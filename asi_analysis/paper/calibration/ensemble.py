@@ -60,9 +60,8 @@ class Member(NamedTuple):
 
 def problem_of(best: Candidate) -> Problem:
     """Return the problem whose start is a candidate and whose physical parameters are free."""
-    known = quantities(best)
-    fixed = {name: value for name, value in best.actuator.items() if name not in known}
-    return Problem({**fixed, **SEARCH}, best.conditions, PHYSICAL, to_vector(FREE, known))
+    return Problem({**best.actuator, **SEARCH}, best.conditions, PHYSICAL,
+                   to_vector(FREE, quantities(best)))
 
 
 def _positions(measured: Measured) -> Array:

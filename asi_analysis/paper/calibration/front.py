@@ -1,8 +1,9 @@
 """
-`asi calibrate --front`: the cost of the facts as a function of one fixed quantity.
+`asi calibrate --front`: the cost of the facts as a function of one fixed quantity or row.
 
-For each value of the quantity all others are fitted again (a profile of the cost), starting from
-the result for the previous value, so that neighbours can be compared.
+For each value all that is free is fitted again (a profile of the cost), starting from the result
+for the previous value, so that neighbours can be compared. A row at a value shows which others pay
+for it. Each point is written as a file that `asi reproduce --candidate` takes.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,8 +13,15 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 
 from asi_analysis.errors import InputError
-from asi_analysis.paper.calibration.quantities import Candidate, Structure, read_best
-from asi_analysis.paper.calibration.search import new_search, result
+from asi_analysis.paper.calibration.cost import cost, misses
+from asi_analysis.paper.calibration.plausible import penalty
+from asi_analysis.paper.calibration.quantities import (
+    STRUCTURES,
+    Candidate,
+    read_best,
+    write_best,
+)
+from asi_analysis.paper.calibration.search import at_value, new_search, result
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.fact import Measured, Row
 from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
@@ -24,16 +32,18 @@ from asi_common.files import write_text
 
 
 class FrontPoint(NamedTuple):
-    """The best result with the quantity fixed at a value."""
+    """The best result with the quantity or row at a value."""
 
     value: float
     cost: float
     evaluations: int
     measured: Measured
+    best: Candidate
 
     @property
     def not_met(self) -> list[Row]:
-        return [row for row in FITTED_ROWS if not row.met(self.measured[row.name])]
+        return [row for row in FITTED_ROWS
+                if row.name in self.measured and not row.met(self.measured[row.name])]
 
 
 def parsed(text: str) -> tuple[str, list[float]]:
@@ -46,18 +56,40 @@ def parsed(text: str) -> tuple[str, list[float]]:
                          ) from None
 
 
-def front(name: str, values: Sequence[float], start: Candidate, rounds: int,
+class Fit(NamedTuple):
+    """How each point of a front is fitted: see `asi calibrate`."""
+
+    evaluations: int = 0
+    rounds: int = 20
+    structure: str = 'side'
+    seed: int = 1
+    spread: float = 0.1
+    only: Sequence[str] = ()
+    table_1: bool = True
+
+
+def front(name: str, values: Sequence[float], start: Candidate, fit: Fit,
           report: Progress = silent) -> list[FrontPoint]:
-    """Return the best with a quantity at each value. Raises InputError for an unknown name."""
+    """
+    Return the best with a quantity, or a fitted row, at each value.
+
+    Raises InputError for an unknown name.
+    """
     points = []
     for done, value in enumerate(values):
         report(f'{name} = {value:g}', done / len(values))
-        search = new_search(start, Structure(name, {name: value}), 1, 0.1)
-        search.polish(rounds)
-        measured = search.problem.measure(search.best)
-        points.append(FrontPoint(value, search.problem.cost(search.best, measured),
-                                 search.polished, measured))
-        start = result(search)
+        row, structure = at_value(name, value), STRUCTURES[fit.structure]
+        if row is None:
+            structure = structure._replace(fixed={**structure.fixed, name: value})
+        search = new_search(start, structure, fit.seed, fit.spread, fit.only,
+                            table_1=fit.table_1, demanded=row)
+        while search.evaluations < fit.evaluations and not search.strategy.stop():
+            search.generation()
+        search.polish(fit.rounds)
+        measured, best = search.problem.measure(search.best), result(search)
+        points.append(FrontPoint(value, cost(misses(measured)) + penalty(best),
+                                 search.evaluations + search.polished, measured, best))
+        start = best
     return points
 
 
@@ -97,16 +129,18 @@ class Front(Result):
         yield f'table and picture: {self.out}'
 
 
-def run(text: str, start: Path | None, rounds: int, out: Path, report: Progress) -> Front:
+def run(text: str, start: Path | None, fit: Fit, out: Path, report: Progress) -> Front:
     """
-    Compute a front, write its table and picture; return the result.
+    Compute a front, write its table, picture and points; return the result.
 
     Raises InputError for an invalid front or start.
     """
     name, values = parsed(text)
     points = front(name, values, read_best(start) if start else Candidate({}, Conditions()),
-                   rounds, report)
+                   fit, report)
     out.mkdir(parents=True, exist_ok=True)
+    for each in points:
+        write_best(each.best, out / f'{each.value:g}.json')
     write_text(out / 'front.md', table(name, points))
     save(picture(name, points), out / 'front.png', 110.0)
     return Front({

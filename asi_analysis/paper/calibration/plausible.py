@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
-from asi_analysis.paper.calibration.quantities import FREE, Candidate, quantities
+from asi_analysis.paper.calibration.quantities import FREE, OFF, Candidate, quantities
 from asi_common.parameter import completed
 
 # Distance from a bound, as a share of the range, that counts as on the bound.
@@ -88,7 +88,8 @@ def findings(one: Candidate) -> list[Finding]:
     locked = one.conditions.proportional.load['load.type'] == 'locked'
     for free in FREE:
         value = known[free.name]
-        if locked and free.name.startswith('conditions.load.'):
+        if (locked and free.name.startswith('conditions.load.')
+                or value == OFF.get(free.name)):
             continue
         if not free.low <= value <= free.high:
             found.append(Finding(free.name, value, free.low, free.high, '', 'outside its range',

@@ -48,6 +48,7 @@ VALVE: Final = JUDGED + 'jet-pipe valve of a small actuator; the paper says 20 H
 FIG_3: Final = 'Fig. 3: the damping builds up and saturates within 1 m/s'
 CARD: Final = JUDGED + 'analogue card of the 1990s: conditioning between 0.2 and 5 kHz'
 SEALS: Final = JUDGED + 'seals that break away at 27 N after 0.01 to 1 mm'
+IRON: Final = JUDGED + 'soft iron: its slope grows several times from small to large fields'
 TABLE_1: Final = 'the paper does not say; within the thrust and the range of its leads'
 # The bounds are the physically plausible ranges, so that a search stays within them.
 FREE: Final = (
@@ -64,7 +65,7 @@ FREE: Final = (
     _free('valve_hysteresis.lag_time', 2e-4, 4e-3, JUDGED + 'eddy currents in solid iron'),
     _free('valve_hysteresis.rate_exponent', 0.0, 1.0, JUDGED + 'eddy currents', Scale.LINEAR),
     _free('valve_hysteresis.rate_filter', 60.0, 10000.0, JUDGED + 'eddy currents'),
-    _free('valve_hysteresis.saturation', 900.0, 8000.0, 'Fig. 4: linear up to the thrust'),
+    _free('valve_hysteresis.saturation', 1000.0, 8000.0, 'Fig. 4: linear up to the thrust'),
     _free('hydraulic_damping.centre_share', 0.02, 1.0, FIG_3),
     _free('hydraulic_damping.saturation_velocity', 0.01, 0.8, FIG_3),
     _free('hydraulic_damping.saturation_shift', -0.7, 0.7, FIG_3, Scale.LINEAR),
@@ -89,10 +90,22 @@ FREE: Final = (
     _free('conditions.lead4.lead4.ratio', 1.2, 14.0, TABLE_1),
     _free('conditions.lead4.lead4.lag_ratio', 1.5, 1000.0, TABLE_1),
     _free('conditions.lead4.lead4.lag_time', 0.05, 0.6, TABLE_1),
+    _free('valve_hysteresis.widening', 0.0, 8.0, IRON, Scale.LINEAR),
+    _free('valve_hysteresis.widening_from', 0.0, 1500.0, IRON, Scale.LINEAR),
+    _free('valve_hysteresis.widening_range', 50.0, 6000.0, IRON),
 )
-# The actuator's parameters; the others are conditions of Table 1.
-PHYSICAL: Final = tuple(k for k, free in enumerate(FREE)
-                        if not free.name.startswith('conditions'))
+# Only the structures whose loop widens with the amplitude vary these.
+ONE_PLAY: Final = {'valve_hysteresis.widening': 0.0, 'valve_hysteresis.widening_from': 0.0,
+                   'valve_hysteresis.widening_range': 1500.0}
+NO_RATE: Final = {'valve_hysteresis.lag_time': 0.0, 'valve_hysteresis.rate_exponent': 0.0,
+                  'valve_hysteresis.rate_filter': 1000.0}
+# Values of a part that is switched off: they have no plausible range.
+OFF: Final = {'valve_hysteresis.lag_time': 0.0, **ONE_PLAY}
+# The quantities of the model with one play; those that are the actuator's parameters, and not
+# conditions of Table 1.
+ONE_PLAYS: Final = tuple(free for free in FREE if free.name not in ONE_PLAY)
+PHYSICAL: Final = tuple(k for k, free in enumerate(FREE) if free in ONE_PLAYS
+                        and not free.name.startswith('conditions'))
 
 
 class Structure(NamedTuple):
@@ -104,11 +117,16 @@ class Structure(NamedTuple):
 
 
 STRUCTURES: Final[Mapping[str, Structure]] = {
-    'side': Structure('the sensor feels any share of the inertia of the mass'),
+    'side': Structure('the sensor feels any share of the inertia of the mass', ONE_PLAY),
     'cylinder': Structure('the sensor between cylinder and piston: it feels all of the inertia',
-                          {'force_sensor.mass_share': 0.0}),
-    'locked': Structure('Table 1 with the piston locked', load=LOCKED),
-    'spring': Structure('Table 1 on a spring with a mass', load=SPRING),
+                          {**ONE_PLAY, 'force_sensor.mass_share': 0.0}),
+    'behind': Structure('the sensor behind the mass: it feels none of the inertia',
+                        {**ONE_PLAY, 'force_sensor.mass_share': 1.0}),
+    'locked': Structure('Table 1 with the piston locked', ONE_PLAY, load=LOCKED),
+    'spring': Structure('Table 1 on a spring with a mass', ONE_PLAY, load=SPRING),
+    'static': Structure('a static loop alone: it widens with the amplitude, not with the rate',
+                        NO_RATE),
+    'widening': Structure('a loop that widens with the amplitude and with the rate'),
 }
 TESTS: Final = ('proportional', 'lead_lag', 'lead4')
 

@@ -31,7 +31,7 @@ from asi_analysis.paper.calibration.quantities import (
     with_tests,
 )
 from asi_analysis.paper.facts.conditions import Conditions
-from asi_analysis.paper.facts.fact import Measured, Setup, Stage
+from asi_analysis.paper.facts.fact import Measured, Row, Setup, Stage
 from asi_analysis.paper.facts.table import FACTS, FITTED_ROWS
 from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
@@ -45,6 +45,9 @@ SEARCH_ACCURACY: Final = 0.0015
 SEARCH_RATIO_ACCURACY: Final = 0.004
 SEARCH_WATCHED_S: Final = 16.0
 SEARCH_FIRST_WATCHED_S: Final = 0.6
+SEARCH_ONSET_CYCLE_S: Final = 3.0
+# Without a cycle up to this gain, there is none.
+SEARCH_HIGHEST_GAIN: Final = 24.0
 SEARCH_SAMPLES: Final = 360
 # Number of points of a generation that are measured in each stage: the best of the stage before.
 RACE: Final = (64, 16, 8, 6, 4)
@@ -56,6 +59,10 @@ LEAST_REACH: Final = 0.003
 MOST_REACH: Final = 0.25
 SHARES: Final = (2.0, 1.0, 0.4, 0.15)
 STEEPEST: Final = 80.0
+# A row that is demanded at a value may deviate by this share of its half width; its miss counts
+# so many times.
+DEMANDED: Final = 0.2
+WEIGHT: Final = 5.0
 # CMA-ES takes no standard deviation near the resolution of a float.
 LEAST_SPREAD: Final = 1e-6
 
@@ -65,7 +72,8 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
     setup = Setup(one.actuator, one.conditions._replace(
         onset_steps_n=SEARCH_STEPS_N, onset_accuracy=SEARCH_ACCURACY,
         onset_watched_s=SEARCH_WATCHED_S, ratio_accuracy=SEARCH_RATIO_ACCURACY,
-        first_watched_s=SEARCH_FIRST_WATCHED_S, describing_samples=SEARCH_SAMPLES),
+        first_watched_s=SEARCH_FIRST_WATCHED_S, onset_cycle_s=SEARCH_ONSET_CYCLE_S,
+        describing_samples=SEARCH_SAMPLES, highest_gain=SEARCH_HIGHEST_GAIN),
         dict(measured), fitted_only=True)
     for fact in FACTS:
         if fact.stage is stage:
@@ -74,12 +82,14 @@ def measure_stage(one: Candidate, stage: Stage, measured: Measured) -> Measured:
 
 
 class Problem(NamedTuple):
-    """The problem of a search: fixed parameters and conditions, and the free quantities."""
+    """The problem of a search: actuator and conditions, of which some quantities vary."""
 
     fixed: Values
     conditions: Conditions
     free: tuple[int, ...]     # indices in FREE of the quantities that vary
     start: Array              # a point of the unit cube of all quantities
+    stages: tuple[Stage, ...] = tuple(Stage)   # that are measured
+    demanded: Row | None = None     # replaces the row of its name, and counts more
 
     def whole(self, point: Array) -> Array:
         """Return the point of the cube of all quantities for a point of the free ones."""
@@ -89,16 +99,31 @@ class Problem(NamedTuple):
 
     def candidate(self, point: Array) -> Candidate:
         """Return the candidate at a point of the free quantities."""
-        return candidate(to_values(FREE, self.whole(point)), self.fixed, self.conditions)
+        values = to_values(FREE, self.whole(point))
+        return candidate({FREE[k].name: values[FREE[k].name] for k in self.free}, self.fixed,
+                         self.conditions)
 
     def cost(self, point: Array, measured: Measured) -> float:
         """Return the cost of a point: that of its misses and of implausible quantities."""
-        return cost(misses(measured)) + penalty(self.candidate(point))
+        demanded = WEIGHT * sum(misses(measured, [self.demanded] if self.demanded else []))
+        others = [row for row in FITTED_ROWS if not self._demands(row)]
+        return cost(misses(measured, others)) + demanded + penalty(self.candidate(point))
+
+    def _demands(self, row: Row) -> bool:
+        return self.demanded is not None and self.demanded.name == row.name
+
+    def lines(self) -> list[Row]:
+        """Return the rows with limits."""
+        return [self.demanded if self.demanded and self._demands(row) else row for row in LINES]
+
+    def weights(self) -> Array:
+        """Return the weight of each of them."""
+        return np.array([WEIGHT if self._demands(row) else 1.0 for row in LINES])
 
     def measure(self, point: Array) -> Measured:
-        """Return the values of all fitted rows."""
+        """Return the values of all fitted rows of its stages."""
         measured: Measured = {}
-        for stage in Stage:
+        for stage in self.stages:
             measured = measure_stage(self.candidate(point), stage, measured)
         return measured
 
@@ -116,7 +141,7 @@ class Search:
         self.problem = problem
         self.seed = seed
         self.seconds = 0.0
-        self.counts = [0] * len(RACE)
+        self.counts = [0] * len(problem.stages)
         self.polished = 0
         self.best = problem.start[list(problem.free)]
         self.best_cost = problem.cost(self.best, problem.measure(self.best))
@@ -135,14 +160,16 @@ class Search:
         measured: list[Measured] = [{} for _ in points]
         ranks = np.empty(len(points))
         racing = list(range(len(points)))
-        for done, (stage, places) in enumerate(zip(Stage, (*RACE[1:], 0), strict=True)):
+        stages = self.problem.stages
+        places_after = (*RACE[1:len(stages)], 0)
+        for done, (stage, places) in enumerate(zip(stages, places_after, strict=True)):
             found = each(measure_stage, [(self.problem.candidate(points[k]), stage, measured[k])
                                          for k in racing])
             self.counts[done] += len(racing)
             for k, new in zip(racing, found, strict=True):
                 measured[k].update(new)
                 ranks[k] = (self.problem.cost(points[k], measured[k]) + _outside(points[k])
-                            + BEHIND * (len(RACE) - 1 - done))
+                            + BEHIND * (len(stages) - 1 - done))
             racing = sorted(racing, key=lambda k: ranks[k])[:places]
         self.strategy.tell(points, ranks)
         self._keep(points[int(np.argmin(ranks))], float(ranks.min()))
@@ -169,7 +196,9 @@ class Search:
                 return
             slopes, side = self._slopes(point, measured, reach, done)
             reaches = [min(share * reach, MOST_REACH) for share in SHARES]
-            tried = [_step(point, _bounds(measured), slopes, one) for one in reaches]
+            lines = self.problem.lines()
+            tried = [_step(point, _bounds(measured, lines), slopes, one, lines,
+                           self.problem.weights()) for one in reaches]
             found = self._measured(tried)
             costs = list(map(self.problem.cost, tried, found))
             k = int(np.argmin(costs))
@@ -191,8 +220,9 @@ class Search:
         tried = [point + step * unit
                  for step, unit in zip(steps, np.eye(point.size), strict=True)]
         found = self._measured(tried)
-        here = _bounds(measured)
-        slopes = np.array([(_bounds(one) - here) / step
+        lines = self.problem.lines()
+        here = _bounds(measured, lines)
+        slopes = np.array([(_bounds(one, lines) - here) / step
                            for one, step in zip(found, steps, strict=True)]).T
         costs = list(map(self.problem.cost, tried, found))
         k = int(np.argmin(costs))
@@ -213,25 +243,37 @@ def _outside(point: Array) -> float:
 
 
 LINES: Final = tuple(row for row in FITTED_ROWS if row.low != row.high)
-TWO_SIDED: Final = np.array([not row.one_sided for row in LINES])
 
 
-def _bounds(measured: Measured) -> Array:
-    """Return the bounded position of each row with limits, in half widths."""
-    return np.array([bounded(row, measured[row.name]) for row in LINES])
+def _bounds(measured: Measured, lines: Sequence[Row]) -> Array:
+    """Return the bounded position of each row with limits, in half widths; 0 of one left out."""
+    return np.array([bounded(row, measured[row.name]) if row.name in measured else 0.0
+                     for row in lines])
 
 
-def _step(point: Array, here: Array, slopes: Array, reach: float) -> Array:
+def _step(point: Array, here: Array, slopes: Array, reach: float,
+          lines: Sequence[Row] = LINES, weights: Array | None = None) -> Array:
     """Return the point within `reach` that has the least sum of misses of the linearised rows."""
     from scipy.optimize import linprog
     slack = -np.eye(here.size)
+    two_sided = np.array([not row.one_sided for row in lines])
     # Slightly tighter limits than needed, since the rows are not exactly linear.
     inner = INNER - 0.03
-    sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[TWO_SIDED]])
-    limits = np.concatenate([inner - here, (inner + here)[TWO_SIDED]])
+    sides = np.vstack([np.hstack([slopes, slack]), np.hstack([-slopes, slack])[two_sided]])
+    limits = np.concatenate([inner - here, (inner + here)[two_sided]])
     box = [(max(-reach, -x), min(reach, 1.0 - x)) for x in point] + [(0.0, None)] * here.size
-    weights = np.concatenate([np.zeros(point.size), np.ones(here.size)])
-    return np.clip(point + linprog(weights, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
+    costs = np.concatenate([np.zeros(point.size),
+                            np.ones(here.size) if weights is None else weights])
+    return np.clip(point + linprog(costs, sides, limits, bounds=box).x[:point.size], 0.0, 1.0)
+
+
+def at_value(name: str, value: float) -> Row | None:
+    """Return a fitted row that is met near a value only; None if none has this name."""
+    for row in FITTED_ROWS:
+        if row.name == name and math.isfinite(row.high) and row.low != row.high:
+            near = 0.5 * DEMANDED * (row.high - row.low)
+            return row._replace(low=value - near, high=value + near)
+    return None
 
 
 def load(path: Path) -> Search:
@@ -251,13 +293,16 @@ def _in_block(name: str, block: str) -> bool:
 
 
 def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
-               only: Sequence[str] = (), report: Progress = silent) -> Search:
+               only: Sequence[str] = (), report: Progress = silent,
+               table_1: bool = True, demanded: Row | None = None) -> Search:
     """
     Return a search that starts from a candidate.
 
     spread: of the first generation, as a share of each range; only: names of the quantities to
-    vary, or of their blocks (if empty, all that the structure leaves free). Raises InputError for
-    an invalid spread, or a name that is not in FREE.
+    vary, or of their blocks (if empty, all that the structure leaves free). table_1: whether the
+    rows of Table 1 count; without them its conditions do not vary, and where only those vary, the
+    other rows are left out. demanded: a row with limits of its own. Raises InputError for an
+    invalid spread, a name that is not in FREE, or if nothing varies.
     """
     if not LEAST_SPREAD <= spread <= 1.0:
         raise InputError(f'spread = {spread:g} is not allowed: from {LEAST_SPREAD:g} to 1')
@@ -275,10 +320,16 @@ def new_search(start: Candidate, structure: Structure, seed: int, spread: float,
     free = tuple(k for k, name in enumerate(names)
                  if name not in structure.fixed
                  and (not only or any(_in_block(name, each) for each in only))
-                 and not (locked and name.startswith('conditions.load.')))
-    known = {**quantities(start), **structure.fixed}
+                 and not (locked and name.startswith('conditions.load.'))
+                 and (table_1 or not name.startswith('conditions.')))
+    if not free:
+        raise InputError('nothing varies')
+    physical = any(not names[k].startswith('conditions.') for k in free)
+    stages = tuple(stage for stage in Stage
+                   if (table_1 if stage is Stage.TABLE_1 else physical))
+    start = candidate(structure.fixed, start.actuator, start.conditions)
     problem = Problem({**start.actuator, **SEARCH}, start.conditions, free,
-                      to_vector(FREE, known))
+                      to_vector(FREE, quantities(start)), stages, demanded)
     report('start', 0.0)
     return Search(problem, seed, spread)
 

@@ -42,6 +42,10 @@ class Conditions(NamedTuple):
     onset_watched_s: float = 32.0
     # After which it is looked at first.
     first_watched_s: float = FIRST_WATCHED_S
+    # Highest gain at which an onset is looked for.
+    highest_gain: float = 80.0
+    # Simulated at an onset: a cycle settles slowly close to it.
+    onset_cycle_s: float = 8.0
     # Samples a period, of the describing function of the hysteresis.
     describing_samples: int = SAMPLES
     # Fig. 6: a step of this size, at this multiple of the onset gain.

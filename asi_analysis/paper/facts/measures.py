@@ -24,12 +24,9 @@ from asi_common.parameter import Value
 
 PAPER_GAIN: Final = 15.0
 NO_DAMPING: Final = {'hydraulic_damping.model': 'off', 'friction.model': 'off'}
-# Initial gain of the search for an onset, and the highest gain tried.
+# Initial gain of the search for an onset.
 FIRST_GAIN: Final = 6.0
-HIGHEST_GAIN: Final = 80.0
 CYCLE_S: Final = 1.2
-# A cycle settles slowly close to its onset.
-ONSET_CYCLE_S: Final = 8.0
 # Amplitudes of the command (N) at which the paper's prediction is computed.
 PREDICTED_N: Final = np.geomspace(60.0, 8e3, 30)
 # Samples at the end of a run over which a cycle is measured.
@@ -65,7 +62,7 @@ def onset_gains(setup: Setup, steps_n: tuple[float, ...]) -> Measured:
             start = 0.95 * last if last else FIRST_GAIN
             found = onset({**setup.actuator, **LOCKED}, step_settings(setup, start, step),
                           RATE_HZ, start, conditions.onset_accuracy, conditions.onset_watched_s,
-                          HIGHEST_GAIN / start, conditions.first_watched_s)
+                          conditions.highest_gain / start, conditions.first_watched_s)
             measured[name] = found.gain if found else math.inf
         if math.isfinite(measured[name]):
             last = measured[name]
@@ -109,8 +106,8 @@ def onset_frequencies(setup: Setup) -> Measured:
         gain, frequency = setup.measured[onset_name(step, 'gain')], 0.0
         if math.isfinite(gain):
             run = setup.runner(step_experiment(
-                {**setup.actuator, **LOCKED}, setup.proportional(gain), step, ONSET_CYCLE_S,
-                setup.conditions.start_n if step == 0.0 else 0.0))
+                {**setup.actuator, **LOCKED}, setup.proportional(gain), step,
+                setup.conditions.onset_cycle_s, setup.conditions.start_n if step == 0.0 else 0.0))
             frequency = of_samples(run.force_n[-LAST_SAMPLES:], RATE_HZ).frequency_hz
         measured[onset_name(step, 'frequency_hz')] = frequency
     return measured

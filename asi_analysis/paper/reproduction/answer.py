@@ -10,7 +10,7 @@ from asi_analysis.experiments.experiment import Experiment
 from asi_analysis.experiments.running import RunFailedError, run_experiment
 from asi_analysis.loop.closed_loop import LoopRun
 from asi_analysis.paper.calibration.plausible import findings
-from asi_analysis.paper.calibration.quantities import FREE, Candidate
+from asi_analysis.paper.calibration.quantities import ONE_PLAYS, Candidate
 from asi_analysis.paper.facts.conditions import Conditions
 from asi_analysis.paper.facts.converged import Converged
 from asi_analysis.paper.facts.fact import Fact, Measured, Row, Setup
@@ -99,7 +99,7 @@ def reproduce_paper(actuator: Values | None = None, conditions: Conditions | Non
         {'facts': facts, 'met': sum(fact['met'] for fact in facts), 'total': len(facts),
          'ids_met': whole, 'ids_total': len(FACTS), 'alone': columns_alone(setup),
          'not_plausible': [each._asdict() for each in findings(Candidate(actuator, conditions))],
-         'freedom': {'free_quantities': len(FREE), 'fitted_rows': len(FITTED_ROWS),
+         'freedom': {'free_quantities': len(ONE_PLAYS), 'fitted_rows': len(FITTED_ROWS),
                      'two_sided_rows': sum(not row.one_sided for row in FITTED_ROWS)},
          'over_ros': [], 'report': None},
         actuator=actuator, conditions=conditions, measured=measured)

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torture.inputs import corpus, figure_problem, file_problem, recording, with_command
+from torture.inputs import (
+    corpus,
+    figure_problem,
+    file_problem,
+    recording,
+    saturated,
+    with_command,
+    without_command,
+)
 
 few = settings(derandomize=True, deadline=None, database=None,
                suppress_health_check=list(HealthCheck))
@@ -40,3 +48,10 @@ def test_no_figure_of_spoilt_samples_differs_silently(seed: int) -> None:
 @given(seed=seeds)
 def test_no_figure_of_a_run_with_a_command_differs_silently(seed: int) -> None:
     assert not figure_problem(with_command(), Random(seed))
+
+
+@settings(few, max_examples=6)
+@given(seed=seeds)
+def test_nor_while_the_command_is_saturated_or_without_it(seed: int) -> None:
+    for run in (saturated(), without_command()):
+        assert not figure_problem(run, Random(seed))

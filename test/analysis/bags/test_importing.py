@@ -68,7 +68,8 @@ def test_a_parquet_file_keeps_what_the_bag_says_so_that_altered_samples_are_foun
     assert [each.kind for each in findings(altered)] == ['answer']
 
 
-@pytest.mark.parametrize('text', [b'[', b'[1]', b'{"controller": 3}', b'\xff'])
+@pytest.mark.parametrize('text', [b'[', b'[1]', b'{"controller": 3}', b'\xff',
+                                  b'{"controller": {"gain": 1e999}}'])
 def test_a_parquet_file_with_other_metadata_is_read_without(tmp_path: Path, text: bytes) -> None:
     table = pa.table({'time_s': [0.0, 1.0, 2.0], 'force_n': [0.0, 1.0, 2.0]})
     write_table(table.replace_schema_metadata({b'asi.run': text}), tmp_path / 'a.parquet')

@@ -43,6 +43,8 @@ def table(path: Path, header: str, *columns: np.ndarray) -> Path:
                                     'reference=posRef[mm]']),
     ('t_s,u_in,x_ft,force', ['time=t_s[s]', 'command=u_in[N]', 'position=x_ft[ft]',
                              'force=force[N]']),
+    ('time_s,valve_position_m,position_m,spool_pos_mm', [
+        'time=time_s[s]', 'valve_position=valve_position_m[m]', 'position=position_m[m]']),
     ('t_s,q_deg,tau_m,note', ['time=t_s[s]', 'position=q_deg[deg]', 'force=tau_m[Nm]']),
 ])
 def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):

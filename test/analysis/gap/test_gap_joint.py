@@ -18,7 +18,7 @@ from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
 from asi_analysis.gap.model.blocks import PLANT_DTYPE, swing
-from asi_analysis.gap.model.joint import ByPosition, by_position
+from asi_analysis.gap.model.gravity import ByPosition, by_position
 from asi_analysis.gap.prepare import prepare
 
 RATE_HZ, SUB_STEPS = 500.0, 40

@@ -15,7 +15,7 @@ from asi_analysis.cli import app
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.result import Gap
-from asi_analysis.gap.model.static_course import cycle, turning_points
+from asi_analysis.gap.course import cycle, turning_points
 from asi_examiner.static import draw_static
 
 CYCLE = 532   # samples

@@ -11,7 +11,13 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.experiment import Experiment, checked, information
 from asi_analysis.limit_cycle.attribution import figure, valves
-from asi_analysis.limit_cycle.attribution.ablation import NONLINEARITIES, attribute_model, shapley
+from asi_analysis.limit_cycle.attribution.ablation import (
+    NONLINEARITIES,
+    PARTS,
+    attribute_model,
+    owen,
+    shapley,
+)
 from asi_analysis.limit_cycle.attribution.classifier import WEIGHTS
 from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
@@ -41,6 +47,25 @@ def test_shapley_values_add_up_and_share_what_only_a_pair_does():
     subsets = [s for size in range(5) for s in combinations(NONLINEARITIES, size)]
     values = shapley({subset: worth(subset) for subset in subsets})
     assert list(values.values()) == pytest.approx([6.0, 2.0, 2.0, 0.0])
+
+
+def test_owen_values_divide_the_share_of_the_hysteresis():
+    # 6 for the first part, 4 more for the other two together, 3 more with friction beside any.
+    def worth(others, parts):
+        return (6.0 * ('static_loop' in parts) + 4.0 * ({'rate', 'iron_saturation'} <= set(parts))
+                + 3.0 * ('friction' in others and bool(parts)))
+    from itertools import combinations
+    values = owen({(others, parts): worth(others, parts)
+                   for n in range(4) for others in combinations(NONLINEARITIES[1:], n)
+                   for k in range(4) for parts in combinations(PARTS, k)})
+    assert list(values.values()) == pytest.approx([6.5, 2.5, 2.5])
+
+
+def test_parts_of_the_hysteresis_share_what_it_has(table):
+    parts = {part['part']: part for part in table['hysteresis_parts']}
+    whole = next(c for c in table['causes'] if c['nonlinearity'] == 'valve_hysteresis')
+    assert sum(part['share'] for part in parts.values()) == pytest.approx(whole['share'])
+    assert parts['rate']['alone_frequency_hz'] is not None
 
 
 @pytest.fixture(scope='module')

@@ -182,8 +182,8 @@ def test_without_a_reference_nobody_is_sure_of_a_cycle():
     alone, = judge_run(run)
     assert alone.verdict == 'limit_cycle' and alone.confidence <= 0.5
     assert 'no reference' in alone.why and '--undriven' in alone.why
-    told, = judge_run(run, undriven=True)
-    assert told.verdict == 'limit_cycle' and told.confidence > 0.9
+    segment, = judge_run(run, undriven=True)
+    assert segment.verdict == 'limit_cycle' and segment.confidence > 0.9
     held, = judge_run(Run(run.time_s, np.zeros(run.time_s.size), force_n=run.force_n))
     assert held.verdict == 'limit_cycle' and held.confidence > 0.9
 

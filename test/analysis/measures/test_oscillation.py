@@ -33,8 +33,8 @@ def test_sine_is_found_exactly():
 def test_a_torque_is_told_in_its_own_unit():
     torque = STEP + 40.0 * np.sin(2 * np.pi * 91.37 * T)
     units = {'signals': {'force': 'Nm', 'reference': 'Nm'}}
-    told = str(analyze(Run(T, reference_n=STEP, force_n=torque, information=units)))
-    assert '91.4 Hz, 40 Nm, sustained' in told and ' N\n' not in told
+    text = str(analyze(Run(T, reference_n=STEP, force_n=torque, information=units)))
+    assert '91.4 Hz, 40 Nm, sustained' in text and ' N\n' not in text
 
 
 def test_lost_samples_at_the_end_are_no_change_of_the_reference():

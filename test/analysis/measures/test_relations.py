@@ -51,9 +51,12 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
     'in lbf': ('unit', lambda run: with_force(run, lambda f: f / 4.4482216)),
     'other sign': ('sign', lambda run: with_force(run, lambda f: -f)),
     'late': ('order', lambda run: with_force(run, lambda f: late(f, 5))),
+    'a little late': ('order', lambda run: with_force(run, lambda f: np.roll(f, 1))),
     'copied': ('copy', lambda run: replace(run, force_n=run.signal('reference').copy())),
     'late reference': ('order', lambda run: replace(
         run, reference_n=late(run.signal('reference'), 30))),
+    'reference a little late': ('order', lambda run: replace(
+        run, reference_n=np.roll(run.signal('reference'), 5))),
     'sign of a beginning': ('answer', lambda run: with_force(
         run, lambda f: put(f, slice(0, JUMP + 15), -f[:JUMP + 15]))),
     'bridged': ('answer', lambda run: with_force(
@@ -85,6 +88,48 @@ def test_every_second_row_is_lost_from_there() -> None:
     rows = np.concatenate([np.arange(500), np.arange(500, 1000, 2)])
     found = {each.kind: each for each in findings(of_rows(run, rows))}
     assert found['motion'].intervals_s[0][0] > 0.4
+
+
+def test_rows_that_are_left_out_are_a_jump_of_the_position() -> None:
+    """Also where the command tells nothing: the rise is among them."""
+    for run in (a_loop(), a_loop(**{'gain_schedule.velocity': 0.1})):
+        short = of_rows(run, np.delete(np.arange(len(run)), slice(JUMP - 5, JUMP + 60)))
+        assert 'motion' in {each.kind for each in findings(short)}
+        assert analyze(short).rise_time_s is None
+
+
+def test_a_position_of_few_digits_or_late_stamps_does_not_jump() -> None:
+    run = a_loop('multisine', 'free')
+    position = run.signal('position')
+    counts = np.ptp(position) / 500.0
+    assert findings(replace(run, position_m=counts * np.round(position / counts))) == []
+    late_by = np.where(np.arange(len(run)) == 400, 9e-4, 0.0)
+    assert 'motion' not in {each.kind for each in findings(
+        replace(run, time_s=run.time_s + late_by))}
+
+
+@pytest.mark.parametrize('other', ['force', 'valve_position'])
+def test_a_velocity_in_the_place_of_another_signal_is_found(other: str) -> None:
+    run = a_loop('multisine')
+    field = next(each.field for each in SIGNALS if each.name == other)
+    exchanged = replace(run, velocity_m_s=run.signal(other), **{field: run.signal('velocity')})
+    assert 'motion' in {each.kind for each in findings(exchanged)}
+
+
+def test_a_force_that_rests_while_the_piston_moves_is_marked() -> None:
+    """Also if the command is lost, too; all of a loop that is switched off may rest."""
+    rests = replace(a_loop(), force_n=np.ones(1000), command_n=np.ones(1000))
+    finding, = findings(rests)
+    assert (finding.kind, finding.signal) == ('frozen', 'force')
+    assert findings(replace(rests, position_m=None, velocity_m_s=None,
+                            valve_position_m=None)) == []
+
+
+@pytest.mark.parametrize('compensator', ['lead4', 'proportional'])
+def test_a_reference_of_the_wrong_sign(compensator: str) -> None:
+    run = a_loop(compensator=compensator)
+    found = findings(replace(run, reference_n=-run.signal('reference')))
+    assert [each.kind for each in found] == ['sign']
 
 
 @pytest.mark.parametrize('change', [lambda f: 5.0 + f, lambda f: 0.5 * f])
@@ -193,6 +238,8 @@ REPLACED: dict[str, Callable[[Run], Run]] = {
     'held': lambda run: with_force(run, lambda f: np.repeat(f[::2], 2)),
     'of another run': lambda run: with_force(run, lambda f: f + np.random.default_rng(9).normal(
         0.0, 0.5, len(f))),
+    'median filter': lambda run: with_force(run, lambda f: signal.medfilt(f, 9)),
+    'sign lost': lambda run: with_force(run, np.abs),
     'exchanged': lambda run: replace(
         run, force_n=run.signal('command'), command_n=run.signal('force')),
     'offset': lambda run: with_force(run, lambda f: 20.0 + f),
@@ -224,8 +271,35 @@ def test_a_run_of_which_rows_are_left_out_is_marked() -> None:
 
 
 def test_a_run_without_its_command_is_marked() -> None:
-    finding, = findings(replace(a_recorded_run(), command_n=None))
+    """If the actuator is withheld, too; with it the force is that of the only run with both."""
+    run = replace(a_recorded_run(), command_n=None)
+    withheld = replace(run, information={
+        name: value for name, value in run.information.items() if name != 'actuator'})
+    finding, = findings(withheld)
     assert (finding.kind, finding.severity) == ('reading', 'note')
+    assert findings(run) == []
+
+
+FEW: dict[str, tuple[str, ...]] = {
+    'no command': ('command_n',), 'no velocity': ('velocity_m_s',),
+    'reference and force': ('command_n', 'velocity_m_s', 'position_m', 'valve_position_m')}
+
+
+@pytest.mark.parametrize('addition', [
+    {}, {'gain_schedule.velocity': 0.5}, {'saturation': 40.0, 'gain': 20.0},
+    {'friction_feedforward.level': 10.0, 'velocity_feedforward.share': 0.5}])
+@pytest.mark.parametrize('left', FEW)
+def test_the_actuator_of_a_run_tells_what_was_altered(
+        left: str, addition: dict[str, float]) -> None:
+    run = replace(a_recorded_run(**addition), **dict.fromkeys(FEW[left]))
+    assert findings(run) == []
+    force = run.signal('force')
+    later = np.minimum(np.arange(len(run)), len(run) - 1)
+    later[JUMP + 3:] += 2    # two rows are left out while the command is saturated
+    for altered in (with_force(run, lambda f: put(f, slice(200, 210), force[200:210] + 2.0)),
+                    with_force(run, lambda f: f * np.where(run.time_s > 0.2, 1.05, 1.0)),
+                    of_rows(run, later[:-2])):
+        assert 'answer' in {each.kind for each in findings(altered)}
 
 
 @pytest.mark.parametrize('information', [
@@ -255,7 +329,7 @@ def test_a_peak_of_the_velocity_that_moves_the_position_is_no_spike() -> None:
         RATE_HZ)
     assert findings(run) == []
     spoilt = put(run.signal('velocity').copy(), 1000, 1.0)
-    assert [each.kind for each in findings(replace(run, velocity_m_s=spoilt))] == ['spike']
+    assert findings(replace(run, velocity_m_s=spoilt))[0].kind == 'spike'
 
 
 @pytest.mark.parametrize('rate_hz', [float('inf'), 10 ** 400, float('nan'), 0.0])
@@ -264,6 +338,35 @@ def test_a_rate_that_is_none_tells_nothing(rate_hz: float) -> None:
     odd = run.information | {'experiment': run.information['experiment'] | {'rate_hz': rate_hz}}
     assert recomputed(replace(run, information=odd)) is None
     findings(replace(run, information=odd))
+
+
+def in_real_time(skipped: tuple[int, ...], **controller: float | str) -> Run:
+    """Return a run as in real time: jitter, states without an answer, one from the middle."""
+    run = a_recorded_run(**controller)
+    answered = np.delete(np.arange(len(run)), skipped)
+    record = compensator({name: value for name, value in run.information['controller'].items()
+                          if not name.startswith('reference.')}, RATE_HZ)
+    computed = commands(record, *(run.signal(name)[answered]
+                                  for name in ('reference', 'force', 'velocity')))
+    held = np.searchsorted(answered, np.arange(len(run)), side='right') - 1
+    jitter = 2e-5 * np.random.default_rng(2).normal(size=len(run))
+    return replace(run, command_n=computed[held], time_s=run.time_s + jitter, information={
+        **run.information, 'experiment': {'mode': 'realtime', 'rate_hz': RATE_HZ}})[30:]
+
+
+@pytest.mark.parametrize('addition', [
+    {}, {'gain_schedule.velocity': 0.1}, {'reference_model.bandwidth': 50.0},
+    {'integrator.rate': 5.0}, {'hysteresis_inverse.size': 20.0}])
+def test_a_run_in_real_time_is_computed_again(addition: dict[str, float]) -> None:
+    run = in_real_time((130, 131, 300), **addition)
+    assert findings(run) == []
+    altered = with_force(run, lambda f: put(f, slice(200, 210), f[200:210] + 5.0))
+    assert 'doubtful' in {each.severity for each in findings(altered) if each.kind == 'answer'}
+    noise = np.random.default_rng(9).normal(0.0, 0.5, len(run))
+    changed, = findings(with_force(run, lambda f: f + noise))
+    assert (changed.kind, changed.severity) == ('answer', 'note')
+    rate = findings(replace(run, time_s=10.0 * run.time_s, position_m=None))[0]
+    assert (rate.kind, rate.severity) == ('rate', 'doubtful')
 
 
 def test_a_bag_that_was_cut_at_its_beginning_is_not_called_altered(tmp_path: Path) -> None:
@@ -311,9 +414,33 @@ def test_a_saturated_command_is_the_same_for_another_force() -> None:
         run.signal('command')[there])))
     again = recomputed(altered)
     assert again is not None and (again == run.signal('command')).all()
+    # The recorded actuator tells it; without it nothing does.
+    finding, = findings(altered)
+    assert (finding.kind, finding.signal) == ('answer', 'force')
+    assert analyze(altered).rise_time_s is None
+    assert findings(replace(altered, information={
+        name: value for name, value in run.information.items() if name != 'actuator'})) == []
 
 
-@pytest.mark.parametrize('how', ['drifting clock', 'of another run'])
+@pytest.mark.parametrize('name', ['valve_position', 'position', 'reference'])
+def test_a_signal_that_the_command_does_not_depend_on_is_compared(name: str) -> None:
+    """The reference is while the command is saturated."""
+    run = a_recorded_run(saturation=40.0, compensator='proportional', gain=20.0)
+    field = next(each.field for each in SIGNALS if each.name == name)
+    values = run.signal(name).copy()
+    values[JUMP + 2] += 0.01 * np.ptp(values)
+    finding, = findings(replace(run, **{field: values}))
+    assert (finding.kind, finding.signal) == ('answer', name)
+
+
+@pytest.mark.parametrize('actuator', [
+    {'load.type': 'no load'}, {'maximum_substep': 0.0}, {'of another': 1.0}, {'load.mass': 'x'}])
+def test_an_actuator_that_is_none_tells_nothing(actuator: dict[str, float | str]) -> None:
+    run = a_recorded_run()
+    assert findings(replace(run, information=run.information | {'actuator': actuator})) == []
+
+
+@pytest.mark.parametrize('how', ['drifting clock', 'of another run', 'median filter', 'sign lost'])
 def test_what_is_altered_all_the_time_looks_as_a_controller_that_is_not_linear(how: str) -> None:
     def relation(run: Run) -> object:
         return answer(run.time_s, run.signal('command'), run.signal('reference'),
@@ -329,3 +456,76 @@ def test_a_filtered_force_is_that_of_a_controller_with_the_inverse_filter() -> N
     run = with_force(a_loop('multisine'), low_pass)
     found = answer(run.time_s, run.signal('command'), run.signal('reference'), run.signal('force'))
     assert found is not None and found.everywhere and found.breaks == ()
+
+
+def test_a_settled_loop_is_not_far_from_its_reference() -> None:
+    time = np.arange(2000) / 1000.0
+    creep = 100.4 + 1e-4 * np.exp(-time)
+    settled = Run(time, np.full(2000, 100.0), np.full(2000, 76.0) + 1e-4 * time, creep)
+    assert not findings(settled)
+    assert [each.kind for each in findings(replace(settled, force_n=creep + 50.0))] == ['unit']
+
+
+ADDED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    'offset': lambda t: np.full(len(t), 12.0),
+    'drift': lambda t: 10.0 * t,
+    'hum': lambda t: 2.0 * np.sin(2.0 * np.pi * 50.0 * t)}
+
+
+@pytest.mark.parametrize('compensator_name', ['lead4', 'proportional'])
+@pytest.mark.parametrize('what', ADDED)
+def test_what_is_added_to_the_force_is_that_of_a_controller_with_a_trim(
+        what: str, compensator_name: str) -> None:
+    """One that adds to its command what this one answers to the addition: trim, drift, dither."""
+    run = a_loop('multisine', compensator=compensator_name)
+    added = ADDED[what](run.time_s)
+    altered = with_force(run, lambda f: f + added)
+
+    def answers(reference: np.ndarray, force: np.ndarray) -> np.ndarray:
+        own = compensator({'compensator': compensator_name}, RATE_HZ)
+        return np.asarray(commands(own, reference, force, run.signal('velocity')))
+
+    trim = answers(np.zeros(len(run)), -added)
+    np.testing.assert_allclose(answers(altered.reference_n, altered.force_n) + trim,
+                               run.signal('command'), rtol=0.0, atol=1e-6)
+    assert findings(altered) == []
+
+
+@pytest.mark.parametrize('altered', [
+    lambda f, r: (1.2 * f, r), lambda f, r: (f + 20.0, r), lambda f, r: (low_pass(f), r),
+    lambda f, r: (f, r - 50.0), lambda f, r: (f, np.where(np.arange(len(r)) < 700, r, 0.0)),
+    lambda f, r: (np.roll(f, 3), r), lambda f, r: (np.delete(f, slice(400, 500)),
+                                                   np.delete(r, slice(400, 500)))])
+def test_without_a_command_any_force_may_follow_any_reference(
+        altered: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> None:
+    """The loop may be slower, its sensor may have an offset or a lag, or it may be off."""
+    run = a_loop()
+    force, reference = altered(run.signal('force'), run.signal('reference'))
+    assert findings(Run(np.arange(len(force)) / RATE_HZ, reference, force_n=force)) == []
+
+
+def test_milliseconds_that_are_read_as_seconds_are_a_slower_loop() -> None:
+    """The relation of the samples has no time; position and velocity have."""
+    run = a_loop()
+    slow = replace(run, time_s=1e3 * run.time_s, position_m=None, velocity_m_s=None)
+    assert findings(slow) == []
+    relations = [answer(each.time_s, each.signal('command'), each.signal('reference'),
+                        each.signal('force')) for each in (run, slow)]
+    fast, slower = ((each.reference, each.signal) for each in relations if each is not None)
+    assert fast == pytest.approx(slower)
+
+
+def test_a_recording_that_was_cut_is_that_of_a_shorter_run() -> None:
+    run, shorter = a_loop(), Run(*simulate_loop(
+        {'load.type': 'spring', **NOISY}, {'compensator': 'lead4', 'reference.shape': 'step',
+                                           'reference.amplitude': 100.0}, 0.6, RATE_HZ))
+    for name, values in run[:600].signals().items():
+        assert (values == shorter.signal(name)).all()
+    assert findings(run[:600]) == []
+
+
+def test_the_samples_after_the_only_step_are_those_of_another_reference() -> None:
+    """With fewer of them than the controller has a memory, any share of them is exact."""
+    run = a_loop(compensator='proportional')
+    early = put(run.signal('reference').copy(), slice(JUMP, JUMP + 3), 50.0)
+    assert findings(replace(run, reference_n=early)) == []

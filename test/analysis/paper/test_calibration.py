@@ -10,7 +10,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.free_parameter import to_values, to_vector
 from asi_analysis.paper.calibration import search
 from asi_analysis.paper.calibration.cost import INNER, cost, misses
-from asi_analysis.paper.calibration.front import front
+from asi_analysis.paper.calibration.front import Fit, front
 from asi_analysis.paper.calibration.plausible import findings, penalty
 from asi_analysis.paper.calibration.quantities import (
     FREE,
@@ -24,7 +24,7 @@ from asi_analysis.paper.calibration.quantities import (
 )
 from asi_analysis.paper.calibration.search import LINES, calibrate, load, new_search, result
 from asi_analysis.paper.facts.conditions import LOCKED, SPRING, Conditions, StepTest
-from asi_analysis.paper.facts.fact import Setup
+from asi_analysis.paper.facts.fact import Setup, Stage
 from asi_analysis.paper.facts.table import FITTED_ROWS
 from asi_analysis.paper.facts.table_1 import step_test
 
@@ -61,8 +61,9 @@ def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
 def test_polish_steps_to_the_limits_and_not_through_others():
     """Two rows, two quantities: the first row is missed, the second would be by going too far."""
     here, slopes = np.full(len(LINES), -5.0), np.zeros((len(LINES), 2))
-    here[search.TWO_SIDED] = 0.0
-    two_sided = np.flatnonzero(search.TWO_SIDED)[:2]
+    is_two_sided = np.array([not row.one_sided for row in LINES])
+    here[is_two_sided] = 0.0
+    two_sided = np.flatnonzero(is_two_sided)[:2]
     here[two_sided[0]] = 2.0
     slopes[two_sided[0]] = -10.0, -10.0
     slopes[two_sided[1]] = 20.0, 0.0
@@ -81,6 +82,30 @@ def test_structures_hold_what_they_say():
     assert [getattr(locked.conditions, name).load for name in TESTS] == 3 * [LOCKED]
     spring = result(new_search(Candidate({}, Conditions()), STRUCTURES['spring'], 1, 0.1))
     assert spring.conditions.proportional.load == pytest.approx(Conditions().proportional.load)
+
+
+def test_table_1_can_be_left_out_or_be_all_that_is_fitted():
+    start = Candidate({}, Conditions())
+    without = new_search(start, STRUCTURES['side'], 1, 0.1, SOME, table_1=False).problem
+    assert [FREE[k].name for k in without.free] == ['valve_flexure.coil_frequency']
+    assert without.stages == tuple(stage for stage in Stage if stage is not Stage.TABLE_1)
+    alone = new_search(start, STRUCTURES['side'], 1, 0.1, ['conditions']).problem
+    assert alone.stages == (Stage.TABLE_1,)
+    with pytest.raises(InputError, match='nothing varies'):
+        new_search(start, STRUCTURES['side'], 1, 0.1, ['conditions'], table_1=False)
+
+
+def test_a_demanded_row_costs_where_it_is_not_at_its_value():
+    name = 'predicted_onset_frequency_hz'
+    demanded = search.at_value(name, 125.0)
+    assert (demanded.low + demanded.high) / 2.0 == pytest.approx(125.0)
+    assert search.at_value('nothing', 1.0) is None
+    alone = new_search(Candidate({}, Conditions()), STRUCTURES['side'], 1, 0.1, ['conditions'])
+    problem = alone.problem._replace(demanded=demanded)
+    free = problem.cost(alone.best, {})
+    assert problem.cost(alone.best, {name: 125.0}) == pytest.approx(free)
+    assert problem.cost(alone.best, {name: 130.0}) > free + 5.0
+    assert alone.problem.cost(alone.best, {name: 130.0}) == pytest.approx(free)
 
 
 def test_table_1_is_one_experiment(tmp_path):
@@ -120,7 +145,8 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
         return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
 
     monkeypatch.setattr(search.Problem, 'measure', measured)
-    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()), 8)
+    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()),
+                 Fit(rounds=8))
     assert [each.value for each in held] == pytest.approx(sorted(set(seen), reverse=True))
     assert [each.cost for each in held] == [0.0, 0.0]
     assert held[0].evaluations > 1 == held[1].evaluations

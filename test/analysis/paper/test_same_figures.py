@@ -1,5 +1,8 @@
 """The commands and the facts say the same figure for the same thing, converged."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from asi_analysis.bags.run import Run
@@ -18,6 +21,7 @@ from asi_analysis.paper.facts.measures import (
 )
 
 CONDITIONS = Conditions()
+DOCUMENTS = Path(__file__).parents[3] / 'doc' / 'explanation'
 
 
 @pytest.fixture(scope='module')
@@ -72,3 +76,33 @@ def test_a_step_back_from_100_n_starts_the_cycle_lower_than_a_step_of_20_n(facts
     gains = onset_gains(Setup({}, CONDITIONS, {}), (20.0,))
     assert facts[onset_name(0.0, 'gain')] == pytest.approx(7.59, rel=0.005)
     assert gains[onset_name(20.0, 'gain')] == pytest.approx(8.44, rel=0.005)
+
+
+def _cells(page: str, columns: int, *begin: str) -> list[str]:
+    """Return the cells of the row of so many columns in a document that begins with these."""
+    rows = [[cell.strip() for cell in line.strip('|').split('|')]
+            for line in (DOCUMENTS / page).read_text().splitlines() if line.startswith('| ')]
+    row, = (row for row in rows if len(row) == columns and row[:len(begin)] == list(begin))
+    return row
+
+
+def _number(cell: str) -> float:
+    return float(re.match(r'[-\d.e]+', cell).group())
+
+
+def test_documents_tell_what_the_facts_tell(facts):
+    for step_n in CONDITIONS.onset_steps_n:
+        hz, gain = (facts[onset_name(step_n, what)] for what in ('frequency_hz', 'gain'))
+        told = _cells('reproduction/table.md', 9, 'F8',
+                      f'cycle frequency at onset, {step_n:.0f} N')
+        assert _number(told[4]) == pytest.approx(hz, rel=2e-3)
+        _, _, _, told_gain, told_hz = _cells(
+            'limit_cycles.md', 5, 'back from 100 to 0' if step_n == 0.0 else f'{step_n:.0f}')
+        assert float(told_gain) == pytest.approx(gain, rel=1e-3)
+        assert float(told_hz) == pytest.approx(hz, rel=0.015)
+    predicted = predict_cycle(Setup({}, CONDITIONS, {}))
+    for quantity, name in (('first intersection of the Nyquist plot, gain',
+                            'predicted_onset_gain'),
+                           ('first intersection, frequency', 'predicted_onset_frequency_hz')):
+        told = _cells('reproduction/table.md', 9, 'F9', quantity)
+        assert _number(told[4]) == pytest.approx(predicted[name], rel=1e-3)

@@ -118,7 +118,7 @@ def test_what_is_doubtful_about_a_recording_is_said() -> None:
 def test_it_prints_draws_and_writes_what_it_found(compared: Comparison, tmp_path: Path) -> None:
     assert problems(compared.to_dict(), 'asi compare') == []
     text = str(compared)
-    assert 'lead4' in text and 'recordings' in text and '* not what' in text
+    assert 'lead4' in text and 'recordings' in text and '* target' in text
     assert 'about the reference in simulations, about the level reached in recordings' in text
     page = compared.write_report(tmp_path / 'report').read_text()
     assert page.count('<svg') == len(compared.pictures()) == 6
