@@ -155,7 +155,8 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
             assert free.field in {each.field for each in form_of(group, free.field)[1].free}
 
 
-BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0, 'friction.presliding_damping': 400.0}
+BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0,
+        'friction.presliding_damping': 400.0}
 LEVEL = {'friction.coulomb': 37.0, 'friction.stiction_push': 57.0, 'friction.stiction_pull': 45.0}
 
 
