@@ -195,7 +195,8 @@ def predict_cycle(setup: Setup) -> Measured:
     """Return the prediction with the describing function of the hysteresis alone (Fig. 9)."""
     of, rows = paper_prediction(setup.actuator, setup.conditions.describing_samples)
     first = first_intersection(of, rows)
-    last = at_gain(of, rows, PAPER_GAIN) or rows[-1]
+    reached = at_gain(of, rows, PAPER_GAIN)
+    last = reached or rows[-1]
     branch = [first, *(row for row in rows if row.command_n > first.command_n
                        and row.gain < last.gain), last]
     monotone = (all(np.diff([row.amplitude_n for row in branch]) > 0.0)
@@ -203,7 +204,8 @@ def predict_cycle(setup: Setup) -> Measured:
     return {
         'predicted_onset_gain': first.gain,
         'predicted_onset_frequency_hz': first.frequency_hz,
-        'predicted_highest_gain': last.gain,
+        # The root is that gain but for its last digits.
+        'predicted_highest_gain': PAPER_GAIN if reached else last.gain,
         'predicted_frequency_fall_percent': 100.0 * (1.0 - last.frequency_hz
                                                      / first.frequency_hz),
         'predicted_monotone': float(monotone),
