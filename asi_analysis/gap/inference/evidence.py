@@ -29,14 +29,16 @@ def weigh(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
     least = min(found.values(), key=lambda f: f.best.cost)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
-    # Of the error floor; a difference below it says nothing.
+    # Of the error floor.
     model = np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
                       for channel in group.channels])
     counts = 1.0 / (1.0 / np.array([samples[channel] for channel in group.channels])
                     + model / MODEL_SAMPLES)
     total = sum(int(r.known.sum()) for r in group.recordings)
     level = mean_squares(least.problem, least.best.residual)
-    rough = {names: _log_posterior(f, counts, level, model) for names, f in found.items()}
+    # The error of other books may be of any course: a difference below it says nothing.
+    equal = level + model if group.other_books else 0.0 * level
+    rough = {names: _log_posterior(f, counts, level, model, equal) for names, f in found.items()}
     highest = max(rough.values())
     evidence = {names: rough[names] + _log_volume(f, counts / total, model)
                 for names, f in found.items() if rough[names] > highest - NEGLIGIBLE}
@@ -48,15 +50,16 @@ def weigh(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
     return {**chance, (UNKNOWN,): 0.0}
 
 
-def _log_posterior(found: Found, counts: Array, level: Array, model: Array) -> float:
+def _log_posterior(found: Found, counts: Array, level: Array, model: Array, equal: Array
+                   ) -> float:
     """
     Return the log likelihood of a hypothesis with all its priors, up to a constant.
 
     counts: effective samples of each channel; level: mean square that the best leaves; model:
-    that of the model error.
+    that of the model error; equal: below this mean square hypotheses are equal.
     """
     mean, precision = found.problem.prior
-    left = mean_squares(found.problem, found.best.residual)
+    left = np.maximum(mean_squares(found.problem, found.best.residual), equal)
     normal = precision > 0.0
     return (-0.5 * float(counts @ np.log((left + model) / (level + model)))
             - 0.5 * float(precision @ (found.best.theta - mean) ** 2)

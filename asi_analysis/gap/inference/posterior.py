@@ -145,6 +145,8 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     slopes, fresh = problem.jacobian(theta, known, value), not known
     since = cost   # the cost when the derivatives were last computed
     while True:
+        if not np.isfinite(slopes).all():   # next to a plant that is none
+            return Best(theta, cost if math.isfinite(cost) else math.inf, value)
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost

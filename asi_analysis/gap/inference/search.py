@@ -44,6 +44,7 @@ from asi_analysis.gap.model.group import (
     of_other_books,
     recorrected,
     with_fitted_start,
+    with_free_shapes,
     with_simulated_valve,
 )
 from asi_analysis.gap.model.predict import measured
@@ -112,11 +113,11 @@ def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
 def _evident(found: Found) -> bool:
     """Return whether laws of other books explain so much that those of ours need no search."""
     group = of_other_books(found.problem.group)
-    shapes = group.nuisance[len(found.problem.group.nuisance):]
-    if not shapes or not found.left:
+    free = with_free_shapes(group, found.problem.free)
+    if len(free) == len(found.problem.free) or not _wants_more(found):
         return False
-    problem, p = replace(found.problem, group=group, free=(
-        *found.problem.free, *shapes)), found.problem.record(found.best.theta)
+    problem, p = replace(found.problem, group=group,
+                         free=free), found.problem.record(found.best.theta)
     theta = np.array([problem.parameter(free).share(float(p[free.field]))
                       for free in problem.free])
     cost = problem.cost(theta)
@@ -150,7 +151,7 @@ def _weighed(null: Found, tick: Callable[[], None], other: bool, alone: bool
         return None
     found, group = _hypotheses(null, tick, not other), null.problem.group
     most = math.inf if alone and other else NEAR if other else 1.0
-    if all(f.over.max() > most for f in found.values()):
+    if not any(f.over.max() <= most for f in found.values()):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
     weighed = Weighed(found[()].problem.group, candidates, weigh(group, found))
@@ -231,17 +232,17 @@ def _hypotheses(null: Found, tick: Callable[[], None], own: bool) -> dict[Names,
     """
     Return the nominal model, single effects and pairs that were fitted.
 
-    own: without pairs where laws of other books are evident.
+    own: none where laws of other books are evident.
     """
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
     # Large deviations of nominal parameters may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
     found = {(): _without_last(null, list(singles.values()))} | singles
-    if all(map(_wants_more, found.values())):
+    if singles and all(map(_wants_more, found.values())):
         first = min(singles.values(), key=lambda each: each.best.cost)
         if own and _evident(first):
-            return found
+            return {}
         found = _best_of(found, _pairs(null, first, tick))
     return found
 
@@ -363,10 +364,14 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
 
     forms: dict[Names, list[Found]] = {}
     for found in problem.each(rough, screened.best(FITTED)):
+        if found.best.cost == math.inf:
+            continue
         forms.setdefault(found.names, []).append(found)
         if found.names not in fits or found.best.cost < fits[found.names].best.cost:
             fits[found.names] = found
         tick()
+    if not fits:
+        return {}
     leader, *rivals = sorted(fits.values(), key=lambda f: f.best.cost)
     leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
     best_forms, far = {names: found.best for names, found in fits.items()}, null.left
@@ -398,7 +403,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         if unfinished or found.best.cost < fits[found.names].best.cost:
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
-    return fits
+    return {names: found for names, found in fits.items() if found.best.cost < math.inf}
 
 
 def _is_coarse(found: Found) -> bool:

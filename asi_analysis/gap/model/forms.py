@@ -183,11 +183,12 @@ UNCERTAIN = {
               'load_locked_damping', 'force_sensor_mass_share'),
 }
 # How the nominal laws are formulated, by the channel: free in every fit, since books differ. Of
-# friction: how sliding sets in, from Dupont's elasto-plastic bristle to Dahl's and LuGre's, and
-# how the seals damp the motion that deforms them.
+# friction: how sliding sets in, from Dupont's elasto-plastic bristle to Dahl's and LuGre's, how
+# the seals damp the motion that deforms them, and how friction falls to Coulomb's.
 SHAPES = {
     'force': (Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
-              Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal')),
+              Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),
+              Free('friction_stribeck_velocity', 0.2, 5.0, (1.0,), 'nominal')),
 }
 assert {free.field for effect in EFFECTS for variant in effect.variants
         for free in variant.free} <= set(ACTUATOR_DTYPE.names or ())

@@ -89,6 +89,7 @@ class Group:
     exact_substep_s: float = 0.0   # of the simulator
     floor_measured: bool = False   # the error floor is what healthy recordings leave
     floor_by_best: bool = False    # that of a fit shows how small the model error is
+    other_books: bool = False      # the simulator's laws may be formulated in another way
     passes: int = 0    # of the input of a static characteristic, however slow
 
     @property
@@ -192,10 +193,18 @@ def of_other_books(group: Group) -> Group:
     floor = {channel: level if group.floor_measured else
              group.noise[channel] ** 2 + wider * (level - group.noise[channel] ** 2)
              for channel, level in group.error_floor.items()}
-    known = {free.field for free in group.nuisance}
-    return replace(group, error_floor=floor, nuisance=(*group.nuisance, *(
-        free for free in _shapes(forms.SHAPES, group.channels, group.nominal)
-        if free.field not in known)))
+    return replace(group, error_floor=floor, other_books=True,
+                   nuisance=with_free_shapes(group, group.nuisance))
+
+
+def with_free_shapes(group: Group, frees: Sequence[Free]) -> tuple[Free, ...]:
+    """Return free parameters of the simulator with those of the shapes of the nominal laws."""
+    shapes = {free.field: free
+              for free in _shapes(forms.SHAPES, group.channels, group.nominal)}
+    if group.floor_measured:   # with the spread that healthy recordings have
+        shapes = {name: free for name, free in shapes.items()
+                  if name not in {each.field for each in frees}}
+    return (*(free for free in frees if free.field not in shapes), *shapes.values())
 
 
 def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
