@@ -155,15 +155,20 @@ def _weighed(null: Found, tick: Callable[[], None], other: bool, alone: bool
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
     weighed = Weighed(found[()].problem.group, candidates, weigh(group, found))
-    best, gap = found[_most_probable(weighed).names], found[()].over
+    best, gap, unknown = found[_most_probable(weighed).names], found[()].over, 0.0
     if best.left:
         if best.over.max() > most or (alone and not _follows(found[()])):
             return None
+        unknown = as_probability(max(
+            unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
+            for left, before in zip(best.over, gap, strict=True)))
+    elif other and not best.names:   # the model error may mask an effect
+        unknown = SIMULATOR.masked * max(1.0 - group.noise[channel] ** 2 / level
+                                         for channel, level in group.error_floor.items())
+    if unknown > 0.0:
         chance = {names: weighed.probability[names] for names in candidates}
-        unknown = max(unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
-                      for left, before in zip(best.over, gap, strict=True))
         weighed = weighed._replace(probability=with_unknown(
-            chance, as_probability(unknown), float((1.0 - np.sqrt(best.over / gap)).max())))
+            chance, unknown, float((1.0 - np.sqrt(best.over / gap)).max())))
     return with_null_named(weighed)
 
 
