@@ -18,6 +18,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
+from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.search import explained_by_simulator, parameter_errors
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import (
@@ -165,6 +166,26 @@ def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict)
     """The nominal model has an elasto-plastic bristle, the machine that of LuGre."""
     answer = document(diagnose([recorded(BOOK | more)], {'load.type': 'spring'}))
     assert answer['verdict'] == verdict and answer['probability'] > 0.6
+
+
+class NextToNoPlant:
+    """A posterior of one parameter whose derivative overflows, as next to an unstable plant."""
+
+    prior = np.array([0.5]), np.array([0.0])
+
+    def residual(self, theta):
+        return np.array([1.0 - theta[0]])
+
+    def cost(self, theta, residual):
+        return 0.5 * float(residual @ residual)
+
+    def jacobian(self, theta, known=None, base=None):
+        return np.array([[np.inf]])
+
+
+def test_a_fit_ends_where_derivatives_overflow():
+    best = most_probable(NextToNoPlant(), np.array([0.5]))
+    assert best.theta == 0.5 and best.cost == 0.125
 
 
 def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
