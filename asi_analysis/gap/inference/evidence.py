@@ -7,6 +7,7 @@ Learning Algorithms, 2003, ch. 27 and 28).
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -24,7 +25,7 @@ MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
 NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
 
 
-def weigh(group: Group, found: dict[Names, Found]) -> dict[Names, float]:
+def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     """Return the probability of every hypothesis, `unknown` among them."""
     least = min(found.values(), key=lambda f: f.best.cost)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
@@ -73,7 +74,8 @@ def _log_volume(found: Found, share: Array, model: Array) -> float:
     precision = problem.prior[1]
     left = mean_squares(problem, found.best.residual)
     slopes = problem.jacobian(theta)
-    weight = np.repeat(share / (left + model), slopes.shape[0] // left.size)
+    band = np.array([problem.group.judged_share[channel] for channel in problem.group.channels])
+    weight = np.repeat(share / band / (left + model), slopes.shape[0] // left.size)
     square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
     normal = precision > 0.0
     # A uniform prior: at most the whole range.

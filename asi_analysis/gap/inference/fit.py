@@ -21,7 +21,7 @@ from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
 from asi_analysis.gap.model.group import Group, Values, acts_on
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL
 
@@ -163,7 +163,7 @@ def independent_samples(group: Group, p: np.void, of: str = 'held_out') -> Value
             used = getattr(recording, of).astype(float)
             if not used.any():
                 continue
-            residual = (measured(recording, channel) - predict(recording, channel, p)) * used
+            residual = judged_error(recording, channel, p) * used
             size = 2 * residual.size
             products = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:residual.size]
             pairs = np.fft.irfft(np.abs(np.fft.rfft(used, size)) ** 2)[:residual.size]

@@ -22,7 +22,7 @@ from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.model.group import exact
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import judged_error
 from asi_analysis.gap.model.start import MEMORIES
 
 STEP = 1e-4       # of a parameter's range, for the derivatives
@@ -75,7 +75,7 @@ class Posterior(Problem):
         parts = []
         for channel in self.group.channels:
             scale = 1.0 / math.sqrt(self.group.error_floor[channel])
-            parts += [scale * (measured(r, channel) - predict(r, channel, p))[r.known]
+            parts += [scale * judged_error(r, channel, p)[r.known]
                       for r in self.group.recordings if r.known.any()]
         return np.concatenate(parts)
 
@@ -212,8 +212,10 @@ def fitted(problem: Posterior, best: Best) -> Fitted:
 
 
 def mean_squares(problem: Posterior, residual: Array) -> Array:
-    """Return the mean square residual of each channel, in error floors."""
-    return np.mean(residual.reshape(len(problem.group.channels), -1) ** 2, axis=1)
+    """Return the mean square residual of each channel within its band, in error floors."""
+    group = problem.group
+    return np.mean(residual.reshape(len(group.channels), -1) ** 2, axis=1) / np.array(
+        [group.judged_share[channel] for channel in group.channels])
 
 
 class Found(NamedTuple):

@@ -2,8 +2,8 @@
 Does the simulator itself explain the recordings? Alone, or with effects switched on.
 
 A linear screen ranks every effect in each of its forms; the best are fitted, and weighed by their
-evidence. The answer counts if it leaves no more than the noise: then the machine is within the
-simulator's own equations. Else the laws may be those of other books, and a little may be left.
+evidence. The shapes of the laws are free. A machine that the simulator's own shapes explain down
+to the noise is within its equations; else it is of other books, and a little may be left.
 """
 
 import math
@@ -41,17 +41,19 @@ from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Free, Var
 from asi_analysis.gap.model.group import (
     Group,
     acts_on,
-    of_other_books,
+    of_books,
     recorrected,
     with_fitted_start,
-    with_free_shapes,
     with_simulated_valve,
+    with_usual_shapes,
 )
 from asi_analysis.gap.model.predict import measured
+from asi_analysis.gap.model.simulator import SUBSTEPS_S
 from asi_analysis.gap.model.start import SEAL
 from asi_common.record import field_name
 
-REACH = 50.0      # of the log posterior: farther from the best, a fit need not be completed
+# Of the log posterior: farther from the best a fit is not completed, or laws are other ones.
+REACH = 50.0
 ROUGH = 1         # derivatives of a fit after the linear screen
 # Times that a sub-step is corrected anew, until the log posterior changes by less than this.
 CORRECTED, SETTLED = 4, 2.0
@@ -59,7 +61,6 @@ FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
-EVIDENT = 0.2           # share of what is left that laws of other books explain
 NEAR = 9.0              # error floors (mean square) that may be left of a machine of other books
 
 
@@ -81,48 +82,67 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     rivals = [first.weighed, *_rivals(first.weighed)]
     second = _explained([with_simulated_valve(rest, _most_probable(rival).fitted.record)
                          for rival in rivals], tick, alone)
-    return None if second is None else [
-        _with_rivals(rivals[second.number], rivals, second.costs), second.weighed]
+    if second is None:
+        return None
+    if second.weighed.group.other_books:   # so is the valve, which may not show it
+        rivals[0] = _weighed(first.found, alone, True) or rivals[0]
+    return [_with_rivals(rivals[second.number], rivals, second.costs), second.weighed]
 
 
 class _Explained(NamedTuple):
     """A group that was explained: one of several; costs: of the nominal model in each."""
 
     weighed: Weighed
+    found: dict[Names, Found]
     number: int
     costs: Array
 
 
 def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
                ) -> _Explained | None:
-    """
-    Return the group in which the nominal model costs least, weighed, if it is explained.
-
-    Down to the noise by the simulator's own laws; or else by laws from other books, if these leave
-    little.
-    """
+    """Return the group in which the nominal model costs least, weighed, if it is explained."""
     nulls = [_null(group) for group in rivals]
     costs = np.array([null.best.cost for null in nulls])
     number = int(np.argmin(costs))
-    weighed = _weighed(nulls[number], tick, False, alone)
-    if weighed is None:
-        weighed = _weighed(_null(of_other_books(rivals[number])), tick, True, alone)
-    return None if weighed is None else _Explained(weighed, number, costs)
+    found = _hypotheses(nulls[number], tick)
+    weighed = _weighed(found, alone)
+    return None if weighed is None else _Explained(weighed, found, number, costs)
 
 
-def _evident(found: Found) -> bool:
-    """Return whether laws of other books explain so much that those of ours need no search."""
-    group = of_other_books(found.problem.group)
-    free = with_free_shapes(group, found.problem.free)
-    if len(free) == len(found.problem.free) or not _wants_more(found):
+def _judged(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """
+    Return hypotheses with the error floor of the simulator's own laws, or of those of other books.
+
+    Of other books is a machine of which the best hypothesis leaves more than the first, or which
+    it only explains by other shapes of the laws.
+    """
+    best = _of_books(min(found.values(), key=lambda each: each.best.cost), False)
+    other = best.left or _needs_other_shapes(best)
+    return {names: _of_books(each, other) for names, each in found.items()}
+
+
+def _of_books(found: Found, other: bool) -> Found:
+    """Return a hypothesis with the error floor of the simulator's own laws, or of `other` ones."""
+    before = found.problem.group
+    group = of_books(before, other)
+    rows = found.best.residual.reshape(len(group.channels), -1)
+    scale = np.sqrt([before.error_floor[channel] / group.error_floor[channel]
+                     for channel in group.channels])
+    problem, residual = replace(found.problem, group=group), (scale[:, None] * rows).ravel()
+    return found._replace(problem=problem, best=found.best._replace(
+        residual=residual, cost=problem.cost(found.best.theta, residual)))
+
+
+def _needs_other_shapes(found: Found) -> bool:
+    """Return whether the simulator's own laws, fitted anew, leave far more."""
+    group, free = found.problem.group, with_usual_shapes(found.problem.group, found.problem.free)
+    if free == found.problem.free or group.floor_measured:
         return False
-    problem, p = replace(found.problem, group=group,
-                         free=free), found.problem.record(found.best.theta)
-    theta = np.array([problem.parameter(free).share(float(p[free.field]))
-                      for free in problem.free])
-    cost = problem.cost(theta)
-    gain = cost - most_probable(problem, theta).cost
-    return gain > max(REACH, EVIDENT * (cost - 0.5 * found.best.residual.size))
+    values, problem = found.problem.record(found.best.theta), replace(found.problem, free=free)
+    theta = np.array([problem.parameter(each).share(float(
+        (values if each in found.problem.free else group.nominal)[each.field])) for each in free])
+    goal = found.best.cost + REACH
+    return most_probable(problem, theta, goal=goal).cost > goal
 
 
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
@@ -144,17 +164,20 @@ def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Wei
     return Weighed(replace(valve.group, effects=tuple(effects)), candidates, chance)
 
 
-def _weighed(null: Found, tick: Callable[[], None], other: bool, alone: bool
+def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = None
              ) -> Weighed | None:
-    """Return a group, weighed, if a hypothesis leaves only noise; of `other` books, NEAR."""
-    if not other and _evident(null):
-        return None
-    found, group = _hypotheses(null, tick, not other), null.problem.group
-    most = math.inf if alone and other else NEAR if other else 1.0
+    """
+    Return a group, weighed, if a hypothesis leaves at most NEAR error floors.
+
+    other: whether its laws are of other books, if that is known.
+    """
+    if other is not None:
+        found = {names: _of_books(each, other) for names, each in found.items()}
+    most, group = math.inf if alone else NEAR, found[()].problem.group
     if not any(f.over.max() <= most for f in found.values()):
         return None
     candidates = {names: Candidate(names, f.variants, _fitted(f)) for names, f in found.items()}
-    weighed = Weighed(found[()].problem.group, candidates, weigh(group, found))
+    weighed = Weighed(group, candidates, weigh(group, found))
     best, gap, unknown = found[_most_probable(weighed).names], found[()].over, 0.0
     if best.left:
         if best.over.max() > most or (alone and not _follows(found[()])):
@@ -162,7 +185,7 @@ def _weighed(null: Found, tick: Callable[[], None], other: bool, alone: bool
         unknown = as_probability(max(
             unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
             for left, before in zip(best.over, gap, strict=True)))
-    elif other and not best.names:   # the model error may mask an effect
+    elif group.other_books and not best.names:   # the model error may mask an effect
         unknown = SIMULATOR.masked * max(1.0 - group.noise[channel] ** 2 / level
                                          for channel, level in group.error_floor.items())
     if unknown > 0.0:
@@ -233,22 +256,16 @@ def _null(group: Group) -> Found:
         null.problem.group, null.problem.record(null.best.theta))))
 
 
-def _hypotheses(null: Found, tick: Callable[[], None], own: bool) -> dict[Names, Found]:
-    """
-    Return the nominal model, single effects and pairs that were fitted.
-
-    own: none where laws of other books are evident.
-    """
+def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+    """Return the nominal model, single effects and pairs that were fitted."""
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
     # Large deviations of nominal parameters may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
-    found = {(): _without_last(null, list(singles.values()))} | singles
+    found = _judged({(): _without_last(null, list(singles.values()))} | singles)
     if singles and all(map(_wants_more, found.values())):
-        first = min(singles.values(), key=lambda each: each.best.cost)
-        if own and _evident(first):
-            return {}
-        found = _best_of(found, _pairs(null, first, tick))
+        first = min((found[names] for names in singles), key=lambda each: each.best.cost)
+        found = _judged(_best_of(found, _pairs(found[()], first, tick)))
     return found
 
 
@@ -443,10 +460,13 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
     found = min(known, key=lambda each: each.best.cost)
     if abs(change) < REACH:
         return found
-    exact = ('maximum_substep', found.problem.group.exact_substep_s)
-    problem = replace(found.problem, fixed=(*found.problem.fixed, exact))
-    return found._replace(problem=problem,
-                          best=most_probable(problem, found.best.theta, goal=goal))
+    group, p = found.problem.group, found.problem.record(found.best.theta)
+    shorter = next((each for each in SUBSTEPS_S if group.exact_substep_s < each
+                    < p['maximum_substep']), group.exact_substep_s)
+    problem = replace(found.problem, fixed=(*found.problem.fixed, ('maximum_substep', shorter)))
+    problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
+    return _converged(found._replace(problem=problem, best=most_probable(
+        problem, found.best.theta, goal=goal)), goal)
 
 
 def _with_shared(found: Found, other: Found, fields: set[str]) -> Array:

@@ -49,7 +49,7 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     for channel, rest, change in zip(group.channels, residual, slopes, strict=True):
         model_error = 1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
         variance = (float(np.mean(rest ** 2)) / (more * counts[channel])
-                    + model_error / CONSTANTS.samples)
+                    + group.judged_share.get(channel, 1.0) * model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
     if isinstance(problem, Posterior):

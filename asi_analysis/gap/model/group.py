@@ -90,6 +90,8 @@ class Group:
     floor_measured: bool = False   # the error floor is what healthy recordings leave
     floor_by_best: bool = False    # that of a fit shows how small the model error is
     other_books: bool = False      # the simulator's laws may be formulated in another way
+    judged_share: Values = field(default_factory=dict)   # of white noise's power, by channel
+    usual_shapes: tuple[Free, ...] = ()   # of the simulator's laws: as uncertain as all nominal
     passes: int = 0    # of the input of a static characteristic, however slow
 
     @property
@@ -168,6 +170,9 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
                                     for recording in recordings])) for channel in channels}
     error_floor = {channel: noise[channel] ** 2 + SIMULATOR_ERROR ** 2 * size[channel]
                    for channel in channels}
+    judged_share = dict.fromkeys(channels, 1.0) | {
+        channel: float(np.mean([np.mean(r.motion.judge ** 2) for r in recordings if r.motion]))
+        for channel in channels if channel in MOTIONS}
     exact = float(p['maximum_substep'])
     recordings, p['maximum_substep'] = simulator.with_corrections(
         recordings, channels, p, error_floor, exact)
@@ -177,34 +182,32 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     nuisance = tuple(Free(name, 0.05, 5.0, (1.0,), 'nominal', prior=0.5 * tolerance)
                      for name in dict.fromkeys(names)
                      if nominal[name] != 0.0 and _is_modelled(name, nominal))
-    nuisance += tuple(start_parameters(nominal, recordings, channels))
+    shapes = {free.field: free for free in _shapes(forms.SHAPES, channels, nominal)}
+    usual = tuple(free for free in nuisance if free.field in shapes)
+    nuisance = (*(free for free in nuisance if free not in usual), *shapes.values(),
+                *start_parameters(nominal, recordings, channels))
     effects = freed(forms.EFFECTS, partial(in_each, count=count))
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
-                 dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact)
+                 dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact,
+                 judged_share=judged_share, usual_shapes=usual)
 
 
-def of_other_books(group: Group) -> Group:
-    """
-    Return a group of the simulator whose laws may be formulated in another way.
-
-    The shapes of the nominal laws are free, and the model error is that of any model.
-    """
-    wider = (MODEL_ERROR / SIMULATOR_ERROR) ** 2
-    floor = {channel: level if group.floor_measured else
-             group.noise[channel] ** 2 + wider * (level - group.noise[channel] ** 2)
-             for channel, level in group.error_floor.items()}
-    return replace(group, error_floor=floor, other_books=True,
-                   nuisance=with_free_shapes(group, group.nuisance))
+def of_books(group: Group, other: bool) -> Group:
+    """Return a group of the simulator whose laws are its own, or those of `other` books."""
+    if group.other_books == other or group.floor_measured:
+        return group
+    ratio = (MODEL_ERROR / SIMULATOR_ERROR) ** (2 if other else -2)
+    return replace(group, other_books=other, error_floor={
+        channel: group.noise[channel] ** 2 + ratio * (level - group.noise[channel] ** 2)
+        for channel, level in group.error_floor.items()})
 
 
-def with_free_shapes(group: Group, frees: Sequence[Free]) -> tuple[Free, ...]:
-    """Return free parameters of the simulator with those of the shapes of the nominal laws."""
-    shapes = {free.field: free
-              for free in _shapes(forms.SHAPES, group.channels, group.nominal)}
-    if group.floor_measured:   # with the spread that healthy recordings have
-        shapes = {name: free for name, free in shapes.items()
-                  if name not in {each.field for each in frees}}
-    return (*(free for free in frees if free.field not in shapes), *shapes.values())
+def with_usual_shapes(group: Group, frees: Sequence[Free]) -> tuple[Free, ...]:
+    """Return free parameters; those of the shapes of the laws only as uncertain as all others."""
+    usual = {free.field: free for free in group.usual_shapes}
+    shapes = _shapes(forms.SHAPES, group.channels, group.nominal)
+    return tuple(usual.get(free.field, free) if free in shapes else free for free in frees
+                 if free not in shapes or free.field in usual)
 
 
 def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
@@ -216,7 +219,8 @@ def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
         return (free._replace(low=1.0 - share, high=1.0 + share) if free.prior == math.inf else
                 free._replace(prior=0.5 * share))
 
-    return replace(group, nuisance=tuple(map(tolerated, group.nuisance)))
+    return replace(group, nuisance=tuple(map(tolerated, group.nuisance)),
+                   usual_shapes=tuple(map(tolerated, group.usual_shapes)))
 
 
 def with_simulated_valve(group: Group, valve: np.void) -> Group:

@@ -11,7 +11,7 @@ from asi_actuator.model.load import PRESCRIBED
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model import blocks, simulator, static_blocks
-from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
+from asi_analysis.gap.model.effects import MOTIONS, OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.motion import judged
@@ -309,3 +309,15 @@ def measured(recording: Recording, channel: str) -> Array:
               'position': recording.raw_position}[channel]
     assert signal is not None
     return signal
+
+
+def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
+    """
+    Return what a prediction misses, n samples in the channel's unit; of a motion, in its band.
+
+    A mass that begins and ends to slide rings above that, which the force does not show.
+    """
+    error = measured(recording, channel) - predict(recording, channel, p)
+    if channel not in MOTIONS or recording.motion is None:
+        return error
+    return judged(error, recording.motion)

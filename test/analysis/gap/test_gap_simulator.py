@@ -1,5 +1,6 @@
 """The simulator as predictor: right on its own recordings, and silent about those that are not."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -152,8 +153,9 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
     for channels in (('valve',), CHANNELS):
         group = simulator_group(nominal, recordings, channels)
         group = replace(group, effects=(*group.effects, *parameter_errors(group)))
-        for free in group.nuisance:
-            assert free.field in {each.field for each in form_of(group, free.field)[1].free}
+        for free in (*group.nuisance, *group.usual_shapes):
+            assert free.prior == math.inf or free.field in {
+                each.field for each in form_of(group, free.field)[1].free}
 
 
 BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0,
