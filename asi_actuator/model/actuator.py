@@ -51,6 +51,7 @@ STATE_DTYPE = np.dtype([
     ('sample', np.int64),               # ticks so far
     ('command_filtered', np.float64),   # N, the rate filter of the hysteresis
     ('flux', np.float64),               # N, memory of the hysteresis
+    ('rounding_plays', np.float64, (FURTHER,)),  # N, of a loop with rounded corners
     ('further_plays', np.float64, (FURTHER,)),  # N, of a loop that widens with the amplitude
     ('drive', np.float64),              # N, output of the hysteresis
     ('coil', np.float64),               # N

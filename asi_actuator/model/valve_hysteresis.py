@@ -5,15 +5,16 @@ A play whose half width grows with the rate of the command. At rest it leaves th
 that the paper's steady-state errors allow; at 100 Hz it gives the phase lag that the paper's
 limit cycle needs. A play of constant width cannot do both.
 
-As a choice, further plays widen the loop with the amplitude, without any dependence on the rate
-(Prandtl 1928; with evenly spread widths from 0 on it is Rayleigh's law, Phil. Mag. 23, 1887).
+As a choice, plays of spread widths round the corners of the loop, and further plays widen it with
+the amplitude, without any dependence on the rate (Prandtl 1928; with evenly spread widths from 0
+on it is Rayleigh's law, Phil. Mag. 23, 1887).
 """
 
 import math
 
 from asi_common.jit import FULL, LINEAR, jit
 
-# Number of the further plays, of evenly spread widths.
+# Number of the plays of a spread loop, and of the further ones: of evenly spread widths.
 FURTHER = 8
 
 
@@ -43,6 +44,26 @@ def half_width(rate, p):
 def play(drive, command, radius):
     """Return the output (N) of a play of half width `radius` (N) that was at `drive` (N)."""
     return min(max(drive, command - radius), command + radius)
+
+
+@jit
+def rounded(flux, plays, command, filtered, p):
+    """
+    Return the flux (N) of a loop whose corners are rounded, of a single play at `flux` (N).
+
+    A share of it moves in plays of half widths from 0 to twice that of the single one, so that
+    their mean, and the slope of large motion, are the same. Updates `plays`, N; command: valve
+    command, N; filtered: state of the rate filter, N.
+    """
+    if p.valve_hysteresis_rounding == 0.0 or p.valve_hysteresis_model != FULL:
+        return flux
+    grown = half_width(command_rate(command, filtered, p), p) - p.valve_hysteresis_radius
+    total = 0.0
+    for k in range(FURTHER):
+        width = (2.0 * k + 1.0) / FURTHER * p.valve_hysteresis_radius
+        plays[k] = play(plays[k], command, width + grown)
+        total += plays[k]
+    return flux + p.valve_hysteresis_rounding * (total / FURTHER - flux)
 
 
 @jit
@@ -103,6 +124,7 @@ def magnetise(state, command, decay, p):
     # The rate filter is a lag: its exact solution.
     state.command_filtered = command + (state.command_filtered - command) * decay
     state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
+    flux = rounded(state.flux, state.rounding_plays, command, state.command_filtered, p)
     state.drive = saturated(
-        widened(state.flux, state.further_plays, command, state.command_filtered, p), p)
+        widened(flux, state.further_plays, command, state.command_filtered, p), p)
     return state.drive

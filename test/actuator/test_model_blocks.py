@@ -100,6 +100,20 @@ def test_minor_loop_closes_and_the_major_loop_forgets_it() -> None:
     assert through[599] - through[999] == pytest.approx(200.0 - 2 * 14.0, abs=0.6)
 
 
+def test_rounded_loop_has_the_width_and_slope_of_one_play() -> None:
+    single = {'valve_hysteresis.lag_time': 0.0, 'valve_hysteresis.radius': 40.0,
+              'valve_hysteresis.saturation': 1e6}
+    u = way(0, 300, -300, 300, 280)
+    plain, rounded = (drive(single | {'valve_hysteresis.rounding': share}, u)
+                      for share in (0.0, 1.0))
+    down, up = 300 + 300, 300 + 600 + 300   # at 0, on the way down and up
+    assert plain[down] - plain[up] == pytest.approx(80.0, abs=1.5)
+    assert rounded[down] - rounded[up] == pytest.approx(80.0, abs=1.5)
+    # After a turn a single play sticks; the mean of plays up to twice as wide does not.
+    assert plain[-1] == plain[-21]
+    assert rounded[-1] < rounded[-21] - 1.0
+
+
 WIDENING = {'valve_hysteresis.lag_time': 0.0, 'valve_hysteresis.radius': 10.0,
             'valve_hysteresis.saturation': 1e6, 'valve_hysteresis.widening': 2.0,
             'valve_hysteresis.widening_range': 800.0}
