@@ -1,6 +1,7 @@
 """The motion of a load from its position and velocity, and the band in which it is judged."""
 
 import itertools
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +15,8 @@ PAD_S = 0.6             # mirrored on at both ends before a Fourier transform; h
 # The motion is smoothed at this multiple of the band that is judged, or where its power is no more
 # than this multiple of the noise's: friction and backlash act on all of the motion that there is.
 SMOOTHING, OUTSTANDING = 2.5, 4.0
+ABOVE, RESOLVED = (1.5, 4.0), 8.0   # multiples of a band: just above it; segments to resolve it
+QUIET = 0.25            # quantile of the power there, since a load may ring
 COHERENT = 0.95         # share of the power that motion and force have in common
 LOWEST_BAND_HZ = 20.0
 # A position that is an integral is judged above this, so gently that it does not ring for longer
@@ -95,6 +98,20 @@ def clear_band(signal: Array, omega: Array, noise: Array, period: float, longest
     level = 2.0 * period * np.interp(2.0 * np.pi * frequency, omega, noise)
     above = frequency[power > OUTSTANDING * level]
     return float(above[-1]) if above.size else 0.0
+
+
+def noise_above(signal: Array, motion: Motion, period: float) -> float:
+    """
+    Return the rms of white noise as strong as a signal just above the band that is judged.
+
+    There noise that is not white is as it is in the band, where the motion hides it.
+    """
+    gain = np.sqrt(0.5)
+    edge = float(motion.omega[motion.judge > gain].max(initial=motion.omega[1])) / (2.0 * np.pi)
+    frequency, power = welch(signal, 1.0 / period, nperseg=min(
+        signal.size // 4, int(RESOLVED / (edge * period))))
+    beside = power[(frequency > ABOVE[0] * edge) & (frequency < ABOVE[1] * edge)]
+    return math.sqrt(float(np.quantile(beside, QUIET)) / (2.0 * period)) if beside.size else 0.0
 
 
 def agree(position: Array, velocity: Array, period: float) -> bool:

@@ -13,15 +13,14 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.fit import independent_samples
-from asi_analysis.gap.inference.posterior import Found, mean_squares
+from asi_analysis.gap.inference.posterior import Found, mean_squares, power
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import UNKNOWN
-from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.group import MODEL_SAMPLES, Group, model_error
 
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.
 ODDS_AGAINST = 7.0
-MODEL_SAMPLES = 100.0   # effective samples of the model error of a channel
 NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
 
 
@@ -30,15 +29,12 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     least = min(found.values(), key=lambda f: f.best.cost)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
-    # Of the error floor.
-    model = np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
-                      for channel in group.channels])
+    model = model_error(group)
     counts = 1.0 / (1.0 / np.array([samples[channel] for channel in group.channels])
                     + model / MODEL_SAMPLES)
     total = sum(int(r.known.sum()) for r in group.recordings)
     level = mean_squares(least.problem, least.best.residual)
-    # The error of other books may be of any course: a difference below it says nothing.
-    equal = level + model if group.other_books else 0.0 * level
+    equal = equal_below(least) if group.other_books else 0.0 * level
     rough = {names: _log_posterior(f, counts, level, model, equal) for names, f in found.items()}
     highest = max(rough.values())
     evidence = {names: rough[names] + _log_volume(f, counts / total, model)
@@ -49,6 +45,17 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     chance = {names: value / sum(weight.values()) for names, value in weight.items()}
     # If the residual is no more than noise, an unknown effect is excluded.
     return {**chance, (UNKNOWN,): 0.0}
+
+
+def equal_below(best: Found) -> Array:
+    """
+    Return below which mean squares of each channel, in error floors, residuals are equal.
+
+    best: the hypothesis that explains most. The error of other books may be of any course, so a
+    difference below it says nothing.
+    """
+    level = mean_squares(best.problem, best.best.residual)
+    return np.maximum(level + model_error(best.problem.group), 1.0)
 
 
 def _log_posterior(found: Found, counts: Array, level: Array, model: Array, equal: Array
@@ -74,8 +81,7 @@ def _log_volume(found: Found, share: Array, model: Array) -> float:
     precision = problem.prior[1]
     left = mean_squares(problem, found.best.residual)
     slopes = problem.jacobian(theta)
-    band = np.array([problem.group.judged_share[channel] for channel in problem.group.channels])
-    weight = np.repeat(share / band / (left + model), slopes.shape[0] // left.size)
+    weight = np.repeat(share / power(problem.group) / (left + model), slopes.shape[0] // left.size)
     square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
     normal = precision > 0.0
     # A uniform prior: at most the whole range.

@@ -21,7 +21,7 @@ from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import Free, Variant
-from asi_analysis.gap.model.group import exact
+from asi_analysis.gap.model.group import Group, exact
 from asi_analysis.gap.model.predict import judged_error
 from asi_analysis.gap.model.start import MEMORIES
 
@@ -74,7 +74,7 @@ class Posterior(Problem):
     def _of(self, p: np.void) -> Array:
         parts = []
         for channel in self.group.channels:
-            scale = 1.0 / math.sqrt(self.group.error_floor[channel])
+            scale = math.sqrt(self.group.weight[channel] / self.group.error_floor[channel])
             parts += [scale * judged_error(r, channel, p)[r.known]
                       for r in self.group.recordings if r.known.any()]
         return np.concatenate(parts)
@@ -213,9 +213,14 @@ def fitted(problem: Posterior, best: Best) -> Fitted:
 
 def mean_squares(problem: Posterior, residual: Array) -> Array:
     """Return the mean square residual of each channel within its band, in error floors."""
-    group = problem.group
-    return np.mean(residual.reshape(len(group.channels), -1) ** 2, axis=1) / np.array(
-        [group.judged_share[channel] for channel in group.channels])
+    rows = residual.reshape(len(problem.group.channels), -1)
+    return np.mean(rows ** 2, axis=1) / power(problem.group)
+
+
+def power(group: Group) -> Array:
+    """Return the mean square of a residual as large as the error floor, by channel."""
+    return np.array([group.judged_share[channel] * group.weight[channel]
+                     for channel in group.channels])
 
 
 class Found(NamedTuple):

@@ -22,6 +22,7 @@ RIDGE = 1e-9
 # Fields of contacts and couplings, and how many of their starts, those that change the least, are
 # looked at where the nominal model explains the signals: what is hidden there is small.
 STIFF, SMALLEST = {'backlash_gap', 'coupling_stiffness'}, 2
+STIFF_S = 1e-4   # longest sub-step that they are first simulated with
 
 
 class _Explained:
@@ -70,7 +71,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
     """
     group, problem = base.problem.group, base.problem
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
-    exact = ('maximum_substep', group.exact_substep_s)
+    shorter = max(group.exact_substep_s, min(STIFF_S, float(group.nominal['maximum_substep'])))
     work = []
     held = {free.field for variant in base.variants for free in variant.free}
     for effect in group.effects:
@@ -81,8 +82,9 @@ def _starts(base: Found, small: bool) -> list[Start]:
             own = {free.field for free in variant.free}
             if not channels_of(variant, group) or not guessed or own & held:
                 continue
-            # Contacts and couplings are too stiff for the sub-step of the group.
-            fixed = (*problem.fixed, *variant.fixed, *((exact,) if own & STIFF else ()))
+            # Contacts and couplings may be too stiff for the sub-step of the group.
+            fixed = (*problem.fixed, *variant.fixed, *(
+                (('maximum_substep', shorter),) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)
             for varied in variant.free:   # one at its starts, the others at their first

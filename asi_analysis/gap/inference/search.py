@@ -16,13 +16,14 @@ import numpy as np
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.beyond_tolerance import with_null_named
-from asi_analysis.gap.inference.evidence import ODDS_AGAINST, weigh
+from asi_analysis.gap.inference.evidence import ODDS_AGAINST, equal_below, weigh
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     ROUNDS,
+    Best,
     Found,
     Posterior,
     fitted,
@@ -44,7 +45,9 @@ from asi_analysis.gap.model.group import (
     of_books,
     recorrected,
     with_fitted_start,
+    with_lower_noise,
     with_simulated_valve,
+    with_tolerance_of_books,
     with_usual_shapes,
 )
 from asi_analysis.gap.model.predict import measured
@@ -59,6 +62,7 @@ ROUGH = 1         # derivatives of a fit after the linear screen
 CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
+LIGHTER = 8         # times that the weight of the data is halved at most
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
 NEAR = 9.0              # error floors (mean square) that may be left of a machine of other books
@@ -104,7 +108,7 @@ def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
     nulls = [_null(group) for group in rivals]
     costs = np.array([null.best.cost for null in nulls])
     number = int(np.argmin(costs))
-    found = _hypotheses(nulls[number], tick)
+    found = _hypotheses(_quieter(nulls[number]), tick)
     weighed = _weighed(found, alone)
     return None if weighed is None else _Explained(weighed, found, number, costs)
 
@@ -114,29 +118,62 @@ def _judged(found: Mapping[Names, Found]) -> dict[Names, Found]:
     Return hypotheses with the error floor of the simulator's own laws, or of those of other books.
 
     Of other books is a machine of which the best hypothesis leaves more than the first, or which
-    it only explains by other shapes of the laws.
+    it only explains by other shapes of the laws. A baseline has measured the floor.
     """
+    if next(iter(found.values())).problem.group.floor_measured:
+        return dict(found)
     best = _of_books(min(found.values(), key=lambda each: each.best.cost), False)
     other = best.left or _needs_other_shapes(best)
-    return {names: _of_books(each, other) for names, each in found.items()}
+    return _all_of_books(found, other)
 
 
 def _of_books(found: Found, other: bool) -> Found:
     """Return a hypothesis with the error floor of the simulator's own laws, or of `other` ones."""
-    before = found.problem.group
-    group = of_books(before, other)
-    rows = found.best.residual.reshape(len(group.channels), -1)
-    scale = np.sqrt([before.error_floor[channel] / group.error_floor[channel]
-                     for channel in group.channels])
-    problem, residual = replace(found.problem, group=group), (scale[:, None] * rows).ravel()
-    return found._replace(problem=problem, best=found.best._replace(
-        residual=residual, cost=problem.cost(found.best.theta, residual)))
+    group = of_books(found.problem.group, other)
+    free = with_tolerance_of_books(found.problem.free, found.problem.group, group)
+    problem = replace(found.problem, group=group, free=free)
+    theta, residual = found.best.theta, problem.residual(found.best.theta)
+    return found._replace(problem=problem, best=Best(theta, problem.cost(theta, residual),
+                                                     residual))
+
+
+def _all_of_books(found: Mapping[Names, Found], other: bool) -> dict[Names, Found]:
+    """Return the hypotheses with that error floor; fitted anew, if it is another than before."""
+    moved = {names: _of_books(each, other) for names, each in found.items()}
+    if next(iter(found.values())).problem.group.other_books != other:
+        moved = {names: each._replace(best=most_probable(each.problem, each.best.theta))
+                 for names, each in moved.items()}
+    if not other:
+        return moved
+    best = min(moved.values(), key=lambda each: each.best.cost)
+    equal = equal_below(best)
+    return {names: _nearest(each, equal) for names, each in moved.items()}
+
+
+def _nearest(found: Found, equal: Array) -> Found:
+    """
+    Return a hypothesis with parameters as near to the nominal ones as the model error allows.
+
+    equal: mean squares, in error floors, below which residuals are equal. The weight of the data
+    is lowered while less than that is left (the discrepancy principle, Morozov 1966).
+    """
+    problem, theta = found.problem, found.best.theta
+    for _ in range(LIGHTER):
+        group = problem.group
+        problem = replace(problem, group=replace(group, weight={
+            channel: 0.5 * weight for channel, weight in group.weight.items()}))
+        near = most_probable(problem, theta)
+        if (mean_squares(problem, near.residual) > equal).any():
+            break
+        theta = near.theta
+    residual = found.problem.residual(theta)
+    return found._replace(best=Best(theta, found.problem.cost(theta, residual), residual))
 
 
 def _needs_other_shapes(found: Found) -> bool:
     """Return whether the simulator's own laws, fitted anew, leave far more."""
     group, free = found.problem.group, with_usual_shapes(found.problem.group, found.problem.free)
-    if free == found.problem.free or group.floor_measured:
+    if free == found.problem.free:
         return False
     values, problem = found.problem.record(found.best.theta), replace(found.problem, free=free)
     theta = np.array([problem.parameter(each).share(float(
@@ -172,7 +209,7 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
     other: whether its laws are of other books, if that is known.
     """
     if other is not None:
-        found = {names: _of_books(each, other) for names, each in found.items()}
+        found = _all_of_books(found, other)
     most, group = math.inf if alone else NEAR, found[()].problem.group
     if not any(f.over.max() <= most for f in found.values()):
         return None
@@ -192,7 +229,8 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
         chance = {names: weighed.probability[names] for names in candidates}
         weighed = weighed._replace(probability=with_unknown(
             chance, unknown, float((1.0 - np.sqrt(best.over / gap)).max())))
-    return with_null_named(weighed)
+    # Parameters of other books mean a little else: beyond a tolerance, they are no finding yet.
+    return weighed if group.other_books else with_null_named(weighed)
 
 
 def _follows(null: Found) -> bool:
@@ -256,6 +294,20 @@ def _null(group: Group) -> Found:
         null.problem.group, null.problem.record(null.best.theta))))
 
 
+def _quieter(null: Found) -> Found:
+    """Return the nominal model with the noise that it leaves, if that is far less."""
+    group = null.problem.group
+    left = mean_squares(null.problem, null.best.residual)
+    quiet = with_lower_noise(group, {channel: float(each) * group.error_floor[channel]
+                                     for channel, each in zip(group.channels, left, strict=True)})
+    if quiet is group:
+        return null
+    # What rings above the band of a motion is no noise in it.
+    problem = replace(null.problem, group=quiet)
+    return _converged(null._replace(problem=problem,
+                                    best=most_probable(problem, null.best.theta)))
+
+
 def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     """Return the nominal model, single effects and pairs that were fitted."""
     null.problem.group.scale.update(initial_guesses(_fitted(null)))
@@ -271,7 +323,8 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
 
 def _wants_more(found: Found) -> bool:
     """Return whether a further effect may explain a residual, or deviations of the parameters."""
-    return found.left or found.given > ODDS_AGAINST
+    usual = 0.5 * np.count_nonzero(found.problem.prior[1])   # that their priors let expect
+    return found.left or bool(found.given > usual + ODDS_AGAINST)
 
 
 def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, Found]:

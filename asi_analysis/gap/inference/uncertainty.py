@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
-from asi_analysis.gap.inference.posterior import Posterior
+from asi_analysis.gap.inference.posterior import Posterior, power
 from asi_analysis.gap.inference.probability import CONSTANTS
 
 RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the cost, at the end of a 95 % interval
@@ -46,10 +46,11 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     more = max(sum(float(r.fit.sum()) for r in group.recordings)
                / sum(float(r.held_out.sum()) for r in group.recordings), 1.0)
     square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
-    for channel, rest, change in zip(group.channels, residual, slopes, strict=True):
+    sizes = power(group) if isinstance(problem, Posterior) else np.ones(count)
+    for channel, rest, change, size in zip(group.channels, residual, slopes, sizes, strict=True):
         model_error = 1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
         variance = (float(np.mean(rest ** 2)) / (more * counts[channel])
-                    + group.judged_share.get(channel, 1.0) * model_error / CONSTANTS.samples)
+                    + size * model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
     if isinstance(problem, Posterior):

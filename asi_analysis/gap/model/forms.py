@@ -183,9 +183,11 @@ UNCERTAIN = {
               'load_locked_damping', 'force_sensor_mass_share'),
 }
 # How the nominal laws are formulated, by the channel: free in every fit, since books differ. Of
-# friction: how sliding sets in, from Dupont's elasto-plastic bristle to Dahl's and LuGre's, how
-# the seals damp the motion that deforms them, and how friction falls to Coulomb's.
+# the hysteresis: how round the corners of its loop are. Of friction: how sliding sets in, from
+# Dupont's elasto-plastic bristle to Dahl's and LuGre's, how the seals damp the motion that deforms
+# them, and how friction falls to Coulomb's.
 SHAPES = {
+    'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),),
     'force': (Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),
               Free('friction_stribeck_velocity', 0.2, 5.0, (1.0,), 'nominal')),

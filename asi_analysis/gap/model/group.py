@@ -17,6 +17,7 @@ from asi_analysis.gap.model.start import (
     start_parameters,
     with_start_fields,
 )
+from asi_analysis.gap.motion import noise_above
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL, LINEAR
 
@@ -27,6 +28,8 @@ MODEL_ERROR = 0.005  # of a signal (rms): general error of any model
 RIGID_ERROR = 0.02   # and of a rigid model of gears, belts and cables
 PASS_S = 1.0
 SIMULATOR_ERROR = 0.001   # the same of the simulator's prediction
+MEANT = 1.5               # times as wide is the tolerance of a nominal parameter of other books
+MODEL_SAMPLES = 100.0     # effective samples of the model error of a channel
 # Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
 # they have no effect, and are left out.
 UNCERTAIN = {
@@ -90,8 +93,14 @@ class Group:
     floor_measured: bool = False   # the error floor is what healthy recordings leave
     floor_by_best: bool = False    # that of a fit shows how small the model error is
     other_books: bool = False      # the simulator's laws may be formulated in another way
-    judged_share: Values = field(default_factory=dict)   # of white noise's power, by channel
-    usual_shapes: tuple[Free, ...] = ()   # of the simulator's laws: as uncertain as all nominal
+    # Of a residual, by channel: the share of white noise's power that is judged, and the weight of
+    # each sample; of the simulator: the mean square error of laws of other books, beside its own.
+    judged_share: Values = field(default_factory=dict)
+    weight: Values = field(default_factory=dict)
+    other_error: Values = field(default_factory=dict)
+    # Of the simulator's laws: shapes that are free, and those of them that the nominal model has.
+    shapes: tuple[Free, ...] = ()
+    usual_shapes: tuple[Free, ...] = ()
     passes: int = 0    # of the input of a static characteristic, however slow
 
     @property
@@ -164,7 +173,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     count = 1 + max(recording.number for recording in recordings)
     p = for_recordings(with_start_fields(nominal.copy(), recordings), count)
     recordings = [replace(r, valve_estimate=r.valve_position) for r in recordings]
-    noise = {channel: max(_noise(recording, channel, p) for recording in recordings)
+    noise = {channel: max(_judged_noise(recording, channel, p) for recording in recordings)
              for channel in channels}
     size = {channel: float(np.mean([np.mean(measured(recording, channel) ** 2)
                                     for recording in recordings])) for channel in channels}
@@ -176,38 +185,65 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     exact = float(p['maximum_substep'])
     recordings, p['maximum_substep'] = simulator.with_corrections(
         recordings, channels, p, error_floor, exact)
-    names = [name for kind in ('valve', 'force') if kind in channels or kind == 'valve'
-             and any(r.valve_position is None for r in recordings)
-             for name in forms.UNCERTAIN[kind]]
+    kinds = [kind for kind in ('valve', 'force') if kind in channels or (
+        kind == 'valve' and any(r.valve_position is None for r in recordings))]
+    names = [name for kind in kinds for name in forms.UNCERTAIN[kind]]
     nuisance = tuple(Free(name, 0.05, 5.0, (1.0,), 'nominal', prior=0.5 * tolerance)
                      for name in dict.fromkeys(names)
                      if nominal[name] != 0.0 and _is_modelled(name, nominal))
-    shapes = {free.field: free for free in _shapes(forms.SHAPES, channels, nominal)}
+    shapes = {free.field: free for free in _shapes(forms.SHAPES, kinds, nominal)}
     usual = tuple(free for free in nuisance if free.field in shapes)
     nuisance = (*(free for free in nuisance if free not in usual), *shapes.values(),
                 *start_parameters(nominal, recordings, channels))
     effects = freed(forms.EFFECTS, partial(in_each, count=count))
+    other_error = {channel: (MODEL_ERROR ** 2 - SIMULATOR_ERROR ** 2) * size[channel]
+                   + (_formulation_error(recordings, channel, p) if channel == 'valve' else 0.0)
+                   for channel in channels}
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
                  dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact,
-                 judged_share=judged_share, usual_shapes=usual)
+                 judged_share=judged_share, weight=dict.fromkeys(channels, 1.0),
+                 other_error=other_error, shapes=tuple(shapes.values()), usual_shapes=usual)
 
 
 def of_books(group: Group, other: bool) -> Group:
-    """Return a group of the simulator whose laws are its own, or those of `other` books."""
+    """
+    Return a group of the simulator whose laws are its own, or those of `other` books.
+
+    The error of these is that of any model, and of few independent samples; nominal parameters
+    mean a little else in them, and have a wider tolerance.
+    """
     if group.other_books == other or group.floor_measured:
         return group
-    ratio = (MODEL_ERROR / SIMULATOR_ERROR) ** (2 if other else -2)
-    return replace(group, other_books=other, error_floor={
-        channel: group.noise[channel] ** 2 + ratio * (level - group.noise[channel] ** 2)
-        for channel, level in group.error_floor.items()})
+    floor, weight = {}, {}
+    for channel, noise in group.noise.items():
+        own = group.error_floor[channel] - (group.other_error[channel] if not other else 0.0)
+        floor[channel] = own + (group.other_error[channel] if other else 0.0)
+        count = sum(int(r.known.sum()) for r in group.recordings) * group.judged_share[channel]
+        model = 1.0 - noise ** 2 / floor[channel]
+        weight[channel] = 1.0 / (1.0 + count * model / MODEL_SAMPLES) if other else 1.0
+    moved = replace(group, other_books=other, error_floor=floor, weight=weight)
+    return replace(moved, nuisance=with_tolerance_of_books(group.nuisance, group, moved))
+
+
+def with_tolerance_of_books(frees: Sequence[Free], before: Group, after: Group
+                            ) -> tuple[Free, ...]:
+    """Return free parameters with their tolerance in a group after the books were changed."""
+    ratio = MEANT ** (after.other_books - before.other_books)
+    return tuple(free._replace(prior=ratio * free.prior) if free.scale == 'nominal' else free
+                 for free in frees)
+
+
+def model_error(group: Group) -> Array:
+    """Return the mean square model error of each channel, in error floors."""
+    return np.array([1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
+                     for channel in group.channels])
 
 
 def with_usual_shapes(group: Group, frees: Sequence[Free]) -> tuple[Free, ...]:
     """Return free parameters; those of the shapes of the laws only as uncertain as all others."""
     usual = {free.field: free for free in group.usual_shapes}
-    shapes = _shapes(forms.SHAPES, group.channels, group.nominal)
-    return tuple(usual.get(free.field, free) if free in shapes else free for free in frees
-                 if free not in shapes or free.field in usual)
+    return tuple(usual.get(free.field, free) if free in group.shapes else free for free in frees
+                 if free not in group.shapes or free.field in usual)
 
 
 def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
@@ -326,6 +362,15 @@ def _noise(recording: Recording, channel: str, p: np.void) -> float:
         assert motion is not None
         share = math.sqrt(float(np.mean(motion.judge ** 2)))
     return math.hypot(share * noise['force'], math.sqrt(propagated_noise(recording, channel, p)))
+
+
+def _judged_noise(recording: Recording, channel: str, p: np.void) -> float:
+    """Return the rms noise of a channel; of a motion at least that in its band."""
+    noise = _noise(recording, channel, p)
+    if channel not in MOTIONS or recording.motion is None:
+        return noise
+    return max(noise, noise_above(measured(recording, channel), recording.motion,
+                                  recording.period_s))
 
 
 def _range(signals: Sequence[Array | None]) -> float:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from asi_actuator.model.actuator import (
     advance,
@@ -29,8 +30,10 @@ from asi_analysis.gap.model.group import (
     with_simulated_valve,
 )
 from asi_analysis.gap.model.model_file import improved_model
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import judged_error, measured, predict
+from asi_analysis.gap.motion import motion_of, noise_above
 from asi_analysis.gap.prepare import prepare as prepared
+from asi_analysis.gap.sampling import noise_of
 from asi_analysis.gap.words import sentences
 from asi_analysis.loop.closed_loop import simulate_loop
 
@@ -168,6 +171,22 @@ def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict)
     """The nominal model has an elasto-plastic bristle, the machine that of LuGre."""
     answer = document(diagnose([recorded(BOOK | more)], {'load.type': 'spring'}))
     assert answer['verdict'] == verdict and answer['probability'] > 0.6
+
+
+def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():
+    run = recorded({'load.type': 'spring'}, duration_s=3.0)
+    recording = prepared([run])[0]
+    p = simulator.simulator_record({'load.type': 'spring'})
+    left = judged_error(recording, 'velocity', p)
+    ringing = replace(recording, raw_velocity=recording.raw_velocity
+                      + 0.01 * np.sin(2.0 * np.pi * 400.0 * run.time_s))
+    inner = slice(300, -300)
+    assert np.std((judged_error(ringing, 'velocity', p) - left)[inner]) < 1e-5
+    # Noise that is stronger at low frequency: nearly as strong as in the band.
+    white = np.random.default_rng(1).normal(0.0, 1e-3, 20000)
+    noise = lfilter(*butter(1, 60.0, fs=1000.0), white)
+    motion, _ = motion_of(None, noise, 20.0, 1e-3)
+    assert 3.0 * noise_of(noise) < noise_above(noise, motion, 1e-3) < 1e-3
 
 
 class NextToNoPlant:
