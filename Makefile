@@ -7,11 +7,12 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 PART := test/common test/controller test/actuator/test_model_blocks.py test/actuator/test_drivers.py \
   test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
 
-.PHONY: help setup demo test test-python test-oldest torture soak bench lint docs clean
+.PHONY: help setup demo test test-slow test-python test-oldest torture soak bench lint docs clean
 
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
 	@echo 'make test     run the tests'
+	@echo 'make test-slow  run eight more, of half a minute each'
 	@echo 'make test-python PYTHON=python3.13   a part of the tests with another Python'
 	@echo 'make test-oldest   the same with the oldest dependencies that setup.py allows'
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
@@ -26,6 +27,9 @@ demo: setup
 
 test: setup
 	@$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile
+
+test-slow: setup
+	@$(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m slow
 
 # A part of the tests with another Python, or the oldest dependencies, in a virtual environment of its
 # own; too long for .ci/run. PART names other tests.

@@ -16,7 +16,8 @@ from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import Found, mean_squares, power
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import UNKNOWN
-from asi_analysis.gap.model.group import MODEL_SAMPLES, Group, model_error
+from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.other_books import MODEL_SAMPLES, model_error
 
 # Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
 # together 4 %, so that an unchanged machine is hardly ever accused.

@@ -16,14 +16,14 @@ import numpy as np
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.beyond_tolerance import with_null_named
-from asi_analysis.gap.inference.evidence import ODDS_AGAINST, equal_below, weigh
+from asi_analysis.gap.inference.books import REACH, all_of_books, judged
+from asi_analysis.gap.inference.evidence import ODDS_AGAINST, weigh
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     ROUNDS,
-    Best,
     Found,
     Posterior,
     fitted,
@@ -42,27 +42,21 @@ from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Free, Var
 from asi_analysis.gap.model.group import (
     Group,
     acts_on,
-    of_books,
     recorrected,
     with_fitted_start,
     with_lower_noise,
     with_simulated_valve,
-    with_tolerance_of_books,
-    with_usual_shapes,
 )
 from asi_analysis.gap.model.predict import measured
 from asi_analysis.gap.model.simulator import SUBSTEPS_S
 from asi_analysis.gap.model.start import SEAL
 from asi_common.record import field_name
 
-# Of the log posterior: farther from the best a fit is not completed, or laws are other ones.
-REACH = 50.0
 ROUGH = 1         # derivatives of a fit after the linear screen
 # Times that a sub-step is corrected anew, until the log posterior changes by less than this.
 CORRECTED, SETTLED = 4, 2.0
 FITTED, POLISHED = 7, 5   # effects that are fitted after the linear screen, and to the end
 SEALS = (0.15, 0.85)  # shares of the range of a deflection of the seals, from which a fit begins
-LIGHTER = 8         # times that the weight of the data is halved at most
 SUSPICIOUS = 3.0        # log prior cost of nominal parameters that may hide an effect
 FOLLOWED = 0.5          # share of a signal's power that may be left of the machine of the model
 NEAR = 9.0              # error floors (mean square) that may be left of a machine of other books
@@ -113,75 +107,6 @@ def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
     return None if weighed is None else _Explained(weighed, found, number, costs)
 
 
-def _judged(found: Mapping[Names, Found]) -> dict[Names, Found]:
-    """
-    Return hypotheses with the error floor of the simulator's own laws, or of those of other books.
-
-    Of other books is a machine of which the best hypothesis leaves more than the first, or which
-    it only explains by other shapes of the laws. A baseline has measured the floor.
-    """
-    if next(iter(found.values())).problem.group.floor_measured:
-        return dict(found)
-    best = _of_books(min(found.values(), key=lambda each: each.best.cost), False)
-    other = best.left or _needs_other_shapes(best)
-    return _all_of_books(found, other)
-
-
-def _of_books(found: Found, other: bool) -> Found:
-    """Return a hypothesis with the error floor of the simulator's own laws, or of `other` ones."""
-    group = of_books(found.problem.group, other)
-    free = with_tolerance_of_books(found.problem.free, found.problem.group, group)
-    problem = replace(found.problem, group=group, free=free)
-    theta, residual = found.best.theta, problem.residual(found.best.theta)
-    return found._replace(problem=problem, best=Best(theta, problem.cost(theta, residual),
-                                                     residual))
-
-
-def _all_of_books(found: Mapping[Names, Found], other: bool) -> dict[Names, Found]:
-    """Return the hypotheses with that error floor; fitted anew, if it is another than before."""
-    moved = {names: _of_books(each, other) for names, each in found.items()}
-    if next(iter(found.values())).problem.group.other_books != other:
-        moved = {names: each._replace(best=most_probable(each.problem, each.best.theta))
-                 for names, each in moved.items()}
-    if not other:
-        return moved
-    best = min(moved.values(), key=lambda each: each.best.cost)
-    equal = equal_below(best)
-    return {names: _nearest(each, equal) for names, each in moved.items()}
-
-
-def _nearest(found: Found, equal: Array) -> Found:
-    """
-    Return a hypothesis with parameters as near to the nominal ones as the model error allows.
-
-    equal: mean squares, in error floors, below which residuals are equal. The weight of the data
-    is lowered while less than that is left (the discrepancy principle, Morozov 1966).
-    """
-    problem, theta = found.problem, found.best.theta
-    for _ in range(LIGHTER):
-        group = problem.group
-        problem = replace(problem, group=replace(group, weight={
-            channel: 0.5 * weight for channel, weight in group.weight.items()}))
-        near = most_probable(problem, theta)
-        if (mean_squares(problem, near.residual) > equal).any():
-            break
-        theta = near.theta
-    residual = found.problem.residual(theta)
-    return found._replace(best=Best(theta, found.problem.cost(theta, residual), residual))
-
-
-def _needs_other_shapes(found: Found) -> bool:
-    """Return whether the simulator's own laws, fitted anew, leave far more."""
-    group, free = found.problem.group, with_usual_shapes(found.problem.group, found.problem.free)
-    if free == found.problem.free:
-        return False
-    values, problem = found.problem.record(found.best.theta), replace(found.problem, free=free)
-    theta = np.array([problem.parameter(each).share(float(
-        (values if each in found.problem.free else group.nominal)[each.field])) for each in free])
-    goal = found.best.cost + REACH
-    return most_probable(problem, theta, goal=goal).cost > goal
-
-
 def _with_rivals(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
     """
     Return the valve with `rivals`: candidates that explain its position equally well.
@@ -209,7 +134,7 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
     other: whether its laws are of other books, if that is known.
     """
     if other is not None:
-        found = _all_of_books(found, other)
+        found = all_of_books(found, other)
     most, group = math.inf if alone else NEAR, found[()].problem.group
     if not any(f.over.max() <= most for f in found.values()):
         return None
@@ -314,10 +239,10 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     # Large deviations of nominal parameters may hide an effect: then it is sought without them.
     hidden = null.left or null.given > SUSPICIOUS
     singles = _extended(null.as_given if hidden else null, null, tick)
-    found = _judged({(): _without_last(null, list(singles.values()))} | singles)
+    found = judged({(): _without_last(null, list(singles.values()))} | singles)
     if singles and all(map(_wants_more, found.values())):
         first = min((found[names] for names in singles), key=lambda each: each.best.cost)
-        found = _judged(_best_of(found, _pairs(found[()], first, tick)))
+        found = judged(_best_of(found, _pairs(found[()], first, tick)))
     return found
 
 

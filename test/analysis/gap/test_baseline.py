@@ -97,6 +97,7 @@ def test_a_healthy_recording_has_not_changed(healthy):
     assert str(answer).startswith('Nothing has changed beyond the spread')
 
 
+@pytest.mark.slow
 def test_what_no_effect_explains_is_no_change_if_the_healthy_machine_has_it():
     teeth = {'friction': 0.1, 'gravity': 0.15, 'teeth': 9.0}
     healthy, more = (joint(**each).between(0.0, 5.0) for each in (teeth, teeth | {'gravity': 0.6}))

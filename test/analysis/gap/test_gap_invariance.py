@@ -105,6 +105,7 @@ def test_first_recording_may_be_held_out():
     assert answer['verdict'] == 'no_gap'
 
 
+@pytest.mark.slow
 def test_effect_is_found_in_a_recording_that_begins_in_motion():
     nominal = {'load.type': 'spring'}
     run = simulated(nominal | {'valve_flexure.lag_time': 0.004}, duration_s=4.0)
@@ -125,6 +126,7 @@ def test_what_was_not_recorded_makes_no_gap(missing):
     assert answer['probability'] > 0.9
 
 
+@pytest.mark.slow
 def test_effect_of_the_valve_is_found_without_its_position():
     nominal = {'load.type': 'spring'}
     machine = nominal | {'valve_flexure.lag_time': 0.004}

@@ -209,6 +209,7 @@ def test_a_fit_ends_where_derivatives_overflow():
     assert best.theta == 0.5 and best.cost == 0.125
 
 
+@pytest.mark.slow
 def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
     """The null hypothesis fits it too, beyond the tolerance: it is the same answer."""
     nominal = {'load.type': 'spring'}
@@ -236,6 +237,7 @@ def test_an_effect_is_named_and_the_improved_model_is_the_machine():
     assert np.std(force[2] - force[0]) < 0.1 * np.std(force[1] - force[0])
 
 
+@pytest.mark.slow
 def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
     nominal = {'load.type': 'spring'}
     run = recorded(nominal, duration_s=3.0)
@@ -249,6 +251,7 @@ def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
     assert explained_by_simulator(groups, lambda: None) is None
 
 
+@pytest.mark.slow
 def test_contacts_are_found_though_they_take_shorter_sub_steps():
     nominal = {'load.type': 'spring'}
     answer = document(diagnose([recorded({**nominal, 'backlash.gap': 2e-4}, noise=0.0)], nominal))
@@ -256,6 +259,7 @@ def test_contacts_are_found_though_they_take_shorter_sub_steps():
     assert answer['which'][0]['parameters']['backlash_gap'] == pytest.approx(2e-4, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_origin_of_the_position_of_a_piston_at_rest_does_not_matter():
     nominal = {'load.type': 'spring'}
     pushed = nominal | {'load.external_force': 40.0}
@@ -268,6 +272,7 @@ def test_the_origin_of_the_position_of_a_piston_at_rest_does_not_matter():
     assert answer['which'][0]['parameters']['load_external_force'] == pytest.approx(40.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_shifted_position_that_may_be_a_constant_force_is_said():
     nominal = {'load.type': 'spring'}
     run = recorded(nominal, duration_s=4.0)[1337:]   # the middle of a motion
