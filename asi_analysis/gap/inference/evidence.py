@@ -1,9 +1,9 @@
 """
-Evidence of the hypotheses that were fitted, and their probabilities.
+Evidence (marginal likelihood) of fitted hypotheses, and their probabilities.
 
-By Laplace's approximation, with the noise that the best hypothesis leaves and its effective sample
-size, so that a model error counts as coloured noise (MacKay, Information Theory, Inference and
-Learning Algorithms, 2003, ch. 27 and 28).
+By Laplace's approximation (MacKay, Information Theory, Inference and Learning Algorithms, 2003,
+ch. 27 and 28). The noise variance is the mean square residual of the best hypothesis, with the
+effective sample size of that residual, so that a model error counts as coloured noise.
 """
 
 import math
@@ -12,21 +12,21 @@ from collections.abc import Mapping
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import Found, mean_squares, power
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group
-from asi_analysis.gap.other_books import MODEL_SAMPLES, model_error
 
-# Log prior odds against each effect, and each parameter beyond its tolerance: of about forty
-# together 4 %, so that an unchanged machine is hardly ever accused.
+# Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
+# forty together, so that a false alarm is rare.
 ODDS_AGAINST = 7.0
-NEGLIGIBLE = 15.0       # log odds below which the volume of a hypothesis is not computed
+NEGLIGIBLE = 15.0   # log odds below the best at which the posterior volume is not computed
 
 
 def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
-    """Return the probability of every hypothesis, `unknown` among them."""
+    """Return the probability of every hypothesis by its effects; that of `unknown` is 0 here."""
     least = min(found.values(), key=lambda f: f.best.cost)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
@@ -35,7 +35,7 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
                     + model / MODEL_SAMPLES)
     total = sum(int(r.known.sum()) for r in group.recordings)
     level = mean_squares(least.problem, least.best.residual)
-    equal = equal_below(least) if group.other_books else 0.0 * level
+    equal = equal_below(least) if group.other_formulation else 0.0 * level
     rough = {names: _log_posterior(f, counts, level, model, equal) for names, f in found.items()}
     highest = max(rough.values())
     evidence = {names: rough[names] + _log_volume(f, counts / total, model)
@@ -44,16 +44,16 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     evidence = dict.fromkeys(found, -math.inf) | evidence
     weight = {names: math.exp(value - highest) for names, value in evidence.items()}
     chance = {names: value / sum(weight.values()) for names, value in weight.items()}
-    # If the residual is no more than noise, an unknown effect is excluded.
+    # As long as the residual is no more than noise, there is no unknown effect.
     return {**chance, (UNKNOWN,): 0.0}
 
 
 def equal_below(best: Found) -> Array:
     """
-    Return below which mean squares of each channel, in error floors, residuals are equal.
+    Return the mean square residual of each channel below which hypotheses fit equally well.
 
-    best: the hypothesis that explains most. The error of other books may be of any course, so a
-    difference below it says nothing.
+    In error floors. best: the hypothesis with the lowest cost. The model error of laws that are
+    formulated in another way is an unknown signal, so a smaller difference is no evidence.
     """
     level = mean_squares(best.problem, best.best.residual)
     return np.maximum(level + model_error(best.problem.group), 1.0)
@@ -62,10 +62,10 @@ def equal_below(best: Found) -> Array:
 def _log_posterior(found: Found, counts: Array, level: Array, model: Array, equal: Array
                    ) -> float:
     """
-    Return the log likelihood of a hypothesis with all its priors, up to a constant.
+    Return the log posterior density of a hypothesis at its most probable parameters.
 
-    counts: effective samples of each channel; level: mean square that the best leaves; model:
-    that of the model error; equal: below this mean square hypotheses are equal.
+    Up to a constant. All by channel: counts: effective samples; mean squares in error floors:
+    level: residual of the best hypothesis; model: model error; equal: as of `equal_below`.
     """
     mean, precision = found.problem.prior
     left = np.maximum(mean_squares(found.problem, found.best.residual), equal)
@@ -77,7 +77,12 @@ def _log_posterior(found: Found, counts: Array, level: Array, model: Array, equa
 
 
 def _log_volume(found: Found, share: Array, model: Array) -> float:
-    """Return the log of the volume of the parameters; share: effective samples over samples."""
+    """
+    Return the log of the posterior volume of the parameters, by Laplace's approximation.
+
+    share: effective sample size by channel, as a share of all samples; model: mean square model
+    error by channel, in error floors.
+    """
     problem, theta = found.problem, found.best.theta
     precision = problem.prior[1]
     left = mean_squares(problem, found.best.residual)
@@ -85,7 +90,7 @@ def _log_volume(found: Found, share: Array, model: Array) -> float:
     weight = np.repeat(share / power(problem.group) / (left + model), slopes.shape[0] // left.size)
     square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
     normal = precision > 0.0
-    # A uniform prior: at most the whole range.
+    # Of a uniform prior, the volume is at most the range.
     square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())
     _, log_det = np.linalg.slogdet(square)
     return 0.5 * theta.size * math.log(2.0 * math.pi) - 0.5 * float(log_det)

@@ -1,9 +1,9 @@
 """
-Posterior of a hypothesis under the simulator: the most probable parameters.
+Posterior of a hypothesis under the simulator, and its maximum: the most probable parameters.
 
-Likelihood: white noise on each channel. Priors: normal on the nominal parameters, by their
-tolerance; uniform between the bounds on those of effects (MacKay, Information Theory, Inference
-and Learning Algorithms, 2003, ch. 27).
+Likelihood: white noise on each channel. Priors: normal on the nominal parameters, with half their
+tolerance as standard deviation; uniform between the bounds on those of effects (MacKay,
+Information Theory, Inference and Learning Algorithms, 2003, ch. 27).
 """
 
 import math
@@ -25,19 +25,21 @@ from asi_analysis.gap.model.group import Group, exact
 from asi_analysis.gap.model.predict import judged_error
 from asi_analysis.gap.model.start import MEMORIES
 
-STEP = 1e-4       # of a parameter's range, for the derivatives
-ROUNDS = 12       # of the optimiser
-# Of the log posterior, and as a share of it: a round that gains less than their sum is the last.
+STEP = 1e-4       # of a parameter's range, for finite differences
+ROUNDS = 12       # at most so many Jacobians are computed in a fit
+# Convergence: a round lowers the cost by less than GAIN plus CONVERGED times the cost.
 GAIN, CONVERGED = 0.05, 3e-4
-DAMPING, TRIES = 1e-4, 5   # of a step: to begin with, and how often with more
-SLOW = 0.003      # of the cost: an updated derivative that gains less is computed anew
-HOPE = 2.0        # times what a linear problem would gain: a fit may gain no more
-LONGEST_STEP = 0.3
-SCANNED = 9       # values of a parameter for which derivatives mislead
-# Error floors (mean square) that a right hypothesis may leave. The noise is estimated from fourth
-# differences: three standard errors of its variance are about this over the root of the samples.
+DAMPING, TRIES = 1e-4, 5   # of Levenberg and Marquardt: at first; steps tried with more of it
+SLOW_GAIN = 0.003   # of the cost: if an updated Jacobian gains less, it is computed again
+GAIN_MARGIN = 2.0   # a fit can gain at most this times what its linearisation promises
+LONGEST_STEP = 0.3   # as a share of a parameter's range
+SCAN_POINTS = 9     # values of an initial state that are tried where gradients mislead
+# A right hypothesis may leave a mean square of MARGIN error floors, and of the uncertainty of the
+# noise variance: it is estimated from fourth differences, and three standard errors of it are
+# about NOISE_ERROR over the square root of the number of samples.
 MARGIN, NOISE_ERROR = 1.1, 10.0
-PART, BENT = 0.1, 0.4   # of a step: to see how the residual bends along it; the most that it may
+# Of a step: the share of it for second differences; the largest correction for curvature.
+CURVATURE_STEP, MOST_CURVATURE = 0.1, 0.4
 
 NONE: Mapping[str, Array] = MappingProxyType({})
 Item = TypeVar('Item')
@@ -48,30 +50,32 @@ Made = TypeVar('Made')
 class Posterior(Problem):
     """The negative log posterior of a group's free parameters, as a least-squares problem."""
 
+    # None: in a fit that itself runs in a thread of the pool
     pool: ThreadPoolExecutor | None = field(default_factory=lambda: ThreadPoolExecutor(
-        len(os.sched_getaffinity(0))))   # None: within a thread of it
+        len(os.sched_getaffinity(0))))
 
     def residual(self, theta: Array) -> Array:
-        """Return the residual over the error floor (rms), channel after channel."""
-        return self._of(self.record(theta))
+        """Return the residual divided by the rms error floor, channel after channel."""
+        return self._residual_of(self.record(theta))
 
     def cost(self, theta: Array, residual: Array | None = None) -> float:
         """Return the negative log posterior, up to a constant; residual: if it is known."""
         residual = self.residual(theta) if residual is None else residual
-        return 0.5 * float(residual @ residual) + self.given(theta)
+        return 0.5 * float(residual @ residual) + self.prior_cost(theta)
 
-    def given(self, theta: Array) -> float:
-        """Return the part of the cost that comes from the normal priors."""
+    def prior_cost(self, theta: Array) -> float:
+        """Return the negative log density of the normal priors, up to a constant."""
         mean, precision = self.prior
         return 0.5 * float(precision @ (theta - mean) ** 2)
 
     def start(self, free: Free, value: float) -> float:
-        """Return the share of a start value (relative, as in `Free`), off the bounds."""
+        """Return a start value (relative, as in `Free`) as a share of the range, off its ends."""
         own = self.parameter(free)
         unit = own.high / free.high if free.high else 1.0
         return min(max(own.share(value * unit), 0.001), 0.999)
 
-    def _of(self, p: np.void) -> Array:
+    def _residual_of(self, p: np.void) -> Array:
+        """Return the residual of a record, as `residual` does."""
         parts = []
         for channel in self.group.channels:
             scale = math.sqrt(self.group.weight[channel] / self.group.error_floor[channel])
@@ -82,9 +86,9 @@ class Posterior(Problem):
     def jacobian(self, theta: Array, known: Mapping[str, Array] = NONE,
                  base: Array | None = None) -> Array:
         """
-        Return the derivatives of the residual.
+        Return the Jacobian of the residual: samples by parameters, from finite differences.
 
-        known: derivatives, by field, that are not computed again; base: the residual.
+        known: columns, by field, that are not computed again; base: the residual, if known.
         """
         residual = self.residual(theta) if base is None else base
 
@@ -95,30 +99,31 @@ class Posterior(Problem):
             moved = theta.copy()
             step = STEP if theta[number] < 0.5 else -STEP
             moved[number] += step
-            return (self._of(self.record(moved)) - residual) / step
+            return (self._residual_of(self.record(moved)) - residual) / step
 
-        return np.array(list(self.each(column, range(theta.size)))).T
+        return np.array(list(self.in_parallel(column, range(theta.size)))).T
 
-    def each(self, function: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
+    def in_parallel(self, function: Callable[[Item], Made], items: Iterable[Item]
+                    ) -> Iterator[Made]:
         """Yield the value of a function of each item, on all cores if there is a pool."""
         return map(function, items) if self.pool is None else self.pool.map(function, items)
 
     def curvature(self, theta: Array, base: Array, step: Array) -> Array:
-        """Return the second derivative of the residual along a step."""
+        """Return the second directional derivative of the residual along a step."""
         ahead, back = (self.residual(np.clip(theta + part * step, 0.0, 1.0))
-                       for part in (PART, -PART))
-        return (ahead - 2.0 * base + back) / PART ** 2
+                       for part in (CURVATURE_STEP, -CURVATURE_STEP))
+        return (ahead - 2.0 * base + back) / CURVATURE_STEP ** 2
 
     @property
     def prior(self) -> tuple[Array, Array]:
-        """Return mean and precision (1 over variance) of the normal priors; 0: none."""
+        """Return mean and precision (1 / variance) of the normal priors; 0 where there is none."""
         parameters = [self.parameter(free) for free in self.free]
         return (np.array([each.share(each.nominal) for each in parameters]),
                 np.array([each.prior ** -2.0 for each in parameters]))
 
 
 class Best(NamedTuple):
-    """The most probable parameters: shares, cost (negative log posterior), residual."""
+    """The most probable parameters: shares of the ranges, negative log posterior, residual."""
 
     theta: Array
     cost: float
@@ -131,31 +136,31 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     Return the most probable parameters, from a start.
 
     By the Levenberg-Marquardt method, with second derivatives along each step (Transtrum and
-    Sethna, arXiv:1201.5885): sums of parameters are known far better than each, so the way to
-    the minimum is long, narrow and bent. known: derivatives to begin with, by field. After each
-    step all are updated by what it showed (Broyden's method); they are computed anew where that
-    does not lead on, at most `rounds` times. Memories of the start are then sought in their whole
-    range: what they change ends with a reversal of the motion, so that derivatives mislead.
-    goal: a cost; a fit is given up if its rate or its derivatives show that it cannot reach this.
+    Sethna, arXiv:1201.5885): parameters are strongly correlated, so the minimum lies at the end
+    of a narrow curved valley. known: columns of the first Jacobian, by field. After each step it
+    gets Broyden's update; it is computed again where steps no longer help, at most `rounds`
+    times. At the end, initial states with memory (flux, seals) are scanned over their whole
+    range: their influence ends at a reversal of the motion, so that gradients mislead.
+    goal: a cost; a fit that will not reach it, by its rate or its Jacobian, is given up.
     """
     mean, precision = problem.prior
 
     theta, value = start, problem.residual(start)
     cost, damping = problem.cost(theta, value), DAMPING
     slopes, fresh = problem.jacobian(theta, known, value), not known
-    since = cost   # the cost when the derivatives were last computed
+    since = cost   # the cost when the Jacobian was last computed
     while True:
-        if not np.isfinite(slopes).all():   # next to a plant that is none
+        if not np.isfinite(slopes).all():   # beside parameters with which no plant is possible
             return Best(theta, cost if math.isfinite(cost) else math.inf, value)
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost
         if fresh and math.isfinite(goal):
             _, most = least_step(square, slope, -theta, 1.0 - theta)
-            if cost - HOPE * most > goal:
+            if cost - GAIN_MARGIN * most > goal:
                 return Best(theta, cost, value)
         for _ in range(TRIES if fresh else 1):
-            there = _next(problem, theta, value, slopes, square, slope, damping)
+            there = _damped_step(problem, theta, value, slopes, square, slope, damping)
             value_there = problem.residual(there)
             if (cost_there := problem.cost(there, value_there)) < cost:
                 step = there - theta
@@ -165,13 +170,13 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
                 damping = max(0.1 * damping, 1e-7)
                 break
             damping = 10.0 * max(damping, 1e-3)
-        if before - cost > GAIN + SLOW * before:
+        if before - cost > GAIN + SLOW_GAIN * before:
             fresh = False
             continue
         rounds -= 1
         ends = fresh and before - cost <= GAIN + CONVERGED * before
         if ends and rounds > 0:
-            there = min(_elsewhere(problem, theta), default=theta, key=problem.cost)
+            there = min(_scanned_memories(problem, theta), default=theta, key=problem.cost)
             value_there = problem.residual(there)
             cost_there = problem.cost(there, value_there)
             if cost - cost_there > GAIN + CONVERGED * cost:
@@ -179,33 +184,33 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         if rounds < 1 or ends or cost - rounds * (since - cost) > goal:
             return Best(theta, cost, value)
         slopes, fresh, since = problem.jacobian(theta, base=value), True, cost
-        damping = min(damping, DAMPING)   # what failed with old derivatives may do with new ones
+        damping = min(damping, DAMPING)   # with the new Jacobian, full steps may work again
 
 
-def _elsewhere(problem: Posterior, theta: Array) -> Iterator[Array]:
-    """Yield the parameters with each memory of the start in turn at values in its whole range."""
+def _scanned_memories(problem: Posterior, theta: Array) -> Iterator[Array]:
+    """Yield the parameters with each initial state that has a memory, at values in its range."""
     for number, free in enumerate(problem.free):
         if free.field.partition('@')[0] in MEMORIES:
-            for share in np.linspace(0.0, 1.0, SCANNED):
+            for share in np.linspace(0.0, 1.0, SCAN_POINTS):
                 there = theta.copy()
                 there[number] = share
                 yield there
 
 
-def _next(problem: Posterior, theta: Array, value: Array, slopes: Array, square: Array,
+def _damped_step(problem: Posterior, theta: Array, value: Array, slopes: Array, square: Array,
           slope: Array, damping: float) -> Array:
-    """Return where a step leads, bent as the residual is along it."""
+    """Return the parameters after a damped step, corrected for the residual's curvature."""
     damped = square + damping * np.diag(np.diag(square))
     low, high = np.maximum(-theta, -LONGEST_STEP), np.minimum(1.0 - theta, LONGEST_STEP)
     straight, _ = least_step(damped, slope, low, high)
     bend = 0.5 * slopes.T @ problem.curvature(theta, value, straight)
     bent, _ = least_step(damped, slope + bend, low, high)
-    near = np.linalg.norm(bent - straight) < BENT * np.linalg.norm(straight)
+    near = np.linalg.norm(bent - straight) < MOST_CURVATURE * np.linalg.norm(straight)
     return np.clip(theta + (bent if near else straight), 0.0, 1.0)
 
 
 def fitted(problem: Posterior, best: Best) -> Fitted:
-    """Return a fit as the rest of the diagnosis takes it."""
+    """Return a fit as a `Fitted`, which the rest of the diagnosis uses."""
     record = exact(problem.group, problem.record(best.theta))
     return Fitted(record, problem.free, best.theta, best.cost,
                   held_out_error(problem.group, record), problem)
@@ -218,13 +223,17 @@ def mean_squares(problem: Posterior, residual: Array) -> Array:
 
 
 def power(group: Group) -> Array:
-    """Return the mean square of a residual as large as the error floor, by channel."""
+    """
+    Return the mean square of the weighted residual of each channel at the error floor.
+
+    The share of white noise that passes the channel's band, times the weight of its samples.
+    """
     return np.array([group.judged_share[channel] * group.weight[channel]
                      for channel in group.channels])
 
 
 class Found(NamedTuple):
-    """A hypothesis, its problem and most probable parameters."""
+    """A fitted hypothesis: its effects, their forms, its posterior and the maximum of that."""
 
     names: Names
     variants: tuple[Variant, ...]
@@ -232,24 +241,24 @@ class Found(NamedTuple):
     best: Best
 
     @property
-    def over(self) -> Array:
-        """The mean square that it leaves of each channel, in error floors as high as may be."""
+    def relative_residual(self) -> Array:
+        """Return the mean square residual of each channel over the highest that noise explains."""
         left = mean_squares(self.problem, self.best.residual)
         return left / (MARGIN + NOISE_ERROR / math.sqrt(self.best.residual.size / left.size))
 
     @property
-    def left(self) -> bool:
-        """Whether it leaves more than the error floor, as far as that is known."""
-        return bool(self.over.max() > 1.0)
+    def unexplained(self) -> bool:
+        """Return whether the residual of a channel is more than noise and model error explain."""
+        return bool(self.relative_residual.max() > 1.0)
 
     @property
-    def given(self) -> float:
-        """The cost, in log prior density, of the deviations of the nominal parameters."""
-        return self.problem.given(self.best.theta)
+    def prior_cost(self) -> float:
+        """Return the negative log prior density of the nominal parameters, up to a constant."""
+        return self.problem.prior_cost(self.best.theta)
 
     @property
-    def as_given(self) -> 'Found':
-        """The same effects with all nominal parameters as they were given."""
+    def at_nominal(self) -> 'Found':
+        """Return the hypothesis with the fitted effects, but the nominal parameter values."""
         mean, precision = self.problem.prior
         theta = np.where(precision > 0.0, mean, self.best.theta)
         return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))

@@ -147,7 +147,7 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
             along, size), alone
 
     starts, gains = _starts(base, small), []
-    for n, value in enumerate(problem.each(gain, starts)):
+    for n, value in enumerate(problem.in_parallel(gain, starts)):
         gains.append(value)
         if n % 10 == 0:
             tick()

@@ -24,12 +24,12 @@ from asi_common.jit import FULL, LINEAR
 Values = dict[str, float]
 TOLERANCE = 0.2      # of the nominal parameters, where none is declared
 NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the noise is lower
-MODEL_ERROR = 0.005  # of a signal (rms): general error of any model
-RIGID_ERROR = 0.02   # and of a rigid model of gears, belts and cables
-PASS_S = 1.0
-SIMULATOR_ERROR = 0.001   # the same of the simulator's prediction
-# Nominal parameters that are uncertain, by the channel that they act on; of a block that is 'off'
-# they have no effect, and are left out.
+MODEL_ERROR = 0.005  # rms error of any model, as a share of the signal's rms
+RIGID_ERROR = 0.02   # the same of a rigid model of gears, belts and cables
+SIMULATOR_ERROR = 0.001   # the same of the simulator
+PASS_S = 1.0   # that a pass of the input of a static characteristic counts for
+# Uncertain nominal parameters, by the channel that they act on. Those of a block that is 'off' are
+# left out.
 UNCERTAIN = {
     'valve': ('valve_characteristic_gain', 'valve_flexure_coil_frequency',
               'valve_flexure_natural_frequency', 'valve_flexure_damping_ratio',
@@ -47,15 +47,16 @@ UNCERTAIN = {
              'load_locked_damping', 'force_sensor_mass_share', 'force_sensor_natural_frequency',
              'force_sensor_delay'),
 }
-# Formulation error of a nonlinearity of the nominal model, as a share of its contribution (the
-# difference with and without these fields); set, as MODEL_ERROR, on blind cases without effects.
+# Formulation error (rms) of a nonlinearity of the nominal model, as a share of its contribution:
+# the change of the output if these fields are 0. Set, as MODEL_ERROR, on blind cases without
+# effects.
 FORMULATION_ERROR = {
     'valve': ((('valve_hysteresis_radius',), 0.1),),
     'force': ((('friction_coulomb', 'friction_stiction_push', 'friction_stiction_pull'), 0.2),),
     'load': (),
 }
-# Free shape parameters of the nominal nonlinearities: formulations of the same size may differ in
-# their shape.
+# Free shape parameters of the nominal nonlinearities: two formulations of the same law differ in
+# shape, even if their size is the same.
 SHAPES = {
     'valve': (Free('valve_hysteresis_spread', 0.0, 1.5, (0.3,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.3,))),
@@ -71,9 +72,10 @@ class Group:
     """
     Channels that share parameters, and so are fitted together.
 
-    scale: units of the bounds of effects; noise: rms; error_floor: mean square residual of a
-    right model, by channel, from noise, the general model error and `formulation`, the error of
-    the nominal nonlinearities; effects: the candidates.
+    scale: units of the bounds of effects. By channel: noise: standard deviation; error_floor:
+    expected mean square residual of the right hypothesis, from noise, the general model error and
+    `formulation`, the mean square formulation error of the nominal nonlinearities. effects: the
+    candidates.
     """
 
     nominal: np.void
@@ -85,28 +87,28 @@ class Group:
     error_floor: Values = field(default_factory=dict)
     formulation: Values = field(default_factory=dict)
     effects: tuple[Effect, ...] = EFFECTS
-    given: np.void | None = None   # as nominal, but for what another group has found
-    valve: np.void | None = None   # the fit of the valve, which the force takes its position from
-    exact_substep_s: float = 0.0   # of the simulator
-    floor_measured: bool = False   # the error floor is what healthy recordings leave
-    floor_by_best: bool = False    # that of a fit shows how small the model error is
-    other_books: bool = False      # the simulator's laws may be formulated in another way
-    # Of a residual, by channel: the share of white noise's power that is judged, and the weight of
-    # each sample; of the simulator: the mean square error of laws of other books, beside its own.
+    given: np.void | None = None   # the nominal record, if `nominal` was changed by another group
+    valve: np.void | None = None   # the fit of the valve, from which the force gets its position
+    exact_substep_s: float = 0.0   # sub-step of the simulator that needs no correction
+    floor_measured: bool = False   # the error floor is the residual of healthy recordings
+    floor_by_best: bool = False    # the best residual limits the model error
+    other_formulation: bool = False   # the machine's laws are not formulated as the simulator's
+    # By channel: the share of white noise's power within the band of the residual; the weight of
+    # each sample; the mean square model error of laws that are formulated in another way.
     judged_share: Values = field(default_factory=dict)
     weight: Values = field(default_factory=dict)
     other_error: Values = field(default_factory=dict)
-    # Of the simulator's laws: shapes that are free, and those of them that the nominal model has.
+    # Free shape parameters of the simulator's laws, and the same, held near to its own shapes.
     shapes: tuple[Free, ...] = ()
     usual_shapes: tuple[Free, ...] = ()
-    passes: int = 0    # of the input of a static characteristic, however slow
+    passes: int = 0    # of the input of a static characteristic, in one direction
 
     @property
     def held_out_s(self) -> float:
         """
-        Return how many seconds are not fitted on: to choose or to report on.
+        Return the length of the held-out data (validation and test), s.
 
-        Of a static characteristic a pass counts as PASS_S, since its time says nothing.
+        A pass of a static characteristic counts as PASS_S, since its duration is arbitrary.
         """
         if self.passes:
             return PASS_S * self.passes
@@ -114,7 +116,7 @@ class Group:
 
     @property
     def as_given(self) -> np.void:
-        """Return the nominal record without what another group has found."""
+        """Return the nominal record without changes that come from another group."""
         return self.nominal if self.given is None else self.given
 
     @property
@@ -135,8 +137,8 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     """
     Return a group of channels, ready to be fitted.
 
-    model_error: rms of the general model error, as a share of the signal; floor_by_best: it is
-    smaller if some hypothesis leaves less.
+    model_error: general model error (rms) as a share of the signal's rms; floor_by_best: it is
+    smaller if the residual of a hypothesis is.
     """
     noise, error_floor, formulation = {}, {}, {}
     count = 1 + max(recording.number for recording in recordings)
@@ -165,7 +167,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
                     tolerance: float = TOLERANCE) -> Group:
     """Return a group of channels that the simulator itself predicts, ready to be fitted."""
     scale = _with_valve_force(_with_valve(scales(recordings), recordings, nominal), nominal)
-    # Of a coupling: that with which the load's mass oscillates at 100 Hz.
+    # The unit of a coupling's stiffness: with it the load's mass oscillates at 100 Hz.
     scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
               'inverse_force': 1.0 / scale['force']}
     count = 1 + max(recording.number for recording in recordings)
@@ -218,9 +220,9 @@ def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
 
 def with_simulated_valve(group: Group, valve: np.void) -> Group:
     """
-    Return a group with the valve of a record, and with less noise in the measured position.
+    Return a group with the valve parameters of a record, and a less noisy valve position.
 
-    The estimate is the simulated position, plus its error where that stands out of the noise.
+    The position is the simulated one, plus that part of its residual which is above the noise.
     """
     p = group.nominal.copy()
     for name in p.dtype.names or ():
@@ -236,9 +238,9 @@ def with_simulated_valve(group: Group, valve: np.void) -> Group:
 
 def with_less_noisy_valve(group: Group, valve: np.void) -> Group:
     """
-    Return a group that takes the valve position from a fit of the valve and its measurement.
+    Return a group whose valve position is estimated from its measurement and a fit of the valve.
 
-    The noise of the position alone would hide what little changes the force.
+    The noise of the measured position would mask small changes of the force.
     """
     if 'force' not in group.channels or not group.measures_valve:
         return group
@@ -256,7 +258,7 @@ def _with_less_noisy_valve(recording: Recording, valve: np.void) -> Recording:
 
 
 def with_fitted_start(group: Group, p: np.void) -> Group:
-    """Return a group whose recordings begin as those of a record do."""
+    """Return a group whose recordings have the initial states of a record."""
     def begun(record: np.void) -> np.void:
         record = record.copy()
         for name in record.dtype.names or ():
@@ -268,7 +270,7 @@ def with_fitted_start(group: Group, p: np.void) -> Group:
 
 
 def prepared_for(group: Group, recording: Recording) -> Recording:
-    """Return a recording with what the records of a group need to predict it."""
+    """Return a recording with the valve position from which a group predicts it."""
     if group.valve is not None:
         return _with_less_noisy_valve(recording, group.valve)
     if not simulator.of_simulator(group.nominal):
@@ -278,7 +280,7 @@ def prepared_for(group: Group, recording: Recording) -> Recording:
 
 
 def exact(group: Group, p: np.void) -> np.void:
-    """Return a record of a group that needs no corrections of the simulator's sub-step."""
+    """Return a record with the sub-step of the simulator that needs no correction."""
     if not group.exact_substep_s:
         return p
     p = p.copy()
@@ -287,16 +289,16 @@ def exact(group: Group, p: np.void) -> np.void:
 
 
 def recorrected(group: Group, p: np.void) -> Group:
-    """Return a group whose corrections of the simulator's sub-step are those of a record."""
+    """Return a group with the integration error of the sub-step corrected at a record."""
     return replace(group, recordings=simulator.corrected(
         group.recordings, group.channels, p, float(p['maximum_substep']), group.exact_substep_s))
 
 
 def with_lower_noise(group: Group, residual: Values) -> Group:
     """
-    Return a group whose noise is at most the residual of a model (mean squares).
+    Return a group whose noise is at most the residual of a model.
 
-    The noise of a slowly sampled signal is overestimated.
+    residual: mean square by channel. The noise estimate of a slowly sampled signal is too high.
     """
     noise = {channel: min(level, math.sqrt(residual[channel]))
              for channel, level in group.noise.items()}
@@ -308,7 +310,7 @@ def with_lower_noise(group: Group, residual: Values) -> Group:
 
 
 def _noise(recording: Recording, channel: str, p: np.void) -> float:
-    """Return the standard deviation of a channel's noise, with the propagated noise."""
+    """Return the standard deviation of a channel's noise, with that of the measured inputs."""
     noise, motion = recording.noise, recording.motion
     if channel == 'valve':
         return noise['valve_position']
@@ -322,7 +324,7 @@ def _noise(recording: Recording, channel: str, p: np.void) -> float:
 
 
 def _judged_noise(recording: Recording, channel: str, p: np.void) -> float:
-    """Return the rms noise of a channel; of a motion at least that in its band."""
+    """Return the rms noise of a channel; of a motion, at least that just above its band."""
     noise = _noise(recording, channel, p)
     if channel not in MOTIONS or recording.motion is None:
         return noise
@@ -331,13 +333,13 @@ def _judged_noise(recording: Recording, channel: str, p: np.void) -> float:
 
 
 def _range(signals: Sequence[Array | None]) -> float:
-    """Return the largest size of a signal over recordings, rare peaks left out."""
+    """Return the 99.9 % quantile of a signal's size, the largest over recordings; 1 if it is 0."""
     present = [np.quantile(np.abs(signal), 0.999) for signal in signals if signal is not None]
     return float(max(present, default=0.0)) or 1.0
 
 
 def scales(recordings: Sequence[Recording]) -> Values:
-    """Return the units of the bounds of effects: sizes of the signals."""
+    """Return the units of the bounds of effects, by the ranges of the signals."""
     motions = [recording.motion for recording in recordings if recording.motion]
     command = _range([recording.command for recording in recordings])
     force = _range([recording.force for recording in recordings])
@@ -354,7 +356,7 @@ def scales(recordings: Sequence[Recording]) -> Values:
 
 
 def _with_valve(scale: Values, recordings: Sequence[Recording], p: np.void) -> Values:
-    """Return scales whose valve position is that of the nominal model where none was measured."""
+    """Return scales with the nominal model's range of the valve position, if not measured."""
     if any(r.valve_position is not None or r.command is None for r in recordings):
         return scale
     return scale | {'valve_position': _range([predict(r, 'valve', p) for r in recordings])}
@@ -362,9 +364,9 @@ def _with_valve(scale: Values, recordings: Sequence[Recording], p: np.void) -> V
 
 def _with_valve_force(scale: Values, nominal: np.void) -> Values:
     """
-    Return scales whose force is at least what the valve gives.
+    Return scales whose force is at least the hydraulic force of the valve.
 
-    Before the sensor of a free load the oil, the seals and the damping hold most of that.
+    With a free load, damping and seals balance most of it, and the sensor measures little.
     """
     opening = min(scale['valve_position'] / float(nominal['valve_characteristic_full_opening']),
                   1.0)
@@ -375,7 +377,7 @@ def _with_valve_force(scale: Values, nominal: np.void) -> Values:
 
 
 def _is_modelled(name: str, nominal: np.void) -> bool:
-    """Return whether the nominal model has the block, or the load, that a parameter is of."""
+    """Return whether a parameter belongs to a block, or load, of the nominal model."""
     if name.startswith('load_locked') or name in ('load_stiffness', 'load_damping'):
         kind = ('locked', 'spring', 'free', 'prescribed')[int(nominal['load_type'])]
         return kind == ('locked' if name.startswith('load_locked') else 'spring')
@@ -393,8 +395,8 @@ def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
     chosen = {}
     for name in (name for channel in channels for name in UNCERTAIN[channel]):
         if nominal[name] != 0.0 and _is_modelled(name, nominal):
-            # Three uncertain parameters act on the valve position as a product; two of them
-            # cancel in the force.
+            # Three uncertain parameters act on the valve position as a product, of which the
+            # gain is the only free one; the other two cancel in the force.
             wide = name == 'valve_characteristic_gain' and valve_by_itself
             chosen[name] = Free(name, low ** 2 / high if wide else low,
                                 high ** 2 / low if wide else high, (1.0,), 'nominal')
@@ -406,14 +408,14 @@ def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
 
 def _shapes(shapes: Mapping[str, tuple[Free, ...]], channels: Sequence[str], nominal: np.void
             ) -> tuple[Free, ...]:
-    """Return the free shape parameters of the nominal laws."""
+    """Return the free shape parameters of the blocks of the nominal model."""
     return tuple(free for channel in channels for free in shapes.get(channel, ())
                  if _is_modelled(free.field, nominal)
                  and (free.scale != 'nominal' or nominal[free.field] != 0.0))
 
 
 def _formulation_error(recordings: Sequence[Recording], channel: str, p: np.void) -> float:
-    """Return the mean square formulation error of the nominal nonlinearities."""
+    """Return a channel's mean square formulation error of the nominal nonlinearities."""
     error = 0.0
     for fields, share in FORMULATION_ERROR[channel]:
         if _is_modelled(fields[0], p):
@@ -431,7 +433,7 @@ def _is_of_valve(field: str) -> bool:
 
 
 def channels_of(variant: Variant, group: Group) -> set[str]:
-    """Return the channels of a group that a variant shows in; none if it does not apply."""
+    """Return the channels of a group that a form of an effect acts on; none if not applicable."""
     if any(group.nominal[name] == 0.0 for name in variant.needs):
         return set()
     shows = set(variant.channels)

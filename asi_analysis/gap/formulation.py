@@ -1,7 +1,8 @@
 """
-A group of the simulator whose laws are its own, or are formulated as in other books.
+Model error and tolerances of a machine whose laws may not be formulated as the simulator's.
 
-What other formulations may leave, and how far nominal parameters may be off in them.
+Textbooks formulate friction, hysteresis and damping in several ways. With another formulation a
+model error remains, and a nominal parameter has a slightly different meaning.
 """
 
 from collections.abc import Sequence
@@ -13,18 +14,18 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import Group
 
-MEANT = 1.5               # times as wide is the tolerance of a nominal parameter of other books
-MODEL_SAMPLES = 100.0     # effective samples of the model error of a channel
+TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
+MODEL_SAMPLES = 100.0     # effective sample size of the model error of a channel
 
 
-def of_books(group: Group, other: bool) -> Group:
+def with_formulation(group: Group, other: bool) -> Group:
     """
-    Return a group of the simulator whose laws are its own, or those of `other` books.
+    Return a group with the error floor and tolerances of the simulator's own laws, or of others.
 
-    The error of these is that of any model, and of few independent samples; nominal parameters
-    mean a little else in them, and have a wider tolerance.
+    other: the laws are formulated in another way. Then the error floor holds a model error, which
+    has a small effective sample size, and the nominal parameters have wider tolerances.
     """
-    if group.other_books == other or group.floor_measured:
+    if group.other_formulation == other or group.floor_measured:
         return group
     floor, weight = {}, {}
     for channel, noise in group.noise.items():
@@ -33,14 +34,14 @@ def of_books(group: Group, other: bool) -> Group:
         count = sum(int(r.known.sum()) for r in group.recordings) * group.judged_share[channel]
         model = 1.0 - noise ** 2 / floor[channel]
         weight[channel] = 1.0 / (1.0 + count * model / MODEL_SAMPLES) if other else 1.0
-    moved = replace(group, other_books=other, error_floor=floor, weight=weight)
-    return replace(moved, nuisance=with_tolerance_of_books(group.nuisance, group, moved))
+    moved = replace(group, other_formulation=other, error_floor=floor, weight=weight)
+    return replace(moved, nuisance=with_tolerance_of_formulation(group.nuisance, group, moved))
 
 
-def with_tolerance_of_books(frees: Sequence[Free], before: Group, after: Group
+def with_tolerance_of_formulation(frees: Sequence[Free], before: Group, after: Group
                             ) -> tuple[Free, ...]:
-    """Return free parameters with their tolerance in a group after the books were changed."""
-    ratio = MEANT ** (after.other_books - before.other_books)
+    """Return free parameters with their tolerance after a change of the group's formulation."""
+    ratio = TOLERANCE_FACTOR ** (after.other_formulation - before.other_formulation)
     return tuple(free._replace(prior=ratio * free.prior) if free.scale == 'nominal' else free
                  for free in frees)
 
@@ -52,7 +53,7 @@ def model_error(group: Group) -> Array:
 
 
 def with_usual_shapes(group: Group, frees: Sequence[Free]) -> tuple[Free, ...]:
-    """Return free parameters; those of the shapes of the laws only as uncertain as all others."""
+    """Return free parameters with the simulator's own shapes of the laws, or near to them."""
     usual = {free.field: free for free in group.usual_shapes}
     return tuple(usual.get(free.field, free) if free in group.shapes else free for free in frees
                  if free not in group.shapes or free.field in usual)

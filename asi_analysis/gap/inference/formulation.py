@@ -1,0 +1,96 @@
+"""Judge whether a machine obeys the simulator's own laws, or laws formulated in another way."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from asi_analysis.arrays import Array
+from asi_analysis.gap.formulation import (
+    with_formulation,
+    with_tolerance_of_formulation,
+    with_usual_shapes,
+)
+from asi_analysis.gap.inference.evidence import equal_below
+from asi_analysis.gap.inference.posterior import Best, Found, mean_squares, most_probable
+from asi_analysis.gap.inference.probability import Names
+
+# A fit whose log posterior is farther below the best is given up; if that is so of the
+# simulator's own laws, the machine's are formulated in another way.
+COST_RANGE = 50.0
+HALVINGS = 8   # of the weight of the data, at most
+
+
+def in_best_formulation(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """
+    Return hypotheses with the error floor of the simulator's own laws, or of another formulation.
+
+    The laws are formulated in another way if the best hypothesis leaves more than the former
+    error floor, or needs other shape parameters of the laws. With a baseline, the error floor is
+    measured and kept.
+    """
+    if next(iter(found.values())).problem.group.floor_measured:
+        return dict(found)
+    best = _with_formulation(min(found.values(), key=lambda each: each.best.cost), False)
+    other = best.unexplained or _needs_other_shapes(best)
+    return in_formulation(found, other)
+
+
+def _with_formulation(found: Found, other: bool) -> Found:
+    """
+    Return a hypothesis, not refitted, with the error floor and tolerances of its formulation.
+
+    other: whether the laws are formulated in another way than the simulator's.
+    """
+    group = with_formulation(found.problem.group, other)
+    free = with_tolerance_of_formulation(found.problem.free, found.problem.group, group)
+    problem = replace(found.problem, group=group, free=free)
+    theta, residual = found.best.theta, problem.residual(found.best.theta)
+    return found._replace(problem=problem, best=Best(theta, problem.cost(theta, residual),
+                                                     residual))
+
+
+def in_formulation(found: Mapping[Names, Found], other: bool) -> dict[Names, Found]:
+    """Return all hypotheses with the error floor of that formulation; refitted if it changed."""
+    moved = {names: _with_formulation(each, other) for names, each in found.items()}
+    if next(iter(found.values())).problem.group.other_formulation != other:
+        moved = {names: each._replace(best=most_probable(each.problem, each.best.theta))
+                 for names, each in moved.items()}
+    if not other:
+        return moved
+    best = min(moved.values(), key=lambda each: each.best.cost)
+    equal = equal_below(best)
+    return {names: _nearest_to_nominal(each, equal) for names, each in moved.items()}
+
+
+def _nearest_to_nominal(found: Found, equal: Array) -> Found:
+    """
+    Return a hypothesis with parameters as near to the nominal values as the model error allows.
+
+    equal: mean square residual of each channel, in error floors, that the model error explains.
+    The weight of the data is halved as long as the residual stays below it (the discrepancy
+    principle, Morozov 1966).
+    """
+    problem, theta = found.problem, found.best.theta
+    for _ in range(HALVINGS):
+        group = problem.group
+        problem = replace(problem, group=replace(group, weight={
+            channel: 0.5 * weight for channel, weight in group.weight.items()}))
+        near = most_probable(problem, theta)
+        if (mean_squares(problem, near.residual) > equal).any():
+            break
+        theta = near.theta
+    residual = found.problem.residual(theta)
+    return found._replace(best=Best(theta, found.problem.cost(theta, residual), residual))
+
+
+def _needs_other_shapes(found: Found) -> bool:
+    """Return whether the simulator's own shapes of the laws, refitted, fit far worse."""
+    group, free = found.problem.group, with_usual_shapes(found.problem.group, found.problem.free)
+    if free == found.problem.free:
+        return False
+    values, problem = found.problem.record(found.best.theta), replace(found.problem, free=free)
+    theta = np.array([problem.parameter(each).share(float(
+        (values if each in found.problem.free else group.nominal)[each.field])) for each in free])
+    goal = found.best.cost + COST_RANGE
+    return most_probable(problem, theta, goal=goal).cost > goal
