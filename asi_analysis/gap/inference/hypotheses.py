@@ -1,7 +1,8 @@
 """
-Fit the hypotheses: the nominal model, each effect, and combinations of the best, and weigh them.
+Fit the hypotheses: the nominal model, single effects, and combinations of the best.
 
-Each group of channels is weighed by itself, since each block is driven by its measured input.
+Then compute their probabilities, in each group of channels by itself, since each block is driven
+by its measured input.
 """
 
 import itertools
@@ -59,31 +60,33 @@ from asi_analysis.gap.model.predict import propagated_noise
 from asi_analysis.gap.model.static import as_limit, at_the_end
 from asi_common.record import field_name
 
-NOISE_UNCERTAINTY = 0.2   # of the mean square of the propagated noise
-# Single effects that are fitted, after the linear screen; how many of them get a second effect,
-# how many second effects are fitted to each, and in how many variants each effect is fitted.
-SINGLES, FOLLOWED, SECONDS, FORMS = 8, 3, 4, 2
-LEAST_EXPLAINED = 0.002   # of the cost: an effect that lowers it by less has size zero
-LEAST_SCREENED_GAIN = 0.04   # of the cost, in the linear screen: below it no fit is made
-# How many fits are polished, of those with at most this multiple of the least cost.
-POLISHED, RIVAL = 4, 4.0
-RETRIED = 3        # hypotheses from whose parameters the null fit is repeated
-AS_WELL = 0.003    # of the cost: what a further parameter of a form must save
-# Of the probability of something unknown of a characteristic: that a disturbance explains it that
-# keeps step with the input, or three effects that each change its shape.
-STRANGE = 0.4
-# A delay and a lag, of a servo or of the drive of a joint.
-LATE = ('command_delay', 'valve_lag', 'drive_delay', 'drive_lag')
+NOISE_UNCERTAINTY = 0.2   # of the mean square propagated noise, relative
+# After the linear screen so many single effects are fitted; so many of these get a second effect;
+# so many second effects are fitted to each; and each effect is fitted in so many forms.
+SINGLES, EXTENDED, SECONDS, FORMS = 8, 3, 4, 2
+# As shares of the cost: an effect that lowers it by less has size zero; if the linear screen
+# expects less of an effect, it is not fitted.
+LEAST_EXPLAINED = 0.002
+LEAST_SCREENED_GAIN = 0.04
+# So many of the best fits are completed, if their cost is at most this multiple of the least.
+POLISHED, POLISHED_RATIO = 4, 4.0
+NULL_RESTARTS = 3   # the fit of the nominal model is repeated from so many other hypotheses
+PARAMETER_PRICE = 0.003   # share of the cost by which a further parameter must lower it
+# Of a static characteristic: the share of the probability of `unknown` that an implausible
+# hypothesis gets: a disturbance in step with the input, or three effects on the curve's shape.
+IMPLAUSIBLE_SHARE = 0.4
+# Fields of delays and lags, of a servo or of the drive of a joint.
+DELAYS_AND_LAGS = ('command_delay', 'valve_lag', 'drive_delay', 'drive_lag')
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
-# Of a servo: a fit that leaves at most this multiple of the noise (mean squares) shows that the
-# model error is small: the floor is then what it leaves, with this margin.
-NEAR, MARGIN = 9.0, 2.0
-NOTHING = 1e-12    # of the error floor: what a perfect model leaves
-SUFFICIENT = 0.8   # times the error floor: below it no further effect is tried
+# Of a servo: if a fit leaves at most QUIET_RATIO times the noise variance, the model error is
+# small, and the error floor is the residual of that fit times FLOOR_MARGIN (mean squares).
+QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
+SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
+SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
 
 class Candidate(NamedTuple):
-    """A hypothesis of a group: its effects, their variants and the best fit."""
+    """A hypothesis of a group: its effects, their forms and the best fit."""
 
     names: Names
     variants: tuple[Variant, ...]
@@ -113,20 +116,20 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                          if channels_of(variant, group) and not variant.joined]
         for effect in group.effects}
     found |= _fit_best_screened(group, null, choices, SINGLES, tick)
-    found |= _refitted_kin(group, found)
+    found |= _refitted_friction(group, found)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: c.fitted.cost)
-    null = refit(group, null, [single.fitted for single in singles[:RETRIED]])
+    null = refit(group, null, [single.fitted for single in singles[:NULL_RESTARTS]])
     found[()] = Candidate((), (), null)
     if not singles or excess(group, singles[0].fitted.held_out) < SUFFICIENT:
         return found
-    for first in singles[:FOLLOWED]:
+    for first in singles[:EXTENDED]:
         found |= _extended(first, found, tick)
     found |= _refitted_pairs(group, found)
     pairs = [candidate for names, candidate in found.items() if len(names) == 2]
     if pairs:
         found |= _extended(min(pairs, key=lambda c: c.fitted.cost), found, tick)
-    for first in singles[:FOLLOWED]:
+    for first in singles[:EXTENDED]:
         richer = sorted((c.fitted for names, c in found.items()
                          if len(names) == 2 and set(first.variants) <= set(c.variants)),
                         key=lambda fitted: fitted.cost)
@@ -135,40 +138,40 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     return found | _pruned(group, found)
 
 
-def _refitted_kin(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+def _refitted_friction(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
     """
-    Return effects with a higher cost than one of their kin, fitted again from its parameters.
+    Return effects that fit worse than another one with a common parameter, refitted from that.
 
-    Kinds of friction share a level: what is not told from a screen, how far it gives way before it
-    slides, is the same for each.
+    Friction effects share a level. The linear screen does not tell the pre-sliding displacement,
+    which is the same for each of them.
     """
     better: dict[Names, Candidate] = {}
     for names, candidate in found.items():
         fields = {free.field for variant in candidate.variants for free in variant.free}
-        kin = min((each for each in found.values() if each.names != names and fields & {
+        related = min((each for each in found.values() if each.names != names and fields & {
             free.field for variant in each.variants for free in variant.free}),
             key=lambda each: each.fitted.cost, default=candidate)
-        if kin.fitted.cost < candidate.fitted.cost:
+        if related.fitted.cost < candidate.fitted.cost:
             better[names] = candidate._replace(
-                fitted=refit(group, candidate.fitted, [kin.fitted]))
-    return better | _refitted_late(group, found)
+                fitted=refit(group, candidate.fitted, [related.fitted]))
+    return better | _refitted_delays(group, found)
 
 
-def _refitted_late(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+def _refitted_delays(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
     """
-    Return a lag or a delay with a higher cost than the other, fitted again from that.
+    Return a lag or a delay that fits worse than the other, refitted from the other's value.
 
-    What is late may be split between it and a servo in several ways, each a local minimum.
+    The total delay can be shared with the servo's own lag in several ways: local minima.
     """
     late = {name: names for names, each in found.items() if len(names) == 1
-            for name in LATE if each.fitted.values.get(name)}
+            for name in DELAYS_AND_LAGS if each.fitted.values.get(name)}
     better: dict[Names, Candidate] = {}
     for field, other in itertools.permutations(late, 2):
         own, rival = found[late[field]], found[late[other]]
         if rival.fitted.cost < own.fitted.cost:
             p = rival.fitted.record.copy()
             p[field], p[other] = p[other], 0.0
-            if f'{field}_split' in own.fitted.values:   # two equal poles are most like a delay
+            if f'{field}_split' in own.fitted.values:   # two equal poles: nearest to a delay
                 p[f'{field}_split'] = 0.5
             again = rival.fitted._replace(record=p)
             better[late[field]] = own._replace(fitted=refit(group, own.fitted, [again]))
@@ -176,7 +179,7 @@ def _refitted_late(group: Group, found: dict[Names, Candidate]) -> dict[Names, C
 
 
 def _refitted_pairs(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
-    """Return pairs with a higher cost than one of their effects alone, fitted again from that."""
+    """Return pairs that fit worse than one of their effects alone, refitted from that."""
     better: dict[Names, Candidate] = {}
     for names, pair in found.items():
         if len(names) == 2:
@@ -190,9 +193,9 @@ def _refitted_pairs(group: Group, found: dict[Names, Candidate]) -> dict[Names, 
 
 def _pruned(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
     """
-    Return the best hypothesis without one of its effects, where that improves the known fit.
+    Return the best hypothesis without one of its effects, where that improves the smaller one.
 
-    A single effect may have been fitted in a variant that is not the best one in combination.
+    A single effect may have been fitted in a form that is not the best one in a combination.
     """
     best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
     better: dict[Names, Candidate] = {}
@@ -210,7 +213,7 @@ def _extended(first: Candidate, found: dict[Names, Candidate], tick: Callable[[]
            ) -> dict[Names, Candidate]:
     """Return a hypothesis extended by one effect, for the best effects of the linear screen."""
     group = first.fitted.problem.group
-    # Guesses improve with the first effect fitted; those that its own bounds use stay.
+    # With the first effect fitted, initial guesses improve; those in its own bounds are kept.
     group = replace(group, scale=group.scale | {
         name: value for name, value in initial_guesses(first.fitted).items()
         if name not in {free.scale for free in first.fitted.free}})
@@ -226,19 +229,20 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
                     reached: Mapping[Names, float] = MappingProxyType({})
                     ) -> dict[Names, Candidate]:
     """
-    Fit the hypotheses and variants with the lowest cost in the linear screen.
+    Return the fits of the hypotheses with the lowest cost in the linear screen.
 
-    reached: costs of hypotheses that were fitted from another base; they are fitted again if the
-    screen expects a lower cost from this one.
+    choices: alternative forms of each hypothesis; most: number of hypotheses that are fitted, in
+    at most `forms` forms each; reached: costs of hypotheses that were fitted from another base;
+    they are fitted again if the screen expects a lower cost from this one.
     """
     if not choices:
         return {}
     screen = LinearScreen(base)
     screened = []
-    for names, ways in choices.items():
+    for names, alternatives in choices.items():
         costs = [(screen.cost(group, variants), number)
-                 for number, variants in enumerate(ways)]
-        screened += [(cost, names, ways[number]) for cost, number in sorted(costs)[:forms]
+                 for number, variants in enumerate(alternatives)]
+        screened += [(cost, names, alternatives[number]) for cost, number in sorted(costs)[:forms]
                      if cost < (1.0 - LEAST_SCREENED_GAIN) * min(base.cost,
                                                            reached.get(names, math.inf))]
         tick()
@@ -252,21 +256,21 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
             if fitted.cost < best:
                 found[names] = Candidate(names, variants, fitted)
     least = sorted(candidate.fitted.cost for candidate in found.values())[:POLISHED]
-    limit = min(RIVAL * least[0], least[-1]) if least else 0.0
+    limit = min(POLISHED_RATIO * least[0], least[-1]) if least else 0.0
     return {names: candidate._replace(fitted=polish(group, candidate.fitted))
             if candidate.fitted.cost <= limit else candidate
             for names, candidate in found.items()}
 
 
 def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:
-    """Return whether a variant acts on a channel whose residual is above the error floor."""
+    """Return whether a form acts on a channel with a residual above the error floor."""
     return any(fitted.held_out[channel] > SUFFICIENT * group.error_floor[channel]
                for channel in channels_of(variant, group))
 
 
 def _second_effects(group: Group, first: Candidate, effect: Effect
                     ) -> Iterable[tuple[Variant, ...]]:
-    """Return the variants of a further effect that are compatible with the first, joined to it."""
+    """Yield the forms of a first hypothesis with each compatible form of a further effect."""
     fixed = dict(pair for variant in first.variants for pair in variant.fixed)
     friction = any('friction_level' in {free.field for free in variant.free}
                    for variant in first.variants)
@@ -283,14 +287,15 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     """
     Return the evidence of a group's hypotheses.
 
-    Residuals are reduced by the propagated noise in excess of that of the nominal model, so that
-    they can be compared. The noise level is at most what all residuals allow.
+    Hypotheses propagate the noise of their measured inputs differently. To be comparable, each
+    residual is reduced by its propagated noise in excess of that of the nominal model. The noise
+    variance is lowered if a residual is smaller than it.
     """
     best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
     noise = {channel: level ** 2 for channel, level in group.noise.items()}
     propagated = {names: _propagated_noise(group, candidate.fitted)
                   for names, candidate in found.items()}
-    residual = {names: {channel: max(left, NOTHING * group.error_floor[channel])
+    residual = {names: {channel: max(left, SMALLEST_RESIDUAL * group.error_floor[channel])
                         for channel, left in candidate.fitted.held_out.items()}
                 for names, candidate in found.items()}
     for channel, level in noise.items():
@@ -298,7 +303,7 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         share = min(1.0, *(residual[names][channel] / (level + more[names] + 1e-300)
                            for names in found))
         for names in found:
-            # Within its uncertainty, the propagated noise that leaves the common noise level.
+            # The excess, within its uncertainty, that leaves the common noise variance.
             ends = [factor * more[names] for factor in (
                 share * (1.0 - NOISE_UNCERTAINTY), 1.0 + NOISE_UNCERTAINTY)]
             above = residual[names][channel] - share * level
@@ -307,8 +312,8 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
                 LEAST_RESIDUAL * residual[names][channel])
     floor = group.error_floor
     least = {channel: min(each[channel] for each in residual.values()) for channel in floor}
-    if group.floor_by_best and all(least[name] < NEAR * noise[name] for name in floor):
-        floor = {name: min(level, MARGIN * max(noise[name], least[name]))
+    if group.floor_by_best and all(least[name] < QUIET_RATIO * noise[name] for name in floor):
+        floor = {name: min(level, FLOOR_MARGIN * max(noise[name], least[name]))
                  for name, level in floor.items()}
     return Evidence(
         noise, floor, group.formulation,
@@ -316,12 +321,12 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         {names: len({free.field.partition('@')[0] for variant in candidate.variants
                      for free in variant.free})
          for names, candidate in found.items()},
-        {names: _far_off(candidate, group) for names, candidate in found.items()},
+        {names: _log_odds_against_values(candidate, group) for names, candidate in found.items()},
         group.floor_measured)
 
 
-def _far_off(candidate: Candidate, group: Group) -> float:
-    """Return the log prior odds against the distance of parameters beyond their tolerance."""
+def _log_odds_against_values(candidate: Candidate, group: Group) -> float:
+    """Return the log prior odds against the values of parameters beyond their tolerance."""
     return sum(log_odds_against(candidate.fitted.values[free.field]
                                 / float(group.nominal[free.field]))
                for effect in group.effects if effect.name in candidate.names
@@ -337,7 +342,7 @@ def _propagated_noise(group: Group, fitted: Fitted) -> Values:
 
 
 def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
-    """Return a group with the probability of every hypothesis, `unknown` among them."""
+    """Return a group with the probability of every hypothesis, with `unknown`."""
     effective = effective_hypotheses(found)
     evidence = evidence_of(group, effective)
     constants = CONSTANTS   # with a baseline, too: the model error is measured then
@@ -351,8 +356,8 @@ def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate
     """
     Return the hypotheses in which every effect lowers the cost.
 
-    An effect that was fitted to size zero equals the hypothesis without it, and would take a share
-    of its probability.
+    With an effect of size zero, a hypothesis equals the one without that effect, and would share
+    its probability.
     """
     def explains(candidate: Candidate) -> bool:
         return all(candidate.fitted.cost < (1.0 - LEAST_EXPLAINED) * found[part].fitted.cost
@@ -373,7 +378,7 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
             valve = weighed[0].candidates[best].fitted
             group = with_less_noisy_valve(with_known_gain(group, valve), valve.record)
         null = fit_null(group)
-        # That of a characteristic is measured, or that of a perfect line, which leaves nothing.
+        # The noise of a static characteristic is measured; a perfect line has none.
         if group.channels != ('static',) and (
                 quieter := with_lower_noise(group, null.held_out)) is not group:
             group, null = quieter, fit_null(quieter)
@@ -388,8 +393,9 @@ def _weigh_static(group: Group, null: Fitted, found: dict[Names, Candidate]) -> 
     """
     Return the group of a static characteristic with the probability of every hypothesis.
 
-    Its forms are nested. A disturbance that keeps step with the input, or a shape made of three
-    effects, counts only if nothing else explains the gap, and then less than something unknown.
+    The simplest of the nested forms is taken. An implausible hypothesis (a disturbance in step
+    with the input, or three effects on the shape) counts only if no other explains the gap, and
+    is then less probable than `unknown`.
     """
     every: dict[Names, Candidate] = {}
     for each in found.values():
@@ -401,17 +407,18 @@ def _weigh_static(group: Group, null: Fitted, found: dict[Names, Candidate]) -> 
         known = every.get(simple.names)
         if known is None or simple.fitted.cost < known.fitted.cost:
             every[simple.names] = simple
-    strange = {names: each for names, each in every.items()
-               if _of_the_input(group, each) or len(SHAPES & set(names)) > 2}
-    weighed = weigh(group, {names: each for names, each in every.items() if names not in strange})
-    likely = max(weighed.probability, key=lambda names: weighed.probability[names])
-    if UNKNOWN not in likely or not strange:
+    implausible = {names: each for names, each in every.items()
+                   if _has_disturbance_in_step(group, each) or len(SHAPES & set(names)) > 2}
+    weighed = weigh(group, {names: each for names, each in every.items()
+                            if names not in implausible})
+    most_probable = max(weighed.probability, key=lambda names: weighed.probability[names])
+    if UNKNOWN not in most_probable or not implausible:
         return weighed
-    best = min(strange.values(), key=lambda each: each.fitted.cost)
+    best = min(implausible.values(), key=lambda each: each.fitted.cost)
     outside = sum(p for names, p in weighed.probability.items() if UNKNOWN in names)
-    # So that it stays below the most probable of the others.
-    share = min(STRANGE, 0.9 * weighed.probability[likely] / (
-        outside + weighed.probability[likely]))
+    # At most so much that it stays less probable than the best of the others.
+    share = min(IMPLAUSIBLE_SHARE, 0.9 * weighed.probability[most_probable] / (
+        outside + weighed.probability[most_probable]))
     chance = {names: p * (1.0 - share if UNKNOWN in names else 1.0)
               for names, p in weighed.probability.items()}
     chance[best.names] = share * outside
@@ -420,39 +427,39 @@ def _weigh_static(group: Group, null: Fitted, found: dict[Names, Candidate]) -> 
 
 
 def _simplest(group: Group, null: Fitted, found: Candidate) -> Candidate:
-    """Return a hypothesis in the forms with the fewest parameters that fit as well."""
+    """Return a hypothesis in those nested forms that fit as well with the fewest parameters."""
     for effect in (each for each in group.effects if each.name in found.names):
         own = next(each for each in found.variants if each in effect.variants)
         forms = {own: found.fitted}
         for form in effect.variants:
-            if _fields(form) < _fields(own) or _fields(form) > _fields(own):
+            if _fields_of(form) < _fields_of(own) or _fields_of(form) > _fields_of(own):
                 forms[form] = fit_subset(group, null, tuple(
                     form if each is own else each for each in found.variants), found.fitted)
-        best = min(forms, key=lambda form: forms[form].cost * (1.0 + AS_WELL * len(form.free))
-                   + len(form.free))
+        best = min(forms, key=lambda form: len(form.free)
+                   + forms[form].cost * (1.0 + PARAMETER_PRICE * len(form.free)))
         found = found._replace(fitted=forms[best], variants=tuple(
             best if each is own else each for each in found.variants))
     return found
 
 
-def _fields(variant: Variant) -> set[str]:
+def _fields_of(variant: Variant) -> set[str]:
     return {free.field for free in variant.free}
 
 
 def _with_limit(group: Group, null: Fitted, found: Candidate) -> Candidate:
-    """Return a hypothesis with a limit of the output in place of a dead band at an end."""
+    """Return a hypothesis with a saturation in place of a dead band at an end of the range."""
     p, field = as_limit(found.fitted.record)
     effects = {effect.name: effect for effect in group.effects}
     band, limit = effects['valve_deadband'], effects['valve_saturation']
-    form = next(each for each in limit.variants if _fields(each) == {field, 'corner'})
+    form = next(each for each in limit.variants if _fields_of(each) == {field, 'corner'})
     variants = tuple(form if each in band.variants else each for each in found.variants)
     names = tuple(sorted(limit.name if name == band.name else name for name in found.names))
     return Candidate(names, variants, fit_subset(group, null, variants,
                                                  found.fitted._replace(record=p)))
 
 
-def _of_the_input(group: Group, found: Candidate) -> bool:
-    """Return whether a hypothesis has a disturbance that keeps step with the input."""
+def _has_disturbance_in_step(group: Group, found: Candidate) -> bool:
+    """Return whether a hypothesis has a disturbance in step with the input in each recording."""
     values = found.fitted.values
     return 'disturbance_frequency' in values and all(
         in_step(r, values[of_recording('disturbance_frequency', r.number)])
@@ -463,7 +470,7 @@ def with_parameter_errors(group: Group, null: Fitted) -> Group:
     """
     Return a group with hypotheses of nominal parameters beyond their tolerance.
 
-    One for each parameter at a limit in the null fit that is not a parameter of an effect.
+    One for each nominal parameter that is at a bound in the null fit and belongs to no effect.
     """
     dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
     held = {free.field for effect in group.effects for variant in effect.variants
@@ -476,5 +483,5 @@ def with_parameter_errors(group: Group, null: Fitted) -> Group:
 
 
 def join(groups: Sequence[Weighed]) -> dict[Names, float]:
-    """Return the probability of every hypothesis about all groups together."""
+    """Return the joint probability of every combination of one hypothesis of each group."""
     return join_probabilities([weighed.probability for weighed in groups])

@@ -1,8 +1,8 @@
 """
-How each effect of the vocabulary may look in the simulator: the parameters that a fit frees.
+The forms of each effect of the vocabulary in the simulator: the parameters that are free in a fit.
 
-Bounds and starts are in units of the recording; see `Free`. Block and description of an effect are
-with the physics, in asi_actuator/model/effects.py.
+Bounds and starts are in units of the recording; see `Free`. The block and the description of each
+effect are with the physics, in asi_actuator/model/effects.py.
 """
 
 from asi_actuator.model import effects as declared
@@ -20,7 +20,7 @@ TIMES = (0.0005, 0.002, 0.008)
 
 def _scaled(field: str, low: float = 0.0, high: float = 20.0,
             starts: tuple[float, ...] = (1.7, 0.4)) -> Free:
-    """Return a nominal parameter, free in multiples of itself."""
+    """Return a free nominal parameter; bounds and starts are multiples of its nominal value."""
     return Free(field, low, high, starts, 'nominal')
 
 
@@ -105,7 +105,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'coulomb_friction': (
         _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (2.0, 0.4, 6.0)),
               needs=('friction_model',)),
-        # Books add it to the breakaway, too.
+        # In some formulations the breakaway force grows with Coulomb friction.
         _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (3.0, 0.4)), *_BREAKAWAY,
               needs=('friction_model',)),
     ),
@@ -159,7 +159,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         _form(SENSOR, Free('force_sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
               Free('force_sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2')),),
 }
-# Effects with one established law; see `Effect`.
+# Effects that textbooks formulate in one way only; see `Effect`.
 EXACT = frozenset(FORMS) - {'valve_hysteresis', 'friction_asymmetry', 'backlash'}
 EFFECTS = tuple(Effect(effect.name, effect.block, effect.description, FORMS[effect.name],
                        effect.name in EXACT)
@@ -182,10 +182,10 @@ UNCERTAIN = {
               'load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
               'load_locked_damping', 'force_sensor_mass_share'),
 }
-# How the nominal laws are formulated, by the channel: free in every fit, since books differ. Of
-# the hysteresis: how round the corners of its loop are. Of friction: how sliding sets in, from
-# Dupont's elasto-plastic bristle to Dahl's and LuGre's, how the seals damp the motion that deforms
-# them, and how friction falls to Coulomb's.
+# Shape parameters of the nominal laws, by channel: free in every fit, since textbooks formulate
+# these laws differently. Of the hysteresis: how round the corners of its loop are. Of friction:
+# how sliding begins (from Dupont's elasto-plastic bristle to Dahl's and LuGre's), the damping of
+# the pre-sliding displacement, and the Stribeck velocity.
 SHAPES = {
     'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),),
     'force': (Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),

@@ -395,8 +395,8 @@ def _nuisance(nominal: np.void, channels: Sequence[str], tolerance: float,
     chosen = {}
     for name in (name for channel in channels for name in UNCERTAIN[channel]):
         if nominal[name] != 0.0 and _is_modelled(name, nominal):
-            # Three uncertain parameters act on the valve position as a product, of which the
-            # gain is the only free one; the other two cancel in the force.
+            # The valve position is proportional to gain * full opening / maximum force. Only the
+            # gain is free there, so it gets the tolerance of all three.
             wide = name == 'valve_characteristic_gain' and valve_by_itself
             chosen[name] = Free(name, low ** 2 / high if wide else low,
                                 high ** 2 / low if wide else high, (1.0,), 'nominal')
