@@ -34,10 +34,11 @@ from asi_analysis.gap.inference.uncertainty import (
     interval,
     likelihood,
 )
-from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, UNKNOWN, Free, block_of
+from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, PARAMETER, UNKNOWN, Free, block_of
 from asi_analysis.gap.model.group import (
     SIMULATOR_ERROR,
     TOLERANCE,
+    VALVE_GAIN,
     Group,
     make_group,
     simulator_group,
@@ -325,6 +326,8 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
         ) / max(shrink.noise_floor, 1e-9))
     named = {channel for weighed in diagnosis.groups if diagnosis.best(weighed).names
              for channel in weighed.group.channels}
+    if PARAMETER + DOTTED[VALVE_GAIN] in diagnosis.verdict:   # found with what follows the valve
+        named.add('valve')
     return max([shrink for shrink in shown if shrink.channel in named] or shown, key=explained)
 
 

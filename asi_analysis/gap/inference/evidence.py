@@ -69,8 +69,9 @@ def _log_posterior(found: Found, counts: Array, level: Array, model: Array, equa
     """
     mean, precision = found.problem.prior
     left = np.maximum(mean_squares(found.problem, found.best.residual), equal)
-    normal = precision > 0.0
+    normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
     return (-0.5 * float(counts @ np.log((left + model) / (level + model)))
+            - 0.5 * float(others @ others)
             - 0.5 * float(precision @ (found.best.theta - mean) ** 2)
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
             - ODDS_AGAINST * len(found.names))
@@ -86,9 +87,10 @@ def _log_volume(found: Found, share: Array, model: Array) -> float:
     problem, theta = found.problem, found.best.theta
     precision = problem.prior[1]
     left = mean_squares(problem, found.best.residual)
-    slopes = problem.jacobian(theta)
-    weight = np.repeat(share / power(problem.group) / (left + model), slopes.shape[0] // left.size)
-    square = slopes.T @ (weight[:, None] * slopes) + np.diag(precision)
+    of_channels, others = problem.split(problem.jacobian(theta))
+    weight = share / power(problem.group) / (left + model)
+    square = (np.einsum('c,cni,cnj->ij', weight, of_channels, of_channels, optimize=True)
+              + others.T @ others + np.diag(precision))
     normal = precision > 0.0
     # Of a uniform prior, the volume is at most the range.
     square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())

@@ -21,8 +21,15 @@ from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import Fitted, Problem, held_out_error
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import Free, Variant
-from asi_analysis.gap.model.group import Group, exact
+from asi_analysis.gap.model.group import (
+    MODEL_ERROR,
+    VALVE_GAIN,
+    Group,
+    exact,
+    with_valve_gain,
+)
 from asi_analysis.gap.model.predict import judged_error
+from asi_analysis.gap.model.simulator import metres_per_newton
 from asi_analysis.gap.model.start import MEMORIES
 
 STEP = 1e-4       # of a parameter's range, for finite differences
@@ -81,7 +88,24 @@ class Posterior(Problem):
             scale = math.sqrt(self.group.weight[channel] / self.group.error_floor[channel])
             parts += [scale * judged_error(r, channel, p)[r.known]
                       for r in self.group.recordings if r.known.any()]
-        return np.concatenate(parts)
+        return np.concatenate([*parts, self._valve_gain_residual(p)])
+
+    def _valve_gain_residual(self, p: np.void) -> Array:
+        """Return the residual of the valve's gain; empty if that was not measured."""
+        known = self.group.valve_gain
+        return np.array([] if known is None else [
+            math.log(metres_per_newton(p) / known) / MODEL_ERROR])
+
+    def split(self, rows: Array) -> tuple[Array, Array]:
+        """
+        Return the rows of a residual or Jacobian: by channel (channels, samples, ...), and others.
+
+        The others: of the gain of the valve, if it was measured.
+        """
+        others = int(self.group.valve_gain is not None)
+        of_channels, rest = np.split(rows, [rows.shape[0] - others])
+        count = len(self.group.channels)
+        return of_channels.reshape(count, -1, *rows.shape[1:]), rest
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = NONE,
                  base: Array | None = None) -> Array:
@@ -121,6 +145,16 @@ class Posterior(Problem):
         return (np.array([each.share(each.nominal) for each in parameters]),
                 np.array([each.prior ** -2.0 for each in parameters]))
 
+    @property
+    def nominal(self) -> Array:
+        """Return the nominal parameter values, with the gain of the valve that was measured."""
+        theta = self.prior[0]
+        for number, free in enumerate(self.free):
+            if free.field == VALVE_GAIN:
+                p = with_valve_gain(self.group, self.record(theta))
+                theta[number] = self.parameter(free).share(float(p[VALVE_GAIN]))
+        return theta
+
 
 class Best(NamedTuple):
     """The most probable parameters: shares of the ranges, negative log posterior, residual."""
@@ -131,7 +165,8 @@ class Best(NamedTuple):
 
 
 def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
-                  known: Mapping[str, Array] = NONE, goal: float = math.inf) -> Best:
+                  known: Mapping[str, Array] = NONE, goal: float = math.inf,
+                  converged: float = CONVERGED) -> Best:
     """
     Return the most probable parameters, from a start.
 
@@ -142,6 +177,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     times. At the end, initial states with memory (flux, seals) are scanned over their whole
     range: their influence ends at a reversal of the motion, so that gradients mislead.
     goal: a cost; a fit that will not reach it, by its rate or its Jacobian, is given up.
+    converged: the last round gains less than GAIN and this share of the cost.
     """
     mean, precision = problem.prior
 
@@ -174,12 +210,12 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             fresh = False
             continue
         rounds -= 1
-        ends = fresh and before - cost <= GAIN + CONVERGED * before
+        ends = fresh and before - cost <= GAIN + converged * before
         if ends and rounds > 0:
             there = min(_scanned_memories(problem, theta), default=theta, key=problem.cost)
             value_there = problem.residual(there)
             cost_there = problem.cost(there, value_there)
-            if cost - cost_there > GAIN + CONVERGED * cost:
+            if cost - cost_there > GAIN + converged * cost:
                 theta, value, cost, ends = there, value_there, cost_there, False
         if rounds < 1 or ends or cost - rounds * (since - cost) > goal:
             return Best(theta, cost, value)
@@ -218,7 +254,7 @@ def fitted(problem: Posterior, best: Best) -> Fitted:
 
 def mean_squares(problem: Posterior, residual: Array) -> Array:
     """Return the mean square residual of each channel within its band, in error floors."""
-    rows = residual.reshape(len(problem.group.channels), -1)
+    rows, _ = problem.split(residual)
     return np.mean(rows ** 2, axis=1) / power(problem.group)
 
 
@@ -259,6 +295,6 @@ class Found(NamedTuple):
     @property
     def at_nominal(self) -> 'Found':
         """Return the hypothesis with the fitted effects, but the nominal parameter values."""
-        mean, precision = self.problem.prior
-        theta = np.where(precision > 0.0, mean, self.best.theta)
+        _, precision = self.problem.prior
+        theta = np.where(precision > 0.0, self.problem.nominal, self.best.theta)
         return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))

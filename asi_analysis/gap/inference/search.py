@@ -39,8 +39,9 @@ from asi_analysis.gap.inference.probability import (
     with_unknown,
 )
 from asi_analysis.gap.inference.screen import Start, screen
-from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, Free, Variant, block_of
+from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
+    VALVE_GAIN,
     Group,
     acts_on,
     recorrected,
@@ -79,64 +80,46 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     recordings, so a residual is `unknown`.
     """
     valve, *others = groups
-    first = _explained([valve], tick, alone)
+    valve, gain = _with_free_gain(valve) if others else (valve, None)
+    first = _explained(valve, tick, alone)
     if first is None or not others:
         return None if first is None else [first.weighed]
     rest, = others
-    rivals = [first.weighed, *_equivalent_valves(first.weighed)]
-    second = _explained([with_simulated_valve(rest, _most_probable(rival).fitted.record)
-                         for rival in rivals], tick, alone)
+    second = _explained(with_simulated_valve(
+        rest, _most_probable(first.weighed).fitted.record, gain), tick, alone)
     if second is None:
         return None
     # If the laws behind the valve are formulated in another way, so are the valve's, although
     # its position may not show it.
-    if second.weighed.group.other_formulation:
-        rivals[0] = _weighed(first.found, alone, True) or rivals[0]
-    return [_with_equivalent_valves(rivals[second.number], rivals, second.costs), second.weighed]
+    other = second.weighed.group.other_formulation
+    return [(_weighed(first.found, alone, True) if other else None) or first.weighed,
+            second.weighed]
+
+
+def _with_free_gain(valve: Group) -> tuple[Group, Free | None]:
+    """
+    Return the valve with a gain of any size, and the uncertain gain.
+
+    The position shows only the product of the gain with full opening over maximum force, so the
+    tolerance of the gain is judged with what follows the valve.
+    """
+    gain = next((free for free in valve.nuisance if free.field == VALVE_GAIN), None)
+    return replace(valve, nuisance=tuple(
+        free._replace(prior=math.inf) if free is gain else free for free in valve.nuisance)), gain
 
 
 class _Explained(NamedTuple):
-    """
-    A group that the simulator explains, chosen from several.
-
-    found: its fitted hypotheses; number: its index; costs: negative log posterior of the nominal
-    model in each of the several.
-    """
+    """A group that the simulator explains, and its fitted hypotheses."""
 
     weighed: Weighed
     found: dict[Names, Found]
-    number: int
-    costs: Array
 
 
-def _explained(rivals: Sequence[Group], tick: Callable[[], None], alone: bool
-               ) -> _Explained | None:
-    """Return the group in which the nominal model fits best, if the simulator explains it."""
-    nulls = [_null(group) for group in rivals]
-    costs = np.array([null.best.cost for null in nulls])
-    number = int(np.argmin(costs))
-    found = _hypotheses(_with_noise_from_fit(nulls[number]), tick)
+def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
+    """Return a group, if the simulator explains it."""
+    found = _hypotheses(_with_noise_from_fit(_null(group)), tick)
     weighed = _weighed(found, alone)
-    return None if weighed is None else _Explained(weighed, found, number, costs)
-
-
-def _with_equivalent_valves(valve: Weighed, rivals: Sequence[Weighed], costs: Array) -> Weighed:
-    """
-    Return the valve with `rivals` added: hypotheses that explain its position equally well.
-
-    They share the probability of its best hypothesis. costs: negative log posterior of the group
-    behind the valve, given each of them.
-    """
-    candidates, chance = dict(valve.candidates), dict(valve.probability)
-    effects = dict.fromkeys(valve.group.effects)
-    total = chance[_most_probable(valve).names]
-    weights = np.exp(costs.min() - costs)
-    for rival, share in zip(rivals, weights / weights.sum(), strict=True):
-        candidate = _most_probable(rival)
-        candidates[candidate.names] = candidate
-        effects |= dict.fromkeys(rival.group.effects)
-        chance[candidate.names] = total * float(share)
-    return Weighed(replace(valve.group, effects=tuple(effects)), candidates, chance)
+    return None if weighed is None else _Explained(weighed, found)
 
 
 def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = None
@@ -155,6 +138,12 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
     candidates = {names: Candidate(names, f.variants, _as_fitted(f)) for names, f in found.items()}
     weighed = Weighed(group, candidates, weigh(group, found))
     best, gap, unknown = found[_most_probable(weighed).names], found[()].relative_residual, 0.0
+    # Its sizes are reported, so its parameters are fitted to the end, also from nominal values:
+    # friction makes the cost rough.
+    best = best._replace(best=min((most_probable(best.problem, start.best.theta, converged=0.0)
+                                   for start in (best, best.at_nominal)),
+                                  key=lambda each: each.cost))
+    candidates[best.names] = Candidate(best.names, best.variants, _as_fitted(best))
     if best.unexplained:
         if best.relative_residual.max() > most or (alone and not _follows_signals(found[()])):
             return None
@@ -180,38 +169,6 @@ def _follows_signals(null: Found) -> bool:
         [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
         / group.error_floor[channel] for channel in group.channels])
     return bool(np.all(mean_squares(null.problem, null.best.residual) < FOLLOWED_SHARE * power))
-
-
-def _equivalent_valves(valve: Weighed) -> Iterator[Weighed]:
-    """
-    Yield the valve with another parameter changed that acts on its position like its gain.
-
-    Maximum force and full opening also act on the force, which distinguishes them. Nothing is
-    yielded unless a gain beyond its tolerance is the best hypothesis.
-    """
-    best, gain = _most_probable(valve), 'valve_characteristic_gain'
-    if (best.names != (PARAMETER + 'valve_characteristic.gain',)
-            or valve.probability.get((UNKNOWN,), 0.0) > 0.0):
-        return
-    nominal = valve.group.nominal
-    ratio = float(best.fitted.record[gain] / nominal[gain])
-    for field, factor in (('valve_characteristic_maximum_force', 1.0 / ratio),
-                          ('valve_characteristic_full_opening', ratio)):
-        effect = _parameter_error(field, valve.group)
-        free, = effect.variants[0].free
-        problem = Posterior(valve.group, tuple(
-            free if each.field == gain else each for each in best.fitted.free))
-        record = best.fitted.record.copy()
-        record[gain], record[field] = nominal[gain], factor * nominal[field]
-        theta = np.array([problem.parameter(each).share(float(record[each.field]))
-                          for each in problem.free])
-        candidate = Candidate((effect.name,), effect.variants, best.fitted._replace(
-            record=record, free=problem.free, theta=theta, problem=problem))
-        others = {names: c for names, c in valve.candidates.items() if names != best.names}
-        chance = {names: p for names, p in valve.probability.items() if names != best.names}
-        yield Weighed(replace(valve.group, effects=(*valve.group.effects, effect)),
-                      {**others, candidate.names: candidate},
-                      {**chance, candidate.names: valve.probability[best.names]})
 
 
 def _most_probable(weighed: Weighed) -> Candidate:
@@ -325,7 +282,7 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
 
 def _start_guesses(problem: Posterior) -> Iterator[Array]:
     """Yield nominal parameters with initial guesses of the states of recordings in motion."""
-    mean = problem.prior[0]
+    mean = problem.nominal
     yield mean
     started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
     if not started:

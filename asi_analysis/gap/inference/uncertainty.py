@@ -39,13 +39,19 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     problem, theta = fitted.problem, fitted.theta
     group = problem.group
     count = len(group.channels)
-    residual = problem.residual(theta).reshape(count, -1)
-    slopes = problem.jacobian(theta).reshape(count, residual.shape[1], -1)
+    residual, slopes = problem.residual(theta), problem.jacobian(theta)
+    square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
+    if isinstance(problem, Posterior):
+        (residual, missed), (slopes, others) = map(problem.split, (residual, slopes))
+        square += others.T @ others + np.diag(problem.prior[1])
+        slope += others.T @ missed
+    else:
+        residual = residual.reshape(count, -1)
+        slopes = slopes.reshape(count, residual.shape[1], -1)
     counts = independent_samples(group, fitted.record)
     # The held-out parts may be shorter than the fitted ones.
     more = max(sum(float(r.fit.sum()) for r in group.recordings)
                / sum(float(r.held_out.sum()) for r in group.recordings), 1.0)
-    square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
     sizes = power(group) if isinstance(problem, Posterior) else np.ones(count)
     for channel, rest, change, size in zip(group.channels, residual, slopes, sizes, strict=True):
         model_error = 1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
@@ -53,8 +59,6 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
                     + size * model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
-    if isinstance(problem, Posterior):
-        square += np.diag(problem.prior[1])
     # The gradient is zero inside the bounds, but for the tolerance of the optimiser.
     inside = (theta > at_bound) & (theta < 1.0 - at_bound)
     return Likelihood(square, np.where(inside, 0.0, slope))

@@ -27,6 +27,10 @@ NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the
 MODEL_ERROR = 0.005  # rms error of any model, as a share of the signal's rms
 RIGID_ERROR = 0.02   # the same of a rigid model of gears, belts and cables
 SIMULATOR_ERROR = 0.001   # the same of the simulator
+VALVE_GAIN = 'valve_characteristic_gain'
+# The valve position is proportional to gain * full opening / maximum force.
+OF_VALVE_GAIN = (VALVE_GAIN, 'valve_characteristic_full_opening',
+                 'valve_characteristic_maximum_force')
 PASS_S = 1.0   # that a pass of the input of a static characteristic counts for
 # Uncertain nominal parameters, by the channel that they act on. Those of a block that is 'off' are
 # left out.
@@ -89,6 +93,9 @@ class Group:
     effects: tuple[Effect, ...] = EFFECTS
     given: np.void | None = None   # the nominal record, if `nominal` was changed by another group
     valve: np.void | None = None   # the fit of the valve, from which the force gets its position
+    # Of the simulator, if the valve was fitted before: its position per command, m/N. It ties the
+    # valve's gain to full opening and maximum force, which the force shows.
+    valve_gain: float | None = None
     exact_substep_s: float = 0.0   # sub-step of the simulator that needs no correction
     floor_measured: bool = False   # the error floor is the residual of healthy recordings
     floor_by_best: bool = False    # the best residual limits the model error
@@ -218,22 +225,36 @@ def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
                    usual_shapes=tuple(map(tolerated, group.usual_shapes)))
 
 
-def with_simulated_valve(group: Group, valve: np.void) -> Group:
+def with_simulated_valve(group: Group, valve: np.void, gain: Free | None = None) -> Group:
     """
     Return a group with the valve parameters of a record, and a less noisy valve position.
 
     The position is the simulated one, plus that part of its residual which is above the noise.
+    gain: the uncertain gain of the valve, if it is to be a parameter of this group.
     """
     p = group.nominal.copy()
     for name in p.dtype.names or ():
-        if _is_of_valve(name):
+        if _is_of_valve(name) and name not in OF_VALVE_GAIN:
             p[name] = valve[name]
-    group = replace(group, nominal=p, given=group.nominal)
+    if gain is not None and gain.field not in {free.field for free in group.nuisance}:
+        group = replace(group, nuisance=(*group.nuisance, gain))
+    group = replace(group, nominal=p, given=group.nominal,
+                    valve_gain=simulator.metres_per_newton(valve))
     recordings = [replace(prepared_for(group, r), corrections={}, cache={})
                   for r in group.recordings]
     recordings, p['maximum_substep'] = simulator.with_corrections(
-        recordings, group.channels, p, group.error_floor, group.exact_substep_s)
+        recordings, group.channels, with_valve_gain(group, p), group.error_floor,
+        group.exact_substep_s)
     return replace(group, recordings=recordings)
+
+
+def with_valve_gain(group: Group, p: np.void) -> np.void:
+    """Return a record with the gain of the valve that gives the position which was measured."""
+    if group.valve_gain is None:
+        return p
+    p = p.copy()
+    p[VALVE_GAIN] *= group.valve_gain / simulator.metres_per_newton(p)
+    return p
 
 
 def with_less_noisy_valve(group: Group, valve: np.void) -> Group:
@@ -276,7 +297,7 @@ def prepared_for(group: Group, recording: Recording) -> Recording:
     if not simulator.of_simulator(group.nominal):
         return recording
     return replace(recording, valve_estimate=simulator.estimated_valve(
-        recording, exact(group, group.nominal)))
+        recording, exact(group, with_valve_gain(group, group.nominal))))
 
 
 def exact(group: Group, p: np.void) -> np.void:
@@ -476,6 +497,8 @@ def acts_on(field: str, channel: str, group: Group) -> bool:
         return True
     field = field.partition('@')[0]
     if simulator.of_simulator(group.nominal):
+        if field == VALVE_GAIN and group.valve_gain is not None:
+            return channel == 'force'
         if _is_of_valve(field) and field not in forms.UNCERTAIN['force']:
             return channel == 'valve' or not group.measures_valve
         return channel == 'force' or (channel in MOTIONS and (

@@ -111,10 +111,10 @@ def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Arra
 
 def simulated_valve(recording: Recording, p: np.void) -> Array:
     """Return the valve position (m, n samples) that the recorded command gives."""
-    return _metres_per_newton(p) * _deflection(recording, p)[:-1, -1]
+    return metres_per_newton(p) * _deflection(recording, p)[:-1, -1]
 
 
-def _metres_per_newton(p: np.void) -> float:
+def metres_per_newton(p: np.void) -> float:
     """Return the valve position (m) at a deflection of 1 N of valve command."""
     return float(p['valve_characteristic_gain'] * p['valve_characteristic_full_opening']
                  / p['valve_characteristic_maximum_force'])
@@ -128,7 +128,7 @@ def _deflection(recording: Recording, p: np.void) -> Array:
     after each sub-step. It is the same for all gains of the valve, and kept.
     """
     q, command = _actuator(p), recording.command
-    q['valve_flexure_travel_limit'] /= _metres_per_newton(p)
+    q['valve_flexure_travel_limit'] /= metres_per_newton(p)
     for name in ('gain', 'maximum_force', 'full_opening'):
         q[f'valve_characteristic_{name}'] = 1.0
     if command is None:
@@ -177,7 +177,7 @@ def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, flo
 def simulated_motion(recording: Recording, p: np.void) -> Array:
     """Return force (N), velocity (m/s) and position (m), 3 x n samples."""
     def run() -> Array:
-        deflection, unit = _deflection(recording, p), _metres_per_newton(p)
+        deflection, unit = _deflection(recording, p), metres_per_newton(p)
         state = state_at_start(recording, p, unit * deflection[:-1, -1])
         out, error = np.empty((3, recording.fit.size)), np.zeros(recording.fit.size)
         if recording.valve_estimate is not None:
