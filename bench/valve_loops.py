@@ -230,7 +230,7 @@ def _plant(world: str, random: Random) -> Plant:
 
 def _valve(world: str, cause: str, random: Random) -> Valve:
     kind = VALVES[world].get(cause, LINEAR)
-    # More often than the valve the controller saturates, which shows in the command.
+    # Usually it is the controller that saturates, not the valve: this shows in the command.
     if cause == 'saturation' and random.random() < 0.6:
         kind = LINEAR
     if cause == 'stiction':

@@ -188,7 +188,7 @@ class Run:
                          str(len(values) - len(known))))
         yield Table(columns, rows, right=columns[2:])
         absent = [signal.name for signal in SIGNALS
-                  if signal.name not in present and signal.name != 'pressure']   # of others only
+                  if signal.name not in present and signal.name != 'pressure']   # never of ours
         if absent:
             yield 'absent: ' + ', '.join(absent)
 

@@ -36,7 +36,7 @@ FEWEST_PERIODS: Final = 5
 LEAST_SHARE: Final = 1e-3
 LEAST_EXPLAINED: Final = 0.3
 HARMONICS: Final = 9
-# Least distance from a harmonic of a drive, over the frequency resolution.
+# Least distance from a harmonic of a drive, as a share of the frequency resolution.
 LOCKED: Final = 0.1
 # Periods from which a growth rate can be estimated.
 FEWEST_RATED: Final = 3
@@ -217,9 +217,9 @@ def _period(time: Array, drive: Array, noise_floor: float) -> float | None:
 
 def _without_period(time: Array, output: Array, period: float) -> tuple[Array, float]:
     """
-    Return a signal without its linear trend and without a period and its harmonics.
+    Return a signal without its linear trend and its periodic part, and one amplitude of that part.
 
-    And the largest amplitude of the harmonics from the second on.
+    It is the largest amplitude of the harmonics from the second on.
     """
     angle = 2.0 * np.pi / period * np.outer(time - time.mean(), np.arange(1, HARMONICS + 1))
     columns = np.column_stack([np.ones_like(time), time - time.mean(), np.cos(angle),
@@ -230,7 +230,7 @@ def _without_period(time: Array, output: Array, period: float) -> tuple[Array, f
 
 
 def _combined(frequency_hz: float, span: float, drives_hz: list[float]) -> bool:
-    """Return whether a frequency is a sum of multiples of two of the drives', of either sign."""
+    """Return whether a frequency is a sum or difference of multiples of two drive frequencies."""
     multiples = np.arange(-HARMONICS, HARMONICS + 1)
     return any(bool((np.abs(np.add.outer(multiples * one, multiples * other) - frequency_hz)
                      < LOCKED / span).any())
@@ -275,18 +275,19 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
             1.0 / period for _, period, _ in periods]):
         names = ' and '.join(drive.name for drive, _, _ in periods)
         return Oscillation(None, reason=(
-            f'what is left is at {found.frequency_hz:.4g} Hz, a sum of multiples of the '
+            f'the residual oscillates at {found.frequency_hz:.4g} Hz, a sum of multiples of the '
             f'frequencies of {names}: a nonlinear response to both, or an oscillation there'))
     for drive, period, harmonic in periods:
         if found.sustained is not False:
             cycles = found.frequency_hz * period
             apart = abs(cycles - round(cycles)) / period   # Hz, from the next harmonic
             if apart < max(LOCKED / span, 3.0 * found.frequency_sd_hz):
-                if found.amplitude_n <= harmonic:   # one more of them
+                if found.amplitude_n <= harmonic:   # a further harmonic of the drive
                     return Oscillation()
                 return Oscillation(None, reason=(
-                    f'what is left is at {found.frequency_hz:.4g} Hz, {round(cycles)} times the '
-                    f'frequency of {drive.name}: its harmonic, or an oscillation locked to it'))
+                    f'the residual oscillates at {found.frequency_hz:.4g} Hz, {round(cycles)} '
+                    f'times the frequency of {drive.name}: its harmonic, or an oscillation locked '
+                    'to it'))
         elif np.std(output) > noise_floor:
             burst = bursts(time, output, period)
             if burst is not None and burst.amplitude > noise_floor:
@@ -300,7 +301,7 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
 
 
 def _steady(time: Array, output: Array, noise_floor: float) -> Oscillation:
-    """Return the oscillation of a signal without drives, of a steady or decaying amplitude."""
+    """Return the oscillation of an undriven signal, fitted with a growth rate."""
     found = fits(time, output, dominant_frequency(time, output, FEWEST_PERIODS), (True,))
     if not found:
         return Oscillation()

@@ -47,13 +47,13 @@ def tracking(run: Run, name: str | None = None) -> Tracking:
 
 
 def _impedance(run: Run) -> dict[str, float]:
-    """Return the impedance at the frequency of a motion that is a single sine; {} of any other."""
+    """Return the impedance (N s/m) at the frequency of a sinusoidal motion; {} for any other."""
     if run.velocity_m_s is None or run.force_n is None:
         return {}
     known = np.isfinite(run.velocity_m_s) & np.isfinite(run.force_n)
     if not known.all() or np.ptp(run.velocity_m_s) == 0.0 or not is_sine(run.velocity_m_s):
         return {}
-    # The second half, in whole periods: what is left of the start has decayed.
+    # The second half, in whole periods: the transient has decayed.
     spectrum = np.abs(np.fft.rfft(run.velocity_m_s - run.velocity_m_s.mean()))
     frequency = float(np.argmax(spectrum)) / (len(run) * run.period_s)
     periods = int(0.5 * len(run) * run.period_s * frequency)

@@ -104,7 +104,7 @@ def _position(command: Array, candidate: _Candidate, first: int) -> Array:
 
 
 class _Fit:
-    """Fits valves, with lag, delay and gain, to one output and stores the best of each kind."""
+    """Fits valves, with lag, delay and gain, to one output; keeps the best of each kind."""
 
     def __init__(self, command: Array, output: Array, cycle: float) -> None:
         self.command, self.cycle = command, cycle
@@ -112,7 +112,7 @@ class _Fit:
         self.shifts = np.unique(np.round(
             np.linspace(0.0, LONGEST_DELAY * cycle, DELAYS)).astype(int))
         target = without_drift(output, cycle)
-        # A delay compares the same samples of the valve with later samples of the output.
+        # For each delay the same samples of the valve are compared with later ones of the output.
         self.length = len(target) - self.skip - int(self.shifts[-1])
         self.shifted = np.array([target[self.skip + shift:self.skip + shift + self.length]
                               for shift in self.shifts])
@@ -123,7 +123,7 @@ class _Fit:
         """Fit candidates; store those that are better than the best so far of their kind."""
         positions = [_position(self.command, each, self.skip) for each in candidates]
         moving = [k for k, each in enumerate(positions) if np.ptp(each[self.skip:]) > 0.0]
-        if not moving:      # a command that rests moves no valve
+        if not moving:      # a constant command moves no valve
             return
         # The drift is removed before the lag, which would amplify it relative to the cycle.
         filtered = without_drift(np.array([positions[k] for k in moving]), self.cycle)

@@ -149,7 +149,7 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
 
 
 def merged(found: list[Segment]) -> list[Segment]:
-    """Return the segments with neighbours of one kind joined, under the figures of the longer."""
+    """Return the segments; neighbours of one kind are joined, with the figures of the longer."""
     joined: list[Segment] = []
     for segment in found:
         before = joined[-1] if joined else None
@@ -163,7 +163,7 @@ def merged(found: list[Segment]) -> list[Segment]:
 
 
 def _one_kind(a: Segment, b: Segment) -> bool:
-    """Return whether two neighbours are one motion; a limit cycle keeps its size within 5 %."""
+    """Return whether two neighbours are one motion: the same verdict, cycles also within 5 %."""
     if a.verdict != b.verdict or a.verdict in ('forced', 'saturating'):
         return False
     return a.verdict != 'limit_cycle' or abs(a.amplitude - b.amplitude) < 0.05 * b.amplitude
@@ -171,6 +171,7 @@ def _one_kind(a: Segment, b: Segment) -> bool:
 
 def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, part: slice,
                    frequency: float | None) -> list[Segment]:
+    """Return the segments of a part of the record; frequency: initial guess (Hz), if known."""
     time_s, values = all_times[part], all_values[part]
 
     def segment(start: float, end: float, verdict: str, confidence: float, why: str,
@@ -198,7 +199,7 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
         end = time_s[-1] if index == len(pieces) - 1 else pieces[index + 1].time_s[0]
         if piece.kind == 'noise':
             part = slice(*np.searchsorted(time_s, [start, end]))
-            piece = _elsewhere(time_s[part], values[part], piece)
+            piece = _at_own_frequency(time_s[part], values[part], piece)
         if piece.kind == 'noise':
             verdict, confidence, why, more = (
                 _forced(run, piece.time_s, piece.values, piece.frequency_hz)
@@ -214,13 +215,14 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
 
 
 def _noise_or_short(piece: _Piece) -> tuple[str, float, str, dict[str, Any]]:
+    """Return the verdict on a piece that is no oscillation: noise, or too short to tell."""
     if (piece.time_s[-1] - piece.time_s[0]) * piece.frequency_hz < 0.9 * FEWEST_CYCLES:
         return *TOO_SHORT, {}
     return 'noise', 0.9, 'coloured noise has the shorter description', {}
 
 
-def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
-    """Return a piece that is noise at the first guess, or its oscillation at another frequency."""
+def _at_own_frequency(time_s: Array, values: Array, piece: _Piece) -> _Piece:
+    """Return the oscillation of a piece at its own dominant frequency, or the piece as noise."""
     frequency = dominant_frequency(time_s, values)
     cycles = frequency * (time_s[-1] - time_s[0])
     if not cycles >= FEWEST_CYCLES or np.ptp(values) == 0.0:
@@ -273,7 +275,7 @@ def _describe(t: Array, y: Array, frequency: float, noise_floor: float) -> _Piec
             continue
         if oscillation.thd > MOST_THD:
             continue
-        # One more for the search of the frequency among as many as there are samples.
+        # One parameter more, as the frequency was searched among as many as there are samples.
         parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1
         noise = describe(y - oscillation.at(t), parameters)
         if noise.description < best.description - (MARGIN if kind == 'noise' else 0.0):
