@@ -16,11 +16,10 @@ import numpy as np
 from scipy import optimize, signal, special
 
 from asi_analysis.arrays import Array
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.measures.bursts import FEWEST_DRIVEN, bursts
 from asi_analysis.measures.drives import drives
 from asi_analysis.measures.sinusoids.sinusoid import dominant_frequency, fits, least_squares
-from asi_analysis.measures.step_response import hold_last
 from asi_analysis.reporting.result import finite
 from asi_common.jit import jit
 
@@ -182,6 +181,12 @@ def fit_sine(time: Array, values: Array, frequency_hz: float) -> tuple[complex, 
     basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(time)])
     weights, *_ = np.linalg.lstsq(basis, values, rcond=None)
     return complex(weights[0], -weights[1]), values - basis @ weights
+
+
+def amplitude_at(values: Array, frequency_hz: float, rate_hz: float) -> complex:
+    """Return the complex amplitude of n samples, whole periods, at a frequency, by projection."""
+    angle = 2.0 * np.pi * frequency_hz * np.arange(len(values)) / rate_hz
+    return complex(2.0 * np.mean(values * np.exp(-1j * angle)))
 
 
 def _steady_part(run: Run) -> slice:

@@ -41,7 +41,7 @@ SHARE: Final = 1e-5
 SAME: Final = 1e-9
 # Share of a period by which samples may be early or late.
 EVEN: Final = 0.01
-# Sample up to which a controller that began in another state differs.
+# Number of first samples by which a controller that began in another state is recognised.
 FIRST: Final = 3
 MOST_HZ: Final = 1e9   # largest plausible control rate
 # Sub-steps of the actuator that are computed, in about a second; later samples are not compared.

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal
 
 from asi_analysis.arrays import Array
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.errors import InputError
 from asi_analysis.measures.quality import LOSSES, Finding, Trust, findings, trust, without_spikes
 from asi_analysis.reporting.result import Pictures, Result, Table, number
@@ -202,15 +202,6 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
     return Step(start, initial, final, ninety - ten,
                 max(0.0, 100.0 * float(share.max() - 1.0)), settled[0], settled[1], error, shape,
                 tuple(notes))
-
-
-def hold_last(values: Array) -> Array:
-    """Return a signal with missing samples replaced by the last one before (or the first)."""
-    known = np.isfinite(values)
-    if not known.any():
-        return np.zeros_like(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(values.size), 0))
-    return values[np.maximum(last, np.argmax(known))]
 
 
 def _settings(reference: Array) -> Array:

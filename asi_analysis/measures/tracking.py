@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.frequency_response import is_sine
+from asi_analysis.measures.oscillation import amplitude_at
 
 
 class Tracking(NamedTuple):
@@ -60,12 +60,8 @@ def _impedance(run: Run) -> dict[str, float]:
     if periods < 1:
         return {}
     count = round(periods / (frequency * run.period_s))
-    line = np.exp(-2j * np.pi * frequency * run.period_s * np.arange(count))
-
-    def amplitude(values: Array) -> complex:
-        last = values[-count:]
-        return complex(np.sum((last - last.mean()) * line))
-
-    impedance = -amplitude(run.force_n) / amplitude(run.velocity_m_s)
+    force, velocity = (amplitude_at(last - last.mean(), frequency, run.rate_hz)
+                       for last in (run.force_n[-count:], run.velocity_m_s[-count:]))
+    impedance = -force / velocity
     return {'impedance_hz': frequency, 'impedance_real': impedance.real,
             'impedance_imaginary': impedance.imag}

@@ -12,7 +12,7 @@ from asi_analysis.experiments.experiment import CONTROLLER_PARAMETERS
 from asi_analysis.limit_cycle.attribution.ablation import attribute_model
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.limit_cycle.attribution.classifier import (
-    SURE,
+    LEAST_PROBABILITY,
     VALVE_FAULTS,
     WEIGHTS,
     probabilities,
@@ -32,7 +32,7 @@ EMPTY: Final[dict[str, Any]] = dict.fromkeys(
 # Error of a predicted cycle: standard deviation of the logarithm of frequency, amplitude.
 SPREAD: Final = (0.03, 0.15)
 # Cycles that a record must have beyond FEWEST_CYCLES: with fewer it may be a slow drift.
-EDGE: Final = 0.25
+EXTRA_CYCLES: Final = 0.25
 # Overlapping parts of the oscillation that are classified beside the whole, and their length: a
 # share of it, of at most MOST_CYCLES.
 PARTS: Final = 5
@@ -97,7 +97,7 @@ def _part_of(run: Run, document: dict[str, Any]) -> Run:
 def _shape(part: Run, name: str) -> Shape:
     assert part.command_n is not None
     found = shape(part.time_s, part.command_n, part.signal(name))
-    if found.cycles < FEWEST_CYCLES + EDGE:
+    if found.cycles < FEWEST_CYCLES + EXTRA_CYCLES:
         raise InputError('a slow drift, no oscillation: no peak of the spectrum has '
                          f'{FEWEST_CYCLES:g} cycles or more')
     return found
@@ -201,10 +201,10 @@ def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) ->
     (first, most), (second, next_) = list(chances.items())[:2]
     what = (f'{found.frequency_hz:.4g} Hz, {found.cycles:.3g} cycles ({segment.verdict}), '
             'by shape')
-    if most >= SURE:
+    if most >= LEAST_PROBABILITY:
         return f'{what}: {_words(first)} ({100 * most:.0f} %)'
     valve = sum(chances[name] for name in VALVE_FAULTS)
-    if valve >= SURE:
+    if valve >= LEAST_PROBABILITY:
         kinds = ', '.join(f'{_words(name)} {100 * chance:.0f} %'
                           for name, chance in chances.items() if name in VALVE_FAULTS)
         return f'{what}: the valve ({100 * valve:.0f} %), its fault is ambiguous: {kinds}'

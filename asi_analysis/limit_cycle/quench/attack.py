@@ -118,7 +118,7 @@ def _choice(options: tuple, number: float) -> Any:
 
 
 def run_trials(conditions: Sequence[Condition], actuator: Values, controller: Values,
-             rates_hz: tuple[float, ...]) -> list[Trial]:
+               rates_hz: tuple[float, ...]) -> list[Trial]:
     """Return a trial of each condition; those of one rate run in parallel."""
     settings = [condition.settings(rates_hz, actuator) for condition in conditions]
     found: dict[int, Trial] = {}
