@@ -37,7 +37,7 @@ class LockStep:
         self.due_ns = 0
         self.step_ns = 0.0
         self.pace: Timer | None = None
-        # The newest state that was answered, and how.
+        # Stamp (ns) of the newest answered state, and the command (N) that answered it.
         self.answered = (0, 0.0)
         self.resent = 0
         self.silent_since_ns = self.sent_ns = time.monotonic_ns()
@@ -68,7 +68,7 @@ class LockStep:
     def on_pause(self) -> None:
         """Follow node.paused, which has changed."""
         self.silent_since_ns = self.sent_ns = time.monotonic_ns()
-        self._go_on()
+        self._advance_if_due()
 
     def on_reset(self) -> None:
         """Discard commands from before the reset; here there are none."""
@@ -80,11 +80,12 @@ class LockStep:
         self.due_ns = time.monotonic_ns()
         # Only with a pace: each timer costs time in each tick.
         if factor and self.pace is None:
-            self.pace = self.node.create_timer(self.node.period_s, self._go_on, clock=self.steady)
+            self.pace = self.node.create_timer(self.node.period_s, self._advance_if_due,
+                                               clock=self.steady)
         elif not factor and self.pace is not None:
             self.node.destroy_timer(self.pace)
             self.pace = None
-            self._go_on()
+            self._advance_if_due()
 
     def _is_early(self) -> bool:
         """Return whether the next state is not due yet; if so, have the timer wait for it."""
@@ -99,8 +100,8 @@ class LockStep:
         self.pace.reset()
         return True
 
-    def _go_on(self) -> None:
-        """Act on the command that waits, if there is one and the time has come."""
+    def _advance_if_due(self) -> None:
+        """Advance by the waiting command, if there is one and the next state is due."""
         if self.pace is not None:
             self.pace.cancel()
         if self.command_n is not None and not self.node.paused and not self._is_early():
@@ -130,7 +131,7 @@ class LockStep:
         return (now_ns - self.silent_since_ns) * 1e-9
 
     def _advance(self, command_n: float, periods: int) -> None:
-        """Go on to the next state, which comes `periods` periods later: 1, and the first 0."""
+        """Apply a command (N) for so many control periods (first 0), and publish the state."""
         node = self.node
         if self.tick == node.last_tick:
             node.finish()
@@ -144,7 +145,7 @@ class LockStep:
         self.silent_since_ns = self.sent_ns = now_ns = time.monotonic_ns()
         self.state, self.clock, force, valve, velocity = node.sense(stamp_ns, now_ns)
         self._publish()
-        # Last, as the controller does not need these: it computes meanwhile.
+        # Last, since the controller does not need these: it computes in the meantime.
         node.publish_rest(force, valve, velocity)
 
     def _missing(self) -> list[str]:

@@ -86,18 +86,18 @@ class Rest:
         """Return why the mean is not that of a sensor at rest; '' if it is."""
         if len(self._readings) != self._readings.maxlen:
             return (f'there are {len(self._readings)} readings so far, '
-                    f'it takes {self._readings.maxlen}')
+                    f'{self._readings.maxlen} are needed')
         force, command, valve = np.transpose(
             [(reading[0], command, reading[1]) for reading, command in self._readings])
         if np.ptp(command) > CHANGE_N:
             return (f'the valve command moved by {np.ptp(command):.3g} N within the last '
-                    f'{WINDOW_S:g} s, at most {CHANGE_N:g} N is rest')
+                    f'{WINDOW_S:g} s, at most {CHANGE_N:g} N is allowed at rest')
         for signal, values, unit, most in (('force', force, 'N', CHANGE_N),
                                            ('valve', valve, 'm', CHANGE_M)):
             change, noise = _change(values)
             if change > most + noise:
                 return (f'the {signal} moved by {change:.3g} {unit} within the last '
-                        f'{WINDOW_S:g} s, at most {most:g} {unit} is rest')
+                        f'{WINDOW_S:g} s, at most {most:g} {unit} is allowed at rest')
         if force.std() > most_noise_n:
             return (f'the noise of the force is {force.std():.3g} N (standard deviation), '
                     f'calibration_noise allows {most_noise_n:g} N')
@@ -105,7 +105,7 @@ class Rest:
 
 
 def _change(values: npt.NDArray[np.float64]) -> tuple[float, float]:
-    """Return the change of the mean between the halves, and its bound for noise alone."""
+    """Return the difference of the means of both halves, and its bound for noise alone."""
     middle = values.size // 2
     change = abs(float(values[middle:].mean() - values[:middle].mean()))
     # The difference of two means of n/2 samples spreads by 2 std / sqrt(n); four times that.

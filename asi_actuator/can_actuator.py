@@ -48,7 +48,7 @@ class Firmware:
         self._actuator.open()
         self._timeout_s = command_timeout_s
         self._advanced_to_s = self._commanded_at = self._spoken_at = now_s
-        # The counter that the next one must follow (None: any), and the one to echo.
+        # Counter of the last command (None: the next one may have any), and the one to echo.
         self._counter: int | None = None
         self._echo = 0
         self._command_n = 0.0
@@ -113,7 +113,7 @@ def serve(bus: can.BusABC, firmware: Firmware, command_timeout_s: float,
     while not stopped():
         select.select([bus], [], [], command_timeout_s / 4.0)
         due = firmware.watch(time.monotonic())
-        # One that was held up answers the newest command only, or it would never catch up.
+        # After a delay only the newest command is answered; else it would never catch up.
         for message in received(bus):
             due |= firmware.receive(
                 time.monotonic(), message.arbitration_id, bytes(message.data))
@@ -148,9 +148,10 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument('--bitrate', type=int, default=1_000_000, help='bit/s')
     parser.add_argument('--pty', action='store_true',
                         help='make two linked pseudo-terminals, print the other end, speak slcan')
-    parser.add_argument('--dbc', default='', help='layout of the frames; that of the package')
+    parser.add_argument('--dbc', default='',
+                        help='file with the layout of the frames; default: that of the package')
     parser.add_argument('--command-timeout', type=float, default=0.02, metavar='S',
-                        help='the valve is closed without a command for so long')
+                        help='time without a command after which the valve is closed')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE',
                         help='a parameter of the simulated actuator (doc/reference/parameters.md)')
     parser.add_argument('--load', type=float, metavar='HZ',

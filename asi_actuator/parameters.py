@@ -1,4 +1,4 @@
-"""Every parameter of the actuator's physics."""
+"""The table of the parameters of the actuator's physics: one row each, with unit and source."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -164,7 +164,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('fluid_dynamics.frequency', 1000.0, 'Hz', 'Corner of the lumped fluid dynamics',
               1.0, 1e5, source='paper, section 4.1'),
     Parameter('fluid_dynamics.leakage', 0.0, 'N/N',
-              'Leakage past the piston: static force without over that with it, less one',
+              'Leakage past the piston: static force without it over that with it, minus 1',
               0.0, 10.0),
     Parameter('fluid_dynamics.leakage_growth', 0.0, '1/N', 'Growth of that share with the force',
               0.0, 1.0),

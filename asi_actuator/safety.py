@@ -150,9 +150,9 @@ class Safety:
         if not (abs(force) <= self._force_n and abs(valve) <= self._valve_m
                 and abs(velocity) <= self._velocity and abs(rate) <= self._force_rate
                 and abs(disagreement) <= self._disagreement_m and math.isfinite(position)):
-            self._not_safe(measured, rate, disagreement)
+            self._trip_for_state(measured, rate, disagreement)
 
-    def _not_safe(self, measured: Measurement, rate: float, disagreement: float) -> None:
+    def _trip_for_state(self, measured: Measurement, rate: float, disagreement: float) -> None:
         """Trip with the first limit that a state exceeds."""
         force, valve, position, velocity = measured
         if not math.isfinite(position):
@@ -169,10 +169,10 @@ class Safety:
 
     def _mean_disagreement(self, valve_m: float) -> float:
         """
-        Return the mean difference (m) between the valve position and that of the command.
+        Return the mean difference (m) between the valve position and that of the static model.
 
-        That is given by the static model (valve_characteristic.*); dynamics and hysteresis, which
-        differ from one valve to the next, average out over time.
+        The static model (valve_characteristic.*) gives the position for the command. Dynamics and
+        hysteresis, which differ from one valve to the next, average out over time.
         """
         full, expected = self._full_opening_m, self._valve_gain * self._command_n
         if not -full <= expected <= full:

@@ -16,15 +16,15 @@ AGAIN_S: Final = 0.05
 def asi() -> int:
     """Run the command; return the exit status, 130 after Ctrl-C."""
     before = signal.getsignal(signal.SIGINT)
-    # In the background of a script SIGINT is ignored, and stays so.
+    # In the background of a script SIGINT is ignored; leave it so.
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
-    sys.unraisablehook = _not_lost
+    sys.unraisablehook = _repeat_signal
     main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
     try:
         signal.signal(signal.SIGINT, before)
         status = main()
-        if status == INTERRUPTED:   # all is said; to unload the libraries takes a second
+        if status == INTERRUPTED:   # nothing is left to print; unloading libraries takes a second
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError, ValueError):
                     stream.flush()
@@ -33,11 +33,11 @@ def asi() -> int:
     except KeyboardInterrupt:
         return _interrupted()
     finally:
-        # All is said. Python gives up its handlers at its end, and would be killed by the signal.
+        # Python removes its handlers at its end; another Ctrl-C would then kill it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _not_lost(ignored: Any) -> None:
+def _repeat_signal(ignored: Any) -> None:
     """Send a SIGINT again whose KeyboardInterrupt Python ignored, as in callbacks of imports."""
     if ignored.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(ignored)

@@ -29,7 +29,7 @@ def workers(jobs: int = 1, dask: str | None = None) -> Iterator[None]:
     """
     if dask is None:
         if jobs > 1:
-            resource_tracker.ensure_running()   # its start unblocks SIGINT (see `each`)
+            resource_tracker.ensure_running()   # now: its start would unblock SIGINT in `each`
         with joblib.parallel_config('loky', n_jobs=jobs):
             yield
         return

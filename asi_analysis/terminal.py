@@ -23,7 +23,7 @@ def silent(text: str, share: float | None) -> None:
 @contextmanager
 def bar() -> Iterator[Progress]:
     """Yield a progress function that shows a bar on stderr; a line now and then in a file."""
-    if not sys.stderr.isatty():     # an old rich ends a bar that is disabled by an empty line
+    if not sys.stderr.isatty():     # old versions of rich end a disabled bar with an empty line
         with _lines() as progress:
             yield progress
         return
@@ -44,7 +44,7 @@ def bar() -> Iterator[Progress]:
 
 @contextmanager
 def _lines() -> Iterator[Progress]:
-    """Yield a progress function of whose newest text a line is written every LINE_S seconds."""
+    """Yield a progress function whose newest text is written as a line every LINE_S seconds."""
     over, begin = threading.Event(), time.monotonic()
     newest: list[tuple[str, float | None]] = []
 
@@ -55,7 +55,7 @@ def _lines() -> Iterator[Progress]:
         while not over.wait(LINE_S):
             text, share = newest[0] if newest else ('computing', None)
             done = '' if share is None else f', {share:.0%}'
-            # Not print: a process that is started meanwhile would inherit its lock.
+            # Not print: a process that is forked meanwhile would inherit its lock.
             with suppress(OSError, ValueError):
                 os.write(sys.stderr.fileno(), f'asi: {text}{done}, after '
                          f'{time.monotonic() - begin:.0f} s\n'.encode())

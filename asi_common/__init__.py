@@ -1,1 +1,1 @@
-"""Shared by physics, nodes and analysis: parameters, parameter files, compilation, files."""
+"""Shared by physics, nodes and analysis: parameters, their files, the topics, compilation."""

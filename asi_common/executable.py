@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-# Interval at which a process that is to end looks whether it compiles, s.
+# Interval (s) at which a process that has been told to end checks whether it still compiles.
 LOOK_S: Final = 0.05
 
 

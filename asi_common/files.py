@@ -1,4 +1,4 @@
-"""Atomic writing of files: complete, or not at all. Reading of small ones, with a limit."""
+"""Files: written atomically (completely or not at all), and read with a limit of their size."""
 
 import errno
 import os

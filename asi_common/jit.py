@@ -26,7 +26,7 @@ inlined = numba.njit(cache=_FOLDER is not None, error_model='numpy', nogil=True,
 
 
 class _Compiling(event.Listener):
-    """Counts the compilations that go on; one may begin another."""
+    """Counts the compilations in progress; they can be nested."""
 
     number = 0
     tell: Callable[[], object] | None = None    # called when the first begins

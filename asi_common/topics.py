@@ -7,9 +7,9 @@ FRAME: Final = 'piston'
 PISTON: Final = 'piston'
 JOINTS: Final = (PISTON, 'valve')
 
-# Publishers keep what they have sent until a recorder that falls behind has it: 30000 messages,
-# 6 s at 5 kHz. On a machine with three times more work than cores, 1000 lost one message in a
-# thousand, 30000 none.
+# Publishers keep this many sent messages for a recorder that falls behind: 6 s at 5 kHz. On a
+# machine with three times more work than cores a depth of 1000 lost one message in a thousand,
+# 30000 none.
 STREAM_DEPTH: Final = 30_000
 
 

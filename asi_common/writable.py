@@ -1,4 +1,4 @@
-"""Folders of other packages in HOME, where that cannot be written."""
+"""Replacements for folders of other packages in HOME, if that is not writable."""
 
 import os
 from contextlib import suppress

@@ -90,10 +90,10 @@ def design(values: Mapping[str, Value]) -> Design:
 
 
 def _discrete(root: complex, rate_hz: float) -> complex:
-    """Return the discrete root of a root (rad/s), by Tustin's rule prewarped at PREWARP_HZ."""
+    """Return the discrete zero or pole of one in rad/s, by Tustin's rule with prewarping."""
     w = 2.0 * math.pi * PREWARP_HZ
     relative = root * math.tan(0.5 * w / rate_hz) / w
-    # Otherwise a division by zero is possible.
+    # Against a division by zero.
     return (1.0 + relative) / (1.0 - relative or 1e-12)
 
 
@@ -209,8 +209,8 @@ def _initialise(c, error, slow):
 
 
 @jit
-def _beside(c, reference, measured, velocity):
-    """Return the force (N) to compare with the measured, and the command (N) of the additions."""
+def _additions(c, reference, measured, velocity):
+    """Return the set point (N) of the feedback, and the command (N) that is added to it."""
     goal, drive = reference, reference
     if c.reference_model_bandwidth > 0.0:
         if c.fresh == REST:
@@ -254,8 +254,8 @@ def _limited(c, command):
 
 
 @jit
-def _inverted(c, command):
-    """Return the command (N) with the inverse of the valve's play; moves its centre."""
+def _through_inverse(c, command):
+    """Return the command (N) through the inverse of the valve's play; updates its state."""
     moved = _limited(c, command)
     dead_zone = c.hysteresis_inverse_dead_zone
     c.centre = follow(c.centre, moved, dead_zone)
@@ -278,7 +278,7 @@ def compensate(c, reference, measured, velocity):
     if c.fresh == REST:
         c.integral = 0.0
         observe(c.observed, measured, c.command, 0.0, c.period)
-    goal, direct = _beside(c, reference, measured, velocity)
+    goal, direct = _additions(c, reference, measured, velocity)
     error = goal - measured
     value = error * scheduled(velocity, c.gain_schedule_velocity, c.gain_schedule_least)
     if c.fresh != 0:
@@ -291,9 +291,9 @@ def compensate(c, reference, measured, velocity):
     out = c.lag[0] * value + c.lag_memory
     linear = c.gain * out + direct
     if c.changed == 1:
-        c.bias = c.command - _inverted(c, linear)
+        c.bias = c.command - _through_inverse(c, linear)
         c.changed = 0
-    unlimited = _inverted(c, linear) + c.bias
+    unlimited = _through_inverse(c, linear) + c.bias
     c.command = _limited(c, unlimited)
     excess = unlimited - c.command
     observe(c.observed, measured, _limited(c, linear + c.bias), c.disturbance_observer_bandwidth,

@@ -28,6 +28,7 @@ def _answer(references, compensators, enabled, time, topic, measured, velocity):
 
 
 def _of(table: tuple[Parameter, ...], values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return those of the values that are parameters of a table."""
     return {parameter.name: values[parameter.name] for parameter in table}
 
 

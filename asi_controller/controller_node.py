@@ -38,7 +38,7 @@ BEGIN_ANEW_AFTER: Final = 3
 WRONG_FOR_S: Final = 1.0
 # A stamp that differs so much from the wall clock is of another clock.
 OTHER_CLOCK_NS: Final = 3600 * 10**9
-# Stamps below this are simulated time; a wall clock passed it in 2001.
+# Stamps below this are simulated time: wall clocks passed it in 2001.
 SIMULATED_NS: Final = 10**18
 # Real time: delay from a state to its answer, s (at most a quarter of a period), and the share of
 # the deviation from it by which a tick corrects the next period.
@@ -111,8 +111,8 @@ class ControllerNode(Node):
         else:
             self.ignored += 1
             self.get_logger().error(
-                f'joint_states without a finite effort of the joint {PISTON}, or velocity if '
-                f'{" or ".join(VELOCITY_NEEDED)} asks for it: ignored',
+                f'joint_states without a finite effort of the joint {PISTON}, or a velocity if '
+                f'{" or ".join(VELOCITY_NEEDED)} needs it: ignored',
                 throttle_duration_sec=1.0)
 
     def _on_reference(self, message: bytes) -> None:
@@ -130,7 +130,7 @@ class ControllerNode(Node):
         timeout_s = float(self.parameters.values['reference_timeout'])
         if self.referenced_ns is None or not self.answered_ns or not timeout_s:
             return
-        # One from before the first state, or from an earlier run, ages from the first state on.
+        # The age of one from before the first state, or from an earlier run, counts from then.
         self.referenced_ns = min(self.referenced_ns or self.answered_ns, self.answered_ns)
         if (self.answered_ns - self.referenced_ns) * 1e-9 > timeout_s:
             self.get_logger().warning(
@@ -235,11 +235,11 @@ class LockStep:
     def health(self) -> tuple[bytes, str]:
         """Return diagnostic level and message."""
         silence_s = self.node.statistics.silence_s()
-        # Also if the last state came without its clock: the actuator has ended in between.
+        # First: the actuator may have ended between a state and its clock.
         if self.answered_ns is not None and silence_s > SILENT_S:
             return WARN, f'no new state for {silence_s:.1f} s: the actuator is paused or has ended'
         if self.pending is not None:
-            return WARN, ('a state waits for its clock: is the actuator in lock-step?'
+            return WARN, ('no /clock for the newest state: is the actuator in lock-step?'
                           if self.node.recorded else 'waiting for a recorder')
         if self.answered_ns is None:
             return WARN, 'waiting for the actuator'
@@ -302,7 +302,7 @@ class RealTime:
 
     def on_state(self, stamp_ns: int, force_n: float, velocity_m_s: float) -> None:
         latency_ns = self.clock.now_ns() - stamp_ns
-        if abs(latency_ns) > OTHER_CLOCK_NS and not self._goes_on(stamp_ns):
+        if abs(latency_ns) > OTHER_CLOCK_NS and not self._is_of_this_loop(stamp_ns):
             self.node.ignored += 1
             return
         if self.latest is not None and not self._stale():
@@ -312,13 +312,12 @@ class RealTime:
         self.received_at = time.monotonic()
         self.node.statistics.latency(latency_ns)
 
-    def _goes_on(self, stamp_ns: int) -> bool:
+    def _is_of_this_loop(self, stamp_ns: int) -> bool:
         """
         Return whether a state whose stamp is far from this node's clock belongs to its loop.
 
-        It is if the system clock was set since this node was started, and the actuator then, or
-        since the actuator was started, and this node then. Raises RunError if the loop has not
-        begun and the stamp is of a simulation.
+        It does if the system clock was set between the starts of the two nodes. Raises RunError if
+        the loop has not begun and the stamp is of a simulation.
         """
         if abs(time.time_ns() - stamp_ns) < OTHER_CLOCK_NS:
             return True

@@ -1,4 +1,4 @@
-"""Types of a compensator, as declared by the files in `compensators/`, and of its design."""
+"""The types `Compensator`, which each file in `compensators/` declares, and `Design`."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple

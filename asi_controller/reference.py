@@ -63,7 +63,7 @@ def reference_force(time, r):
     r: record of REFERENCE_PARAMETERS. The difference from the offset is at most the amplitude.
     """
     t = time - r.reference_start
-    # The tolerance includes a tick that rounding puts just before the start.
+    # The tolerance is for a tick that rounding puts just before the start.
     if t < -1e-9:
         return r.reference_offset
     t = max(t, 0.0)

@@ -2,7 +2,7 @@
 Processor time of the analyses, and its growth with the length of a recording.
 
 Recordings of the loop in process at 1 kHz, the rate of a real-time run: steps of the reference, a
-limit cycle, and a loop that only holds a force, with noise. Processor time.
+limit cycle, and a loop that only holds a force, with noise.
 """
 
 import sys
@@ -28,7 +28,7 @@ from asi_examiner.bags import as_run
 from asi_examiner.cases import draw
 from bench.result import Result, show
 
-EVERY: Final = 5           # of the 5000 Hz at which the bench runs
+EVERY: Final = 5           # every 5th sample of the 5000 Hz at which the bench runs
 LENGTHS_S: Final = (60, 200, 600)
 NOISE_N: Final = 0.5
 # Proportional gains: at rest below the onset, a cycle above it.
@@ -70,7 +70,7 @@ def growth(quick: bool) -> list[Result]:
         results.append(Result(f'analysis.{kind}', f'analyze + limit-cycle of {longest} s, {kind}',
                               cost[longest], 's', target='<= 2'))
         slope = np.polyfit(np.log(lengths), np.log([cost[n] for n in lengths]), 1)[0]
-        results.append(Result(f'analysis.{kind}.power', f'power of the length in it, {kind}',
+        results.append(Result(f'analysis.{kind}.power', f'growth with length: exponent, {kind}',
                               float(slope), '', target='<= 1.1'))
     return results
 

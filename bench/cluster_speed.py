@@ -2,7 +2,7 @@
 Work spread over processes and over a Dask cluster of this machine, against one process.
 
 The work is that of `asi ensemble`: one task computes all facts of a parameter set. Each worker of
-the cluster is a process. The cluster is started, and has imported its modules, before.
+the cluster is a process. Starting the cluster and importing its modules are not timed.
 """
 
 import os

@@ -1,7 +1,7 @@
 """
-Large tables: peak of the memory, and time, of `asi import` of ten million rows.
+Large tables: peak memory and time of `asi import` of ten million rows of three columns.
 
-The memory is that beyond an import of a thousand rows, a row. The table has three columns.
+The memory of a row is the increase over an import of a thousand rows, divided by the rows.
 """
 
 import os

@@ -3,9 +3,9 @@ What the live page costs the loop: real time at 1 kHz alone, with `asi live`, an
 
 Jitter of the period and lost samples, in the same minutes: with the real-time priority of the
 nodes, where it is permitted, and without. The tabs are of a headless Chromium; three tabs of a
-static page that redraws as many curves tell what of it is the browser's. A bare loop in C tells
-what the machine loses by itself: one in a virtual machine stands still for milliseconds, whatever
-runs. Without a Chromium (`bench/browser.py`) only the process of the page is measured.
+static page that redraws as many curves show the part of the browser. A bare loop in C shows the
+part of the machine: a virtual machine stalls for milliseconds, whatever runs. Without a Chromium
+(`bench/browser.py`) only the process of the page is measured.
 """
 
 import contextlib
@@ -45,7 +45,7 @@ STATIC: Final = f'{TABS} tabs of a static page'
 BARE: Final = 'a bare loop in C'
 SOURCE: Final = Path(__file__).with_name('bare_loop.c')
 PRIORITY: Final = 50   # default of thread_priority
-# Without a priority of the nodes, beside other programs as any of them.
+# Suffix for runs in which the nodes have no real-time priority.
 PLAIN: Final = ', no priority'
 # Three canvases as large as our charts, with as many points of a line, and the frames counted.
 REDRAWN: Final = """data:text/html,<p>? frames</p>
@@ -198,7 +198,7 @@ def results(found: dict[str, list[dict[str, float]]], seconds: float) -> list[Re
                 f'{rival}, {statistics.median(jitter[rival]):.3f} ms', ratio,
                 '<= 1.1' if name == SHOWN else ''))
         if name == SHOWN:
-            # The machine loses some by itself, and not the same in each round.
+            # Without a page the machine loses some samples too, a different number in each round.
             more = [ours - alone for ours, alone in zip(losses[name], losses[ALONE], strict=True)]
             rows.append(Result(
                 'live_page.more', f'samples lost in a round more than with {ALONE}; target: no '

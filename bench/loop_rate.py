@@ -208,7 +208,7 @@ def timed_empty(seconds: float) -> Counter[str]:
 def tick(rounds: int, seconds: float) -> list[Result]:
     """Return the parts of the time of a tick, of both nodes together."""
     times_us: dict[str, list[Counter[str]]] = in_turns({
-        # Of nodes without timing, as timing makes the tick longer.
+        # Measured without the timers, which make a tick longer.
         'period': lambda: Counter({'': 1e6 / our_rate(seconds, recorded=False)}),
         'whole': lambda: timed(seconds), 'apart': lambda: timed(seconds, '--parts'),
         'empty': lambda: timed_empty(seconds)}, rounds)

@@ -1,5 +1,5 @@
 """
-Many closed loops at once: time of a simulated second by size of the batch and number of cores.
+Many closed loops at once: computing time of a simulated second, by batch size and cores.
 
 Each loop has its own parameters; only the last 10 ms are stored. The cost is the processor time of
 all threads; the speed-up by the cores is measured in wall time.

@@ -14,7 +14,7 @@ enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 
 #define ELASTIC_SHARE 0.7
 #define FAR 7.0
-#define STRAIGHT 2e-5
+#define LINEAR_STEP 2e-5
 #define MOST_ROUNDS 60
 
 struct second_order { double keep, pull, half_step; };
@@ -434,7 +434,7 @@ static inline void load(struct state *s, double static_before, double opening,
             - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean;
         change = -residual / (inertia + 0.25 * h * stiffness
                               + 0.5 * (fluid.new * slope + rub.force_slope + damper));
-        if (fabs(change) <= STRAIGHT)
+        if (fabs(change) <= LINEAR_STEP)
             break;
         if (residual > 0.0)
             high = velocity;

@@ -1,10 +1,10 @@
 """
 `python -m bench.mujoco_joints [--machines 50 --seed 0]`: joints of MuJoCo, diagnosed.
 
-Arms under a torque from a PD loop, with an encoder, simulated by an engine that is not ours: half
-of them have gravity, none a model. Each has one cause: friction, backlash or a spring between
-motor and arm, a late or lagging torque, a push, or one that is outside the vocabulary (ripple,
-drag by the square of the speed, a soft stop). It takes the extra: pip install -e '.[mujoco]'.
+Arms under a torque from a PD loop, with an encoder, simulated by an independent engine: half of
+them have gravity, and the diagnosis has no model of them. Each has one cause: friction, backlash
+or a spring between motor and arm, a delayed or lagging torque, a push, or one outside the
+vocabulary (ripple, quadratic drag, a soft stop). It needs the extra: pip install -e '.[mujoco]'.
 """
 
 import argparse
@@ -41,9 +41,9 @@ class Machine(NamedTuple):
     length: float          # m
     damping: float         # N m s/rad
     weighs: bool
-    loop: float            # rad/s, of the PD loop
-    encoder: float         # rad
-    force: float           # N m, that the course takes
+    loop: float            # rad/s, bandwidth of the PD loop
+    encoder: float         # rad, resolution
+    force: float           # N m, largest torque of the course
     size: float            # of the cause, in its unit
     at: float              # where it acts: frequency Hz or 0 (a pulse), teeth, rad
 

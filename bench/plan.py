@@ -1,9 +1,9 @@
 """
 `python -m bench.plan [--machines 5 --seed 0]`: whether a plan helps a diagnosis.
 
-Joints of the examiner, each with one suspect, are moved by the plan of `asi gap --plan` and by
-references that nobody planned, as long, within the same limits; each recording is diagnosed with
-the same nominal model. Printed: how often the suspect is named first.
+Joints of the examiner, each with one effect, are moved by the plan of `asi gap --plan` and by
+simple references of the same length within the same limits; each recording is diagnosed with the
+same nominal model. Printed: how often the effect is named first.
 """
 
 import argparse

@@ -27,8 +27,8 @@ class Result(NamedTuple):
     rival: str = ''              # what the ratio is against
     ratio: float | None = None
     target: str = ''             # '<= 1.1' or '>= 100'; '' if there is none
-    share: float | None = None   # of a limit's speed that we reach, if the rival is a limit
-    at: float | None = None      # of a curve: the size that `value` belongs to
+    share: float | None = None   # of the rival's speed that we reach, if it is an upper limit
+    at: float | None = None      # of a point of a curve: the size at which `value` was measured
 
     @property
     def met(self) -> bool | None:

@@ -2,14 +2,14 @@
 Error against computing time of our model, scipy, python-control and MuJoCo.
 
 scipy's solve_ivp (LSODA, Radau) and python-control get the same equations, written as a
-right-hand side that is compiled too. They have no delay, so both delays are 0; the play of the
-hysteresis is no differential equation, but while the command holds its output is the play's last
-one limited to a band that only narrows, so it is given to them in closed form. MuJoCo gets what it
+right-hand side that is compiled too. They have no delays, so both delays are 0. The play of the
+hysteresis is no differential equation; but while the command is constant, its output is the last
+one limited to a band that only narrows, which is given to them in closed form. MuJoCo gets what it
 can express: a saturated force, a first-order lag, a mass with spring and damper.
 
-The error is the largest of the force at the control samples, as a share of the largest force,
-against our model at a 16 times finer sub-step than the default, which LSODA at its tightest
-tolerance confirms. Time is processor time for a simulated second.
+The error is the largest one of the force at the control samples, as a share of the largest force,
+relative to our model at a sub-step 16 times finer than the default; LSODA at its tightest
+tolerance confirms that. Time is processor time for a simulated second.
 """
 
 import sys
@@ -132,7 +132,7 @@ def by_scipy(commands: Array, period_s: float, method: str, tolerance: float) ->
         force[k] = x[CARD]
         found = solve_ivp(lambda _, x: slopes(x, command, flux, p), (0.0, period_s), x,  # noqa: B023
                           method, rtol=tolerance, atol=1e2 * tolerance * scale)
-        # A jump of the command widens the band at once; only then it narrows.
+        # A jump of the command widens the band at once; then the band narrows.
         flux = flux_after(found.y[:, -1], command, flux_after(x, command, flux, p), p)
         x = found.y[:, -1]
     return force

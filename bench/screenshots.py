@@ -1,7 +1,7 @@
 """
 Take the pictures of the live page and of `asi view`: `python -m bench.screenshots`.
 
-It runs the nodes, the page and Rerun's own web viewer, and looks at them with a headless Chromium.
+It runs the nodes, the page and Rerun's own web viewer, and opens them in a headless Chromium.
 The file of Rerun is that of `asi view --out`. Needs the extras `live` and `view`, and a Chromium.
 """
 
@@ -23,7 +23,7 @@ from bench.loop_rate import ACTUATOR, CONTROLLER, SINE, node, process
 PICTURES: Final = Path(__file__).parents[1] / 'doc' / 'how_to'
 SIZE: Final[Any] = {'width': 1500, 'height': 1050}
 PATIENCE_MS: Final = 120_000.0
-# Rerun does not say when it has drawn all: its picture has not changed for so long then.
+# Rerun does not report when it has drawn everything: wait until its picture is unchanged so long.
 STILL_S: Final = 5.0
 
 

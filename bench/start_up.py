@@ -77,8 +77,8 @@ def measure(quick: bool) -> list[Result]:
     with tempfile.TemporaryDirectory() as folder:
         for name, module in NODES.items():
             times = interleaved({name: partial(node_ready, module, folder)}, 1 if quick else 3)
-            results.append(Result(f'start.{name}', f'{name}: start to end, seen by another node '
-                                  'in between', float(np.median(times[name])), 's'))
+            results.append(Result(f'start.{name}', f'{name}: start, discovery by another node, '
+                                  'and end', float(np.median(times[name])), 's'))
     rclpy.shutdown()
     return results
 

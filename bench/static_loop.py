@@ -1,18 +1,18 @@
 """
-What a static hysteresis can give: whether a loop without any dependence on the rate is the cause.
+Whether a static hysteresis loop, without any dependence on the rate, can cause the limit cycle.
 
 `python -m bench.static_loop [OUT]` draws loops at random from the block's static part (a play and
 further plays whose widths begin anywhere, then iron that saturates) and linear parts with a coil
 of the paper's open-loop bandwidth, any delay, and the structure that locks the piston as shipped
 or as plausible. By the describing function, for each: the least gain with a cycle (the onset), its
-frequency, and the onset without the hysteresis over it. The published facts ask for an onset at
-Kp = 8 and 92 Hz, and for none without hysteresis below 1.5 times (F13) and 2 times (F12) that.
+frequency, and the ratio of the onset without the hysteresis to it. The published facts require an
+onset at Kp = 8 and 92 Hz, and none without hysteresis below 1.5 times (F13) or 2 times (F12) that.
 
-Generous to the static loop: a step need not reach its unstable cycle, and damping, friction and
-the limit of the command never stop it. Only loops that leave no more than F18's error at Kp = 3
+The criteria favour the static loop: a step need not exceed its unstable cycle, and damping,
+friction and the limit of the command never stop it. Only loops with at most F18's error at Kp = 3
 are kept, and only cycles that do not saturate the valve (F7). Then those with the onset's gain and
 frequency and the highest ratios are simulated at Kp = 3, piston locked: a step of F begins with a
-command of 4 F, which widens the loop as a cycle does, and what remains of that is an error.
+command of 4 F, which widens the loop as a cycle does, and leaves a steady-state error.
 """
 
 import sys
@@ -37,7 +37,7 @@ from asi_common.parameter import Value
 LOOPS: Final = 3000
 COMMANDS_N: Final = np.geomspace(60.0, 4000.0, 30)
 FREQUENCIES_HZ: Final = np.geomspace(30.0, 400.0, 400)
-# F4's limits, and the delays of valve and sensor together as the search may have them.
+# Limits of F4, and the range of the sum of both delays in the search.
 COILS_HZ: Final = (18.0, 20.0, 22.0)
 DELAYS_S: Final = np.linspace(1e-4, 4e-3, 40)
 PLAUSIBLE: Final = {'load.locked_damping': 103.7, 'friction.presliding_damping': 112.5}
@@ -47,7 +47,7 @@ OPEN_LOOP_N: Final = 300.0
 VALVE_N: Final = 900.0
 ONSET: Final = (7.6, 8.4)
 ONSET_HZ: Final = (88.67, 94.67)
-# Of the loops that are simulated: about those limits.
+# Limits of the loops that are simulated: somewhat wider.
 WIDER: Final = (7.2, 8.8)
 WIDER_HZ: Final = (86.0, 97.0)
 # Steps (N) at Kp = 3, and the number of loops whose error is simulated.
@@ -123,7 +123,7 @@ def onsets(of: Loops) -> Found:
         p = as_record({**LOCKED, **(PLAUSIBLE if plausible else {}),
                        'valve_flexure.coil_frequency': 1e4, 'valve_flexure.delay': 0.0,
                        'force_sensor.delay': 0.0})
-        # The piston with damping and seals: what the simulated cycle has, unlike section 4.1.
+        # The piston with damping and seals, as in the simulated cycle, but not in section 4.1.
         base = linear.plant(p, 2e-4, damping_slope(p), seals_stuck=True)(FREQUENCIES_HZ)
         for coil in COILS_HZ:
             slow = 1.0 / (1.0 + 1j * FREQUENCIES_HZ / coil)

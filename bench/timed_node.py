@@ -5,9 +5,9 @@ For the overhead of a callback that does nothing: `... empty actuator|controller
 (`bench/empty_nodes.py`).
 
 Runs the node with timers around the main functions, and prints their time in a tick (us) as JSON.
-A timer adds to the time of the enclosing function, in the loop with its cold caches more than in a
-test of the timer alone. So each function has two nested timers: the difference of the two is the
-overhead of one, which is subtracted from the enclosing function.
+A timer adds to the time of the enclosing function, and more with the cold caches of the loop than
+in a test of the timer alone. So each function has two nested timers: their difference is the
+overhead of one, which is subtracted from the time of the enclosing function.
 """
 
 import json
@@ -33,7 +33,7 @@ from bench import empty_nodes
 
 WARM_UP_TICKS: Final = 2000
 CALLBACKS, SENDING, WAITING, EXECUTOR = 'callbacks', 'sending', 'waiting', 'executor'
-# Of the callbacks; what is left of them is wiring.
+# Parts of the callbacks that are timed; the rest of a callback only calls these.
 PARTS: Final[dict[str, tuple[tuple[Any, str], ...]]] = {
     'packing': tuple((wire, name) for name in (
         'state', 'answer', 'time', 'force', 'piston')),
@@ -131,7 +131,7 @@ def main() -> int:
     times.take_callbacks('create_timer', 2)
     times.count_ticks(LoopStatistics, 'tick')
     times.count_ticks(empty_nodes.Empty, 'send')
-    # Our own nodes end by it in their way.
+    # Only for the empty nodes: ours have their own handler.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     try:
         return node.main() or 0

@@ -18,7 +18,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.attribution.classifier import (
     CAUSES,
-    SURE,
+    LEAST_PROBABILITY,
     VALVE_FAULTS,
     WEIGHTS,
     expanded,
@@ -96,12 +96,12 @@ def validate(features: Array, causes: Causes, trained: dict[str, Any]) -> dict[s
     """
     p = probabilities(features, trained)
     best = p.argmax(1)
-    sure = p.max(1) > SURE
+    sure = p.max(1) > LEAST_PROBABILITY
     confusion = np.zeros((len(CAUSES), len(CAUSES)), int)
     np.add.at(confusion, (causes, best), 1)
     valve = p[:, :len(VALVE_FAULTS)].sum(1)
     at_fault = causes < len(VALVE_FAULTS)
-    blamed = valve > SURE
+    blamed = valve > LEAST_PROBABILITY
     return {'right': float((best == causes).mean()), 'sure': float(sure.mean()),
             'right_when_sure': _mean((best == causes)[sure]),
             'mean_probability': float(p.max(1).mean()),

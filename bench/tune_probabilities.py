@@ -1,5 +1,5 @@
 """
-Fit the constants of the weighing to blind cases whose answers are known.
+Fit the constants of the gap diagnosis's probabilities to blind cases with known answers.
 
     python -m bench.tune_probabilities DIRECTORY...
 
@@ -31,8 +31,8 @@ from asi_analysis.gap.inference.probability import (
 )
 from asi_analysis.gap.model.effects import UNKNOWN
 
-LEAST = 1e-3    # lower limit of the probability of a truth: bounds the weight of an outlier
-PENALTY = 0.02  # on a constant that changes by a factor of e
+LEAST = 1e-3    # lower limit of the probability of the true hypothesis: bounds outliers
+PENALTY = 0.02  # for a constant that changes by a factor of e
 
 
 class Known(NamedTuple):

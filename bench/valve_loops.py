@@ -70,18 +70,18 @@ class Valve(NamedTuple):
 
     kind: int = LINEAR
     band: float = 0.0
-    leap: float = 0.0
+    slip_jump: float = 0.0
     scatter: float = 0.0
     lag: float = 0.0
 
 
 @jit
-def _moved(kind, u, before, stem, plays, band, leap):
+def _moved(kind, u, before, stem, plays, band, slip_jump):
     """Return the valve after the command went from `before` to `u`; plays: changed in place."""
     position = stem.position
     push = u - position
     if kind == KANO:
-        return stick_step(stem, u, before, band, leap)
+        return stick_step(stem, u, before, band, slip_jump)
     if kind == PLAY:
         position = play_step(position, u, 0.5 * band)
     elif kind == PLAYS:
@@ -91,8 +91,8 @@ def _moved(kind, u, before, stem, plays, band, leap):
             total += plays[i]
         position = total / plays.size
     elif kind == HE:
-        if abs(push) > 0.5 * (band + leap):
-            position = u - np.sign(push) * 0.5 * (band - leap)
+        if abs(push) > 0.5 * (band + slip_jump):
+            position = u - np.sign(push) * 0.5 * (band - slip_jump)
     elif kind == SOFT_PLAY:
         beyond = abs(push) - 0.5 * band
         if beyond > 0.0:
@@ -165,7 +165,7 @@ def _run(plant, valve, limit, start, inputs, command, output):
             direction = np.sign(u - before)
             band = valve.band * max(1.0 + valve.scatter * inputs.scatter[k], 0.3)
         for _ in range(SUBSTEPS):
-            stem = _moved(valve.kind, u, before, stem, plays, band, valve.leap)
+            stem = _moved(valve.kind, u, before, stem, plays, band, valve.slip_jump)
             position = stem_keep * position + (1.0 - stem_keep) * stem.position
             before = u
             ring[at % ring.size] = position + inputs.load[k]
@@ -230,7 +230,7 @@ def _plant(world: str, random: Random) -> Plant:
 
 def _valve(world: str, cause: str, random: Random) -> Valve:
     kind = VALVES[world].get(cause, LINEAR)
-    # More often than the valve the controller saturates, which shows in the command.
+    # Usually it is the controller that saturates, not the valve: this shows in the command.
     if cause == 'saturation' and random.random() < 0.6:
         kind = LINEAR
     if cause == 'stiction':

@@ -29,7 +29,7 @@ from torture.rig import NotThere, Rig, Tally
 from torture.soak import soak
 from torture.watchdogs import watchdogs
 
-# Share of the time that each gets.
+# Share of the time for each scenario.
 SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
     watchdogs: 0.05, processes: 0.15, frames: 0.1, messages: 0.1, parameters: 0.1, bags: 0.05,
     disk: 0.05, clocks: 0.05, lockstep: 0.1, soak: 0.05, inputs: 0.1, options: 0.1,
@@ -85,7 +85,7 @@ def _shown(console: Console, tally: Tally, lasts_s: float) -> Iterator[None]:
         printed = 0
         while not over.wait(LINE_S):
             console.print('{1}, {0:.0f} s'.format(*passed()))
-            for failure in tally.failures[printed:]:   # now, for a later one may end the process
+            for failure in tally.failures[printed:]:   # at once: a later one may end the process
                 console.print(f'not survived: {failure}', markup=False)
                 printed += 1
 

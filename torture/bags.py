@@ -114,7 +114,7 @@ def _put(bag: Path, what: str, content: bytes) -> None:
 
 
 def _problem(run: Run, bag: Path, tally: Tally) -> str:
-    """Return the error in what is read from a damaged bag, '' for none."""
+    """Return what is wrong with the data read from a damaged bag, '' for nothing."""
     try:
         with warnings.catch_warnings(record=True) as noted:
             warnings.simplefilter('always')
@@ -152,7 +152,7 @@ def _wrong(run: Run, read: Run) -> str:
             continue
         signal = signal[there]
         differs = ~np.isnan(signal) & (signal != written[found])
-        # A missing command or reference is held: no wrong number, if there is a warning.
+        # A missing command or reference is held: that is allowed with a warning.
         held = np.isin(signal, written) if name in ('command_n', 'reference_n') else False
         if np.any(differs & ~held):
             k = int(np.argmax(differs & ~held))

@@ -1,8 +1,8 @@
 """
-`python -m torture.clean RUNS SEED`: how many undamaged runs have a finding on their samples.
+`python -m torture.clean RUNS SEED`: false alarms of the data quality, on undamaged runs.
 
-Runs of the simulator with other loads, compensators, additions, references, rates and noise: as
-they are, and without the record of their controller, as if they came from another system.
+Runs of the simulator with different loads, compensators, additions, references, rates and noise:
+as they are, and without the record of their controller, as if they came from another system.
 """
 
 import sys

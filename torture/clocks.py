@@ -17,7 +17,7 @@ from torture.rig import ACTUATOR, CONTROLLER, RECORDER, Rig, Tally, is_alive, un
 SOURCE: Final = Path(__file__).with_name('system_clock.c')
 COMPILER: Final = shutil.which('cc')
 RATE_HZ: Final = 200.0
-# By how much the clock may be set, s: forth, back; little, and more than any node takes for lag.
+# By how much the clock is set forward or back, s: from a little to more than any delay.
 STEPS_S: Final = (0.05, 0.5, 5.0, 7200.0, 1e6)
 
 
@@ -86,7 +86,7 @@ def disorder(bag: Path, rate_hz: float) -> str:
     if any(np.any(np.diff(topic.log_ns) < 0) for topic in topics.values()):
         return 'log times go back'
     gap_s = max(np.diff([time_ns for time_ns, _ in merged])) * 1e-9
-    # Longer than a busy machine takes for a period, shorter than the clock is set.
+    # Between the longest period on a busy machine and the steps of the clock.
     if gap_s > 1e6 / rate_hz:
         return f'a gap of {gap_s:.3f} s'
     return ''

@@ -50,7 +50,7 @@ def _record(rig: Rig, size: int, tally: Tally) -> str:
             warnings.simplefilter('ignore')
             read = read_bag(bag)
     except InputError as error:
-        # Nothing had come out of the buffer yet.
+        # Nothing had been written out of the buffer yet.
         tally.notes['nothing recorded'] = tally.notes.get('nothing recorded', 0) + 1
         return '' if size < 50_000 else f'nothing to be read of {size} bytes: {error}'
     tally.samples_lost += round(DURATION_S * 5000) - read.time_s.size

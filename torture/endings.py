@@ -1,4 +1,4 @@
-"""Ctrl-C of every node and command, at ten moments of its life, while the machine is busy."""
+"""Ctrl-C of every node and command, at ten times after its start, while the machine is busy."""
 
 import os
 import shutil
@@ -17,15 +17,15 @@ from torture.options import material
 from torture.rig import PATIENCE_S, ROOT, Rig, Tally
 
 MOMENTS: Final = 10
-# A command that runs longer is cut here: its moments are within so long after its start, s.
+# Latest Ctrl-C after the start of a command, s.
 LONGEST_S: Final = 12.0
-# What the issue asks for, s. More is no failure, as the machine may be busier than it should be:
-# the figures tell it. Not to end at all is one.
+# Required time to end, s. A longer time is reported, but is no failure, as the machine may be too
+# busy; not to end at all is a failure.
 SOON_S: Final = 2.0
-# Programs that only compute, beside the commands.
+# Number of programs that compute beside the commands, as load.
 LOAD: Final = int(os.environ.get('TORTURE_LOAD', '0'))
-# Statuses of Ctrl-C: what serves until it is stopped has then done what it should, what answers
-# has not. A command may also have answered in the meantime: 0, or 1 for a check that failed.
+# Exit statuses after Ctrl-C: 0 for what serves until it is stopped; 130 for a command that
+# computes an answer, or 0 or 1 (a check failed) if it has answered in the meantime.
 SERVES, ANSWERS = {0}, {130, 0, 1}
 
 
@@ -126,7 +126,7 @@ def interrupted(command: Command, after_s: float, folder: Path) -> tuple[str, fl
             process.wait(after_s)
         begin = time.monotonic()
         if process.poll() is None:
-            # As a terminal does: to all that the command has started.
+            # To the whole process group, as a terminal does.
             os.killpg(process.pid, signal.SIGINT)
         try:
             status = process.wait(PATIENCE_S)

@@ -9,10 +9,10 @@ from torture.processes import Loop
 from torture.rig import NotThere, Rig, Tally, is_alive, until
 from torture.wire import END
 
-# One line in so many is damaged.
+# Share of the lines that are damaged.
 SHARE: Final = 0.2
 LENGTH_S: Final = 1.5
-# Frames from so many lines ago.
+# Number of past lines from which frames are replayed.
 PAST: Final = 400
 
 
@@ -110,7 +110,7 @@ def _unplug(loop: Loop, tally: Tally) -> str:
     until(lambda: loop.rig.diagnostics['asi_actuator']['state'] == 'fault'
           and loop.rig.diagnostics['asi_actuator']['at'] > begin, 'the fault')
     tally.zero_s.append(loop.rig.diagnostics['asi_actuator']['at'] - begin)
-    # The simulated actuator ends with its bus; a firmware would shut its valve by itself.
+    # The simulated actuator ends with its bus; a real firmware would close its valve.
     loop.processes['peer'].exit_status()
     loop.wire.replug()
     return '' if is_alive(loop.processes['actuator']) else 'the actuator node has ended'

@@ -1,9 +1,9 @@
 """
-`python -m torture.guided FOLDER SECONDS`: damaged files, led by the branches that they reach.
+`python -m torture.guided FOLDER SECONDS`: coverage-guided fuzzing of the file readers.
 
 Atheris (libFuzzer; `pip install atheris`) changes the files of the corpus, keeps in FOLDER what
 reaches a new branch of a reader, and ends at the first traceback, with the input beside it. `make
-torture` tries damage at random; this finds inputs that take several lucky changes together.
+torture` tries damage at random; this finds inputs that need several specific changes together.
 """
 
 import sys
@@ -14,7 +14,7 @@ from typing import Final
 
 import atheris
 
-# Not those with compiled functions, which numba could not compile with counters in them.
+# Modules without compiled functions: numba cannot compile code that counts its branches.
 READERS: Final = ('asi_analysis.bags.exchange', 'asi_analysis.bags.bag',
                   'asi_analysis.bags.information', 'asi_analysis.bags.topic_messages',
                   'asi_common.parameter_file', 'mcap', 'rosbags')
@@ -22,7 +22,7 @@ COMPILED: Final = ('asi_analysis.bags.bag_file', 'asi_analysis.bags.encoding')
 KINDS: Final = ('.csv', '.txt', '.json', '.jsonl', '.npz', '.parquet', '.mcap', '.yaml', '.db3',
                 '.csv.gz')
 LARGEST: Final = 60_000     # bytes of an input
-TEXT: Final = 30_000        # bytes of a good text: a recording has many lines of one form
+TEXT: Final = 30_000        # bytes of an undamaged text file: many lines of one form
 
 with atheris.instrument_imports(include=list(READERS), exclude=list(COMPILED)):
     from torture.inputs import corpus, read

@@ -50,7 +50,7 @@ MAP: Final = ['time=time_s', 'force=force_n', 'reference=reference_n']
 DATASET_MAP: Final = ['time=timestamp', 'force=observation.state.force[N]',
                       'reference=action.force[N]']
 ROS_1_MAP: Final = ['force=/force_n/data', 'reference=/reference_n/data']
-# What someone may find in a text instead of a number.
+# What a text file may contain instead of a number.
 WORDS: Final = (b'', b'nan', b'1e400', b'-', b'"', b'1,5', b'-19m', b'12:00 PM', b'\xff', b'\x00',
                 b'[1, 2]', b'!!python/object:os.system', b'*a', b'2001-13-45', b'1' * 400, b'\n',
                 b'{', b'~', b'0x1F', b'1:99', b'<<: *x')
@@ -159,7 +159,7 @@ def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE
 
 
 def _as_dataset(run: Run, out: Path) -> list[Path]:
-    """Write reference and force as a dataset of LeRobot (v3); return what may be damaged of it."""
+    """Write reference and force as a LeRobot dataset (v3); return the files to damage."""
     info, data = out / 'meta/info.json', out / 'data/chunk-000/file-000.parquet'
     info.parent.mkdir(parents=True)
     data.parent.mkdir(parents=True)
@@ -336,7 +336,7 @@ def _noise(force: Array, random: Random, size: float) -> Array:
     return np.random.default_rng(random.getrandbits(32)).normal(0.0, size, len(force))
 
 
-# What only the command shows: force and reference -> others.
+# Changes of force and reference that only the command shows.
 OF_COMMAND: Final[dict[str, Callable[[Array, Array, Random], tuple[Array, Array]]]] = {
     'scale of the reference': lambda force, reference, random: (
         force, random.choice((0.5, 2.0, 3.0)) * reference),
@@ -398,9 +398,9 @@ def difference(found: Answer, right: Answer) -> str:
     """Return which figure differs silently, or is called reliable; '' if none."""
     for name, value in found.figures.items():
         if not found.said and _differ(name, value, right.figures.get(name), 0.03):
-            return f'{name} is {value} for {right.figures}, and nothing says why'
+            return f'{name} is {value} for {right.figures}, without a note'
         if found.reliable.get(name) and _differ(name, value, right.figures.get(name), 0.1):
-            return f'{name} is {value} for {right.figures}, and said to be reliable'
+            return f'{name} is {value} for {right.figures}, and is called reliable'
     return ''
 
 
@@ -419,7 +419,7 @@ def inputs(rig: Rig, tally: Tally, end: float) -> None:
     folder = rig.folder / 'corpus'
     folder.mkdir()
     files = corpus(folder)
-    # After so many files, samples of a recording: a limit cycle and a gap take longer.
+    # Samples of a recording after so many files: a limit cycle and a gap take longer.
     analyses = ((4, recording(), of_step), (5, with_command(), of_step),
                 (7, saturated(), of_step), (9, without_command(), of_step),
                 (100, cycle(), of_cycle), (500, with_a_gap(), of_gap))

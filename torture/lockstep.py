@@ -48,7 +48,7 @@ def lockstep(rig: Rig, tally: Tally, end: float) -> None:
                      commands[side])
             faults += 1
         for side in SIDES:
-            # The loop's own answers count as one fault too: that of being disturbed by the other.
+            # Each loop counts as one fault more: it is disturbed by the other one.
             expected = simulate_loop(physics[side], control[side], DURATION_S, RATE_HZ)
             tally.count(side, _difference(actuators[side], states[side], expected.force_n, tally),
                         1 + faults // 2)
@@ -61,7 +61,7 @@ def lockstep(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def _reset_in_mid_run(rig: Rig) -> tuple[int, str]:
-    """Pause, reset and resume a recorded run; return how often, and what its bag has wrong."""
+    """Pause, reset and resume a recorded run; return how often, and what is wrong in its bag."""
     physics = {'force_sensor.noise': 0.7, 'force_sensor.noise_seed': rig.random.randrange(2**31)}
     bag = rig.folder / f'bag-{time.monotonic_ns()}'
     recorder = rig.start(RECORDER, output=bag)
@@ -83,7 +83,7 @@ def _reset_in_mid_run(rig: Rig) -> tuple[int, str]:
 
 
 def _explained(run: Run, p: np.void, requested: int) -> tuple[int, str]:
-    """Return how often the recorded model began anew, and where it did not do as it must."""
+    """Return how often the recorded model was reset, and the first state that is wrong."""
     signals = [run.signal(name) for name in ('force', 'valve_position', 'position', 'velocity')]
     state, resets = rest(), 0
     measure(state, p)
@@ -101,7 +101,7 @@ def _explained(run: Run, p: np.void, requested: int) -> tuple[int, str]:
 
 def _disturb(rig: Rig, side: str, actuator: NodeProcess, controller: NodeProcess, clocks: Any,
              commands: Any) -> None:
-    """Do one thing that must change nothing."""
+    """Disturb the loop once, in a way that must not change the run."""
     stamp_ns = rig.random.choice((0, 10**6, 10**9, 10**18, rig.random.randrange(10**9)))
     kind = rig.random.randrange(5)
     if kind == 0 and is_alive(actuator):
@@ -135,7 +135,7 @@ def _difference(actuator: NodeProcess, states: list[Any], expected: np.ndarray,
     period_ns = round(1e9 / RATE_HZ)
     for k, force in enumerate(expected, 1):
         if k * period_ns not in heard:
-            # This listener has come too late for it, or it was lost to it alone.
+            # This listener subscribed too late for it, or only this listener lost it.
             tally.samples_lost += 1
         elif heard[k * period_ns] != force:
             return f'state {k} is {heard[k * period_ns]!r}, expected {force!r}'

@@ -15,11 +15,11 @@ from torture.rig import ACTUATOR, CONTROLLER, Rig, Tally, is_alive, until
 
 NUMBERS: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e5, 0.0, -0.0, 5e-324)
 BURST: Final = 50
-RUNS: Final = 'the actuator to say that it runs'
+RUNS: Final = 'the actuator to report that it runs'
 
 
 def _stamp(random: Random) -> Time:
-    """Return now, or a time that cannot be."""
+    """Return the present time, or an impossible one."""
     stamp = Time()
     set_time(stamp, random.choice((
         time.time_ns(), 0, 1, time.time_ns() - 10**9, time.time_ns() + 10**9, 2**31 * 10**9 - 1)))
@@ -61,7 +61,7 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
              rig.start(CONTROLLER, mode='realtime', rate_hz=200.0, gain=1.0, state_timeout=2.0)]
     publishers = [(rig.node.create_publisher(kind, topic, 10), make)
                   for kind, topic, make in KINDS]
-    # A stray state before the first of the actuator would end the controller, as it says.
+    # A foreign state before the first of the actuator ends the controller, as documented.
     until(lambda: _runs(rig), RUNS)
     while time.monotonic() < end or not tally.tried:
         publisher, make = rig.random.choice(publishers)
@@ -78,8 +78,8 @@ def messages(rig: Rig, tally: Tally, end: float) -> None:
 
 
 def _runs(rig: Rig) -> bool:
-    """Reset and enable the actuator; return whether it runs by what it says next."""
+    """Reset and enable the actuator; return whether its next diagnostics say that it runs."""
     rig.enable()
     since = time.monotonic()
-    until(lambda: rig.diagnostics['asi_actuator']['at'] > since, 'the actuator to say how it is')
+    until(lambda: rig.diagnostics['asi_actuator']['at'] > since, 'diagnostics of the actuator')
     return rig.runs('asi_actuator')

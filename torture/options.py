@@ -1,10 +1,10 @@
 """
 Odd values of every number that a command takes: refused in one line, or computed.
 
-The options are those of the application itself, so a new one is tried without a word here. A
-traceback is a failure, and so are another exit status than 0, 1, 2 or 130, a refusal that does not
-name what it refuses, and a command that Ctrl-C does not end. `make test` tries a few hundred up to
-the point where the computation begins, `make torture` lets some of ten thousand compute.
+The options are read from the application, so a new one is tried without a change here. Failures
+are a traceback, another exit status than 0, 1, 2 or 130, a refusal that does not name the option,
+and a command that Ctrl-C does not end. `make test` tries a few hundred up to the point where the
+computation begins, `make torture` lets some of ten thousand compute.
 """
 
 import contextlib
@@ -49,7 +49,7 @@ TEXTS: Final = {'steps': ('{}', '100,{}'), 'rates': ('{}', '5000,{}'),
                 'noise': ('position={}[rad]',),
                 'front': ('load.mass={}', 'load.mass=0.5,{}'),
                 'map_': ('reference=force_n*{}', 'reference=force_n+{}', 'reference=force_n[{}]')}
-# What a call needs to be complete, and soon over where a value is accepted.
+# Further arguments that make a call complete, and short if the value is accepted.
 NEEDED: Final = {
     'run': ['--out', 'new'], 'analyze': ['bag'], 'export': ['bag', '--out', 'new.csv'],
     'import': ['table.csv', '--map', 'time=time_s', '--map', 'force=force_n', '--out', 'new'],
@@ -63,7 +63,7 @@ NEEDED: Final = {
 FILES: Final = ('bag:', 'table.csv')   # what a refusal may name instead of an option
 # One call of so many computes.
 COMPUTED: Final = 20
-# How long it may compute until Ctrl-C, and how long that may take on a busy machine, s.
+# How long it computes until Ctrl-C, and how long it may then take to end on a busy machine, s.
 COMPUTES_S: Final = 4.0
 PATIENCE_S: Final = 60.0
 

@@ -59,9 +59,9 @@ def parameters(rig: Rig, tally: Tally, end: float) -> None:
         try:
             seed(rig.random.randrange(2**32))(fuzz)()
         except NotThere:
-            return  # it is counted
+            return  # already counted
         count = len(states)
-        until(lambda count=count: len(states) > count, 'the loop to go on')
+        until(lambda count=count: len(states) > count, 'the next state')
         if trace := rig.tracebacks():
             tally.failures.append(trace)
             return
@@ -75,7 +75,7 @@ def _held(rig: Rig, node: str) -> dict[str, Any]:
 
 
 def _try(rig: Rig, node: str, new: dict[str, Any], atomic: bool) -> str:
-    """Set values; return what is wrong with what the node then holds."""
+    """Set values; return what is wrong with the values that the node then has."""
     before = _held(rig, node)
     values = [RosParameter(name, value=value).to_parameter_msg() for name, value in new.items()]
     if atomic:
@@ -91,7 +91,7 @@ def _try(rig: Rig, node: str, new: dict[str, Any], atomic: bool) -> str:
     held = _held(rig, node)
     for name, value in held.items():
         if reason := TABLES[node][name].problem(value):
-            return f'holds what is not allowed: {reason}'
+            return f'the node has a value that is not allowed: {reason}'
         if value != expected[name]:
-            return f'{name} = {value!r} is held, expected {expected[name]!r}'
+            return f'the node has {name} = {value!r}, expected {expected[name]!r}'
     return ''

@@ -26,12 +26,12 @@ from torture.rig import (
 from torture.wire import Wire
 
 SIGNALS: Final = (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM)
-# The limits of this run, s: generous, as the machine is busy and they are not what is tried.
+# The limits of this run, s: generous, since the machine is busy and they are not under test.
 FIRMWARE_S: Final = 0.1
 AGE_S: Final = 0.2
 RATE_HZ: Final = 200.0
-# After the limit the valve must be shut within two periods; what a busy machine may add before it
-# counts as not survived, s, besides the time in which it stood still. The figures tell the rest.
+# After the limit the valve must be closed within two periods. A busy machine may add so much (s),
+# beside the time for which it stalled; the table shows the actual time.
 MACHINE_S: Final = 1.0
 KILL_LOSES_S: Final = 1.0
 
@@ -99,7 +99,7 @@ class Loop:
 
     def machine_s(self) -> float:
         """Return what the machine may have added to a time since run(), s."""
-        time.sleep(2.0 * NAP_S)  # the last of it is noted only now
+        time.sleep(2.0 * NAP_S)  # until a stall that is not over yet has been counted
         return MACHINE_S + self.rig.stood_still_s - self._stood_still_s
 
     def stamps_in_bag(self) -> list[int]:
@@ -159,10 +159,10 @@ def _break(loop: Loop, name: str, number: signal.Signals, tally: Tally) -> str:
     process.send(number)
     problem = ''
     if name == 'recorder':
-        # The loop does not care who listens.
+        # The loop does not depend on its subscribers.
         until(lambda: len(loop.states) > heard + RATE_HZ / 2, 'states without a recorder')
     else:
-        # An actuator that is gone or stands still cannot say that its valve is shut.
+        # An actuator that is killed or stopped cannot report that its valve is closed.
         shut = ((lambda: wire.shut_commanded_s) if name == 'peer' else (lambda: wire.shut_s))
         tally.zero_s.append(until(lambda: shut() is not None and shut(),
                                   'the valve to be shut', PATIENCE_S))
@@ -172,10 +172,10 @@ def _break(loop: Loop, name: str, number: signal.Signals, tally: Tally) -> str:
     if number == signal.SIGSTOP:
         process.send(signal.SIGCONT)
         time.sleep(0.1)
-        # The actuator whose terminal is full may lose it; all others go on.
+        # The actuator may lose its bus when the terminal is full; all others continue.
         return problem or ('' if is_alive(process) else f'has ended: {process.text[-300:]}')
     status = process.exit_status()
-    # A recorder that has lost messages says so: they are counted by themselves.
+    # A recorder that has lost messages exits with 1; these are counted separately.
     if number == signal.SIGTERM and status != 0 and 'were lost' not in process.text:
         return f'exit status {status}: {process.text[-300:]}'
     if name == 'recorder':

@@ -31,12 +31,12 @@ ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_
 RECORDER, PEER = 'asi_analysis.bags.nodes.recorder_node', 'asi_actuator.can_actuator'
 # How long a busy machine may take to start a process or to answer a service.
 PATIENCE_S: Final = 60.0
-# A thread that sleeps for so long and wakes so much later has seen the machine stand still, s.
+# A thread sleeps for NAP_S; if it wakes up so much later (s), the machine has stalled.
 NAP_S: Final = 0.01
 LATE_S: Final = 0.05
-# So much later, the periods of a node on this machine may be late too, s.
+# If so much later (s), the machine is busy, and the periods of a node may be late too.
 BUSY_S: Final = 0.002
-# A node complains of late periods and lost samples for so long, s.
+# For so long (s) a node reports late periods and lost samples.
 COMPLAINS_S: Final = 10.0
 
 
@@ -92,9 +92,9 @@ class Rig:
         self.diagnostics: dict[str, Any] = defaultdict(
             lambda: {'at': -math.inf, 'text': '', 'state': ''})
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
-        # How long this machine has stood still so far, s.
+        # Total time for which this machine has stalled, s.
         self.stood_still_s = 0.0
-        self._late_at_s = -math.inf   # when the machine was last late by a nap
+        self._late_at_s = -math.inf   # when the machine was last busy
         self._threads = [threading.Thread(target=self._executor.spin),
                          threading.Thread(target=self._watch_machine)]
         for thread in self._threads:

@@ -1,8 +1,8 @@
 """
-A loop that runs on and on: memory, descriptors and threads stay as they are.
+A loop that runs for a long time: memory, descriptors and threads must not grow.
 
-One of the scenarios of `make torture`, where it takes what time it gets; alone, `make soak` is an
-hour of simulated lock-step and ten minutes of real time, with what each process uses as a table.
+One of the scenarios of `make torture`, for its share of the time; alone, `make soak` is an hour of
+simulated lock-step and ten minutes of real time, with a table of what each process uses.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from scipy.stats import theilslopes
 
 from torture.rig import ACTUATOR, CONTROLLER, RECORDER, NodeProcess, Rig, Tally, is_alive, until
 
-# What may come on top of what is used at a third of the time, when all is warm.
+# Allowed growth after the first third of the time, which is the warm-up, MB.
 MORE_MB: Final = 10.0
 MORE_FILES: Final = 2
 MORE_THREADS: Final = 1
@@ -83,8 +83,8 @@ def _series(uses: list[Use]) -> Series:
     """
     Return what was used; the growth is the median slope of all pairs (Theil and Sen).
 
-    A leak goes on and on. A step does not count: where the machine stands still for a second, what
-    waits takes memory that the process keeps for the next time.
+    So a single step does not count: messages that queue while the machine stalls take memory that
+    the process keeps. A leak grows all the time.
     """
     warm = len(uses) // 3
     time_h, megabytes = np.array([(use.loop_s / 3600.0, use.megabytes) for use in uses[warm:]]).T
@@ -104,7 +104,7 @@ def _soak(rig: Rig, tally: Tally, leg: Leg, end: float,
     """Run a leg until it is over or time.monotonic() is `end`; return what was used."""
     bag = rig.folder / f'bag-{leg.mode}'
     rig.diagnostics.clear()
-    # What is looked at is not how fast the machine is: a late command is no fault.
+    # The speed of the machine is not tested here: a late command is no fault.
     loop = {'mode': leg.mode, 'rate_hz': leg.rate_hz, 'await_recorder': True}
     nodes = {'recorder': rig.start(RECORDER, output=bag),
              'controller': rig.start(CONTROLLER, **loop, gain=1.0, state_timeout=60.0,
@@ -118,7 +118,7 @@ def _soak(rig: Rig, tally: Tally, leg: Leg, end: float,
     until(lambda: ticks() > 1000, 'the loop')
     task = progress and progress.add_task(leg.mode, total=leg.duration_s or None)
     uses: dict[str, list[Use]] = {name: [] for name in nodes}
-    # A few looks at least, however little time is left.
+    # At least a few samples, however little time is left.
     while all(map(is_alive, nodes.values())) and (
             time.monotonic() < end or len(uses['actuator']) < FEWEST_LOOKS):
         loop_s = ticks() / leg.rate_hz
@@ -131,10 +131,10 @@ def _soak(rig: Rig, tally: Tally, leg: Leg, end: float,
     problem = next((f'the {name} has ended' for name in ('recorder', 'controller')
                     if not is_alive(nodes[name])), '')
     if leg.duration_s and nodes['actuator'].exit_status() != 0:
-        problem = f'the actuator ended so: {nodes["actuator"].text[-300:]}'
+        problem = f'the actuator has ended: {nodes["actuator"].text[-300:]}'
     for name in ('actuator', 'recorder', 'controller'):
         if is_alive(nodes[name]) and nodes[name].stop() != 0:
-            problem = f'the {name} ended so: {nodes[name].text[-300:]}'
+            problem = f'the {name} has ended: {nodes[name].text[-300:]}'
     lost = sum(int(line.split('[ERROR]')[-1].split(': ')[1].split()[0])
                for line in nodes['recorder'].text.splitlines() if 'were lost' in line)
     tally.samples_lost += lost

@@ -1,9 +1,9 @@
 """
 How many control periods pass from what breaks a limit until the valve is commanded shut.
 
-The actuator's node, a firmware and the slcan bus between them are real; time is not: the node's
-periods are called one by one, each when all frames of the last one have arrived. So the count is
-that of the frames on the bus, the same on any machine.
+The actuator's node, a firmware and the slcan bus between them are real, but time is not: each
+period of the node is called when all frames of the last one have arrived. So periods are counted
+in frames on the bus, and the count is the same on any machine.
 """
 
 import math
@@ -32,10 +32,10 @@ from torture.rig import NotThere, Rig, Tally, until
 from torture.wire import Wire
 
 RATE_HZ: Final = 200.0
-# Small enough that no limit of this rig is near, whatever the machine does meanwhile.
+# Far below every limit of this rig, however slow the machine is.
 COMMAND_N: Final = 20.0
 WITHIN: Final = 2
-# One period may count as up to ten where the machine is slow: a jump must be a fault even then.
+# On a slow machine one period may count as ten: a jump must be a fault even then.
 FORCE_RATE: Final = 1e4
 ON_A_LINE: Final = 6   # characters of slcan around the data: t, identifier, length, end
 
@@ -131,7 +131,7 @@ class Bench:
 
 
 def _with(**changed: float) -> Callable[[Bench], None]:
-    """Return what breaks a limit by a state with these numbers."""
+    """Return an action that exceeds a limit by a state with these values."""
     return lambda bench: bench.period(changed=changed) and None
 
 
@@ -175,8 +175,8 @@ def _not_following(bench: Bench) -> None:
         bench.period(changed={'enabled': 0.0})
 
 
-# What is done, up to and with the frame or command that breaks the limit; how the reason begins;
-# whether the node is given no new command from then on.
+# By watchdog: the actions up to the frame or command that exceeds the limit; the beginning of the
+# reason; whether no new command follows.
 WATCHDOGS: Final[dict[str, tuple[Callable[[Bench], None], str, bool]]] = {
     'age of the command': (_old_command, 'age of valve_command', True),
     'command that is no number': (_no_number, 'valve_command = nan N', True),
@@ -205,7 +205,7 @@ def periods_until_shut(bench: Bench, what: str) -> int:
     commands = [bench.period(None if silent else COMMAND_N) for _ in range(10)]
     shut = [command['enable'] == 0 and command['valve_command'] == 0.0 for command in commands]
     if not bench.node.safety.reason.startswith(reason):
-        raise NotThere(f'a fault for {reason}, not: {bench.node.safety.reason}')
+        raise NotThere(f'a fault with the reason {reason}, not: {bench.node.safety.reason}')
     first = shut.index(True) if True in shut else len(shut)
     if not all(shut[first:]) or bench.firmware.driving or first == len(shut):
         raise NotThere(f'a valve that stays shut: {commands}')

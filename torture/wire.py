@@ -75,7 +75,7 @@ class Wire:
             path.symlink_to(terminal)
 
     def _see(self, line: bytes) -> None:
-        """Note what a genuine frame says."""
+        """Store the contents of an undamaged frame."""
         if line[:1] != b't':
             return
         try:

@@ -46,8 +46,8 @@ class SlcanBus(slcanBus):
             del self._buffer[:end + 1]
             if line[:1] in FRAME_LETTERS:
                 return line.decode()
-            # Else the adapter's acknowledgement of a command (an error, if one precedes it). If
-            # it were returned, the caller would stop reading.
+            # Any other line is the adapter's acknowledgement of a command. If it were returned,
+            # the caller would stop reading.
         return None
 
     def _write(self, string: str) -> None:
@@ -115,7 +115,7 @@ class CanActuator:
         self._bus: can.BusABC | None = None
         self._retry_at = 0.0
         self._problem = ''
-        # The counter of the newest command; how many were sent since the newest state came.
+        # Counter of the newest command; number of commands since the newest state.
         self._sent = self._unanswered = 0
         self._received: int | None = None
         self._received_at = -math.inf
@@ -126,14 +126,14 @@ class CanActuator:
     def open(self) -> None:
         self._retry_at = time.monotonic() + RETRY_S
         try:
-            # Without python-can's filters: recv(0.0) takes a frame that they drop for the last.
+            # Without python-can's filters: recv(0.0) returns None for a frame that they drop.
             self._bus = open_bus(self._interface, self._channel, self._bitrate)
             for _ in range(MOST_FRAMES):
-                if not any(received(self._bus)):  # sent before the bus was opened
+                if not any(received(self._bus)):  # drop what was sent before the bus was opened
                     break
         except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
-            # The last two: a missing option, a library that is not installed.
-            self._problem = self._words(error)
+            # TypeError: a missing option; ImportError: a library that is not installed.
+            self._problem = self._described(error)
         else:
             self._problem = ''
             self._received = None
@@ -177,14 +177,15 @@ class CanActuator:
         self._drop(None)
 
     def _drop(self, error: Exception | None) -> None:
+        """Close the bus, and connect again after RETRY_S."""
         bus, self._bus = self._bus, None
         self._retry_at = time.monotonic() + RETRY_S
         if error is not None:
-            self._problem = self._words(error)
+            self._problem = self._described(error)
         if bus is not None:
             close_bus(bus)
 
-    def _words(self, error: Exception) -> str:
+    def _described(self, error: Exception) -> str:
         return f'{self._interface} {self._channel}: ' + ' '.join(str(error).split())
 
     def _send(self, bus: can.BusABC, command_n: float, enabled: bool) -> None:
@@ -200,10 +201,10 @@ class CanActuator:
         """Process the received frames; return the newest state."""
         newest = None
         for message in received(bus):
-            newest = self._take(message) or newest
+            newest = self._decode(message) or newest
         return newest
 
-    def _take(self, message: can.Message) -> Measurement | None:
+    def _decode(self, message: can.Message) -> Measurement | None:
         """Process a frame; return the state if it completes a new one."""
         if message.is_remote_frame or message.is_extended_id:
             return None  # of another device

@@ -76,8 +76,8 @@ class Frames:
                                      + ', '.join(sorted(missing)))
             if problem := _problem(self.messages[name]):
                 raise ParameterError(f'can.dbc = {str(place)!r}: frame {name}: {problem}')
-        # By frame and signal, its bounds: its range, within what its bits can represent.
-        self._ends = {name: {s.name: _ends(s) for s in self.messages[name].signals}
+        # By frame and signal: its range, within what its bits can represent.
+        self._ranges = {name: {s.name: _range(s) for s in self.messages[name].signals}
                       for name in SIGNALS}
         self.identifiers = {name: self.messages[name].frame_id for name in SIGNALS}
         self._by_identifier = {m.frame_id: m for m in self.messages.values() if m.name in SIGNALS}
@@ -86,7 +86,7 @@ class Frames:
         """Return the data of a frame; a value beyond the range of its signal becomes its end."""
         message = self.messages[name]
         complete = {signal: min(max(values.get(signal, 0), low), high)
-                    for signal, (low, high) in self._ends[name].items()}
+                    for signal, (low, high) in self._ranges[name].items()}
         data = message.encode(complete)[:-1]
         return data + bytes((checksum(message.frame_id, data),))
 
@@ -124,7 +124,7 @@ def _problem(message: Message) -> str:
     return ''
 
 
-def _ends(signal: Signal) -> tuple[float, float]:
+def _range(signal: Signal) -> tuple[float, float]:
     """Return the smallest and the largest value that a signal may have."""
     codes = 1 << signal.length
     raw = (-codes // 2, codes // 2 - 1) if signal.is_signed else (0, codes - 1)

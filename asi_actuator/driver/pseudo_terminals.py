@@ -48,4 +48,4 @@ class LinkedTerminals:
                 try:
                     os.write(other, data)
                 except BlockingIOError:
-                    pass  # nobody reads: lost, as on a bus
+                    pass  # the buffer is full, as nobody reads: lost, as on a bus

@@ -1,7 +1,7 @@
 """
 Coupling of piston and load: a compliance, and a gap (backlash); rigid by default.
 
-With a compliance, or a gap before the load's mass, piston and load are two masses. What touches is
+With a compliance, or a gap before the load's mass, piston and load are two masses. The contact is
 a spring with a damper, and never pulls across a gap. A gap may also lie between the mass and the
 spring of the load, with or without its damper (Nordin, Gutman, "Controlling mechanical systems
 with backlash - a survey", Automatica 38, 2002).
@@ -19,8 +19,8 @@ class Contact(NamedTuple):
 
     force: float      # N
     damping: float    # N s/m
-    push: float       # N, what else moves the load
-    inertia: float    # N s/m, what it takes
+    push: float       # N, all other terms of the load's equation of motion
+    inertia: float    # N s/m, (push + force on the load) / mean velocity of the load
 
 
 @jit

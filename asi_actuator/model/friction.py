@@ -19,11 +19,9 @@ CYLINDER, BEHIND_SENSOR = 0, 1
 
 # Share of the breakaway deflection below which the seals deform without any sliding.
 ELASTIC_SHARE: Final = 0.7
-
-
 # Beyond this many Stribeck velocities exp(-x * x) changes no bit of the friction.
 FAR: Final = 7.0
-# Seals that give way at a deflection (m) below this rub with nothing; its inverse would overflow.
+# Least breakaway deflection (m) of seals with friction: the inverse of a smaller one overflows.
 LEAST_LIMIT: Final = 1e-100
 
 

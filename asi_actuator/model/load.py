@@ -16,10 +16,10 @@ from asi_common.jit import inlined, jit
 
 LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
-# A Newton step (m/s) so small that the damping is straight over it: for the default damping the
-# rest is below 1e-4 N (test/actuator/test_model_convergence.py compares with full convergence).
-STRAIGHT: Final = 2e-5
-# Enough for the halving of the bracket that a Newton step falls back to.
+# A Newton step (m/s) so small that the damping is linear over it: for the default damping the
+# error is below 1e-4 N (test/actuator/test_model_convergence.py compares with full convergence).
+LINEAR_STEP: Final = 2e-5
+# Enough for the bisection that a Newton step falls back to.
 MOST_ROUNDS: Final = 60
 
 
@@ -110,7 +110,7 @@ def load(state, static_before, opening, steady, p):
             p.coupling_piston_share * mass, 0.0, touch.damping, -touch.force)
     elif moves:
         stiffness, damper, origin = spring_and_damper(state.position, stiffness, damper, p)
-    # Half of the forces at the start, and what the spring holds there.
+    # The trapezoidal rule's half of the forces at the start, and the force of the spring there.
     begin = (pushed - stiffness * (state.position - origin)
              + 0.5 * (state.hydraulic_force - state.friction_force))
     low, high = -math.inf, math.inf
@@ -128,7 +128,7 @@ def load(state, static_before, opening, steady, p):
         steepness = (mass / h + 0.25 * h * stiffness
                      + 0.5 * (fluid.new * damping_slope + seals.force_slope + damper))
         change = -residual / steepness
-        if abs(change) <= STRAIGHT:
+        if abs(change) <= LINEAR_STEP:
             break
         if residual > 0.0:
             high = velocity

@@ -1,5 +1,5 @@
 """
-Valve hysteresis: the magnetic circuit that drives the valve (paper, section 2.2, Fig. 5).
+Valve hysteresis: the loop of the magnetic circuit that drives the valve (paper, 2.2, Fig. 5).
 
 A play whose half width grows with the rate of the command. At rest it leaves the small remanence
 that the paper's steady-state errors allow; at 100 Hz it gives the phase lag that the paper's

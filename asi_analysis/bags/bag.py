@@ -35,12 +35,12 @@ DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 # End of the name of the status of a state (asi_common/node/diagnostics.py, which imports rclpy).
 STATE: Final = ': state'
 LOST: Final = 'lost samples'     # key of the status of a loop, in that module too
-# A message may come so many messages late, and so many stamps may be wrong.
+# Tolerated in one recording: delay of a message, in messages; number of messages beyond that.
 MOST_LATE: Final = 10
 MOST_WRONG: Final = 2
 LONGER: Final = 0.05    # share of a recording by which another topic may outlast the first
-IRREGULAR: Final = 0.1  # share of intervals that are not the usual one, if messages are missing
-CROWDED: Final = 1.5   # times as many messages in a time as usual: those of two times
+IRREGULAR: Final = 0.1  # least share of unusual intervals that shows missing messages
+CROWDED: Final = 1.5    # ratio of the density of messages to the usual one, where clocks overlap
 BLOCK_SAMPLES: Final = 20_000
 
 
@@ -208,7 +208,11 @@ def _layout_key(layouts: dict[bytes, cdr.Layout], type_: str,
 
 
 def _lost_on_the_way(topics: Mapping[str, Topic]) -> dict[str, int]:
-    """Return the number of lost messages by topic, if each topic has numbers of its own."""
+    """
+    Return the number of lost messages by topic.
+
+    Empty if every topic has gaps: then the sequence numbers are not counted topic by topic.
+    """
     counts = {topic.name: topic.lost for topic in topics.values()
               if _base_name(topic.name) != DIAGNOSTICS}
     lost = {name: count for name, count in counts.items() if count}
@@ -277,7 +281,7 @@ def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]
 
 
 def _wrong_stamps(series: Mapping[str, Series], source: str) -> list[str]:
-    """Return sentences on topics whose stamps repeat, are of another time, or are missing."""
+    """Return sentences on topics with repeated stamps, stamps of another clock, or losses."""
     found = []
     first = _first(series)
     ticks = np.unique(series[first].stamp_ns)
@@ -318,7 +322,7 @@ def _missing_ends(series: Mapping[str, Series], topics: Mapping[str, Topic]) -> 
         return
     ticks = np.unique(series['joint_states'].stamp_ns)
     stamps = np.unique(series['valve_command'].stamp_ns)
-    if len(ticks) < 2 or stamps[-1] < ticks[0] or stamps[0] > ticks[-1]:    # of another clock
+    if len(ticks) < 2 or stamps[-1] < ticks[0] or stamps[0] > ticks[-1]:    # another clock
         return
     tolerated = MOST_LATE * float(np.median(np.diff(ticks)))
     for missing, part in ((stamps[0] - ticks[0], 'first'), (ticks[-1] - stamps[-1], 'last')):
@@ -335,15 +339,15 @@ def time_base(series: Series, source: str) -> Series:
     """
     Return the time base of a run: unique stamps, or times of publication without stamps.
 
-    Raises InputError for a clock that was set back: messages of two times would be mixed.
+    Raises InputError for a clock that was set back: messages before and after would be mixed.
     """
     ticks = series.stamp_ns if series.stamp_ns.any() else series.publish_ns
     steps = np.diff(ticks)
-    if (steps < 0).any() and _of_two_times(ticks):
+    if (steps < 0).any() and _clock_was_set_back(ticks):
         k = int(np.argmin(steps))
         raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
-                         f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: record what comes before and '
-                         'after as bags of their own')
+                         f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: make one bag of what comes '
+                         'before, and another of what comes after')
     count = len(ticks)
     ticks, first = np.unique(ticks, return_index=True)
     if repeated := count - len(ticks):
@@ -352,14 +356,14 @@ def time_base(series: Series, source: str) -> Series:
     return Series(ticks, np.maximum.accumulate(series.publish_ns[first]), {})
 
 
-def _of_two_times(ticks: Nanoseconds) -> bool:
-    """Return whether stamps are of two times, rather than late or wrong for a few messages."""
+def _clock_was_set_back(ticks: Nanoseconds) -> bool:
+    """Return whether the stamps overlap, rather than a few being late or wrong."""
     order = np.argsort(ticks, kind='stable')
     if np.sum(np.abs(order - np.arange(len(ticks))) > MOST_LATE) <= MOST_WRONG:
         return False
     if np.sum(ticks < ticks[0]) > MOST_WRONG:
         return True
-    # Late messages fill a gap in time; those of a second time come among the first.
+    # Late messages fill a gap in time; after a clock was set back they crowd among earlier ones.
     steps, window = np.diff(ticks), 2 * MOST_LATE
     spans = ticks[order][window:] - ticks[order][:-window]
     usual = np.median(steps[steps > 0])
@@ -401,6 +405,7 @@ def align(base: Series, series: Series, values: Array, hold: bool) -> Array:
 
 
 def _nearest(ticks: Nanoseconds, times: Nanoseconds) -> npt.NDArray[np.intp]:
+    """Return the index of the tick that is nearest to each time."""
     after = np.clip(np.searchsorted(ticks, times), 1, max(len(ticks) - 1, 1))
     if len(ticks) == 1:
         return np.zeros(len(times), np.intp)

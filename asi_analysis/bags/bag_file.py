@@ -48,8 +48,8 @@ BATCH_BYTES: Final = 2**20
 MOST_UNPACKED: Final = 256_000_000
 MOST_RATIO: Final = 30
 MOST_METADATA: Final = 2**20
-TOO_MUCH: Final = ('it unpacks to more than is allowed for a file of this size; write it '
-                   'uncompressed if that is meant')
+TOO_MUCH: Final = ('it unpacks to more than is allowed for a file of this size; if that is '
+                   'intended, write it uncompressed')
 
 
 class _Records(StreamReader):
@@ -88,13 +88,13 @@ def read_contents(path: Path, select: Callable[[str], bool]) -> Contents:
                     ' '.join(str(error).split()))
             contents.problems.append(f'{file} is damaged or was cut off ({what})')
     if path.is_dir() and not contents.problems:
-        contents.problems.extend(_not_there(path, contents.topics))
+        contents.problems.extend(_missing_messages(path, contents.topics))
     return contents
 
 
-def _not_there(path: Path, topics: Mapping[str, Topic]) -> Iterator[str]:
-    """Yield a sentence for each topic of which the metadata.yaml counts more messages."""
-    with suppress(OSError, *BROKEN):    # also where it has another form
+def _missing_messages(path: Path, topics: Mapping[str, Topic]) -> Iterator[str]:
+    """Yield a sentence for each topic with fewer messages than its metadata.yaml counts."""
+    with suppress(OSError, *BROKEN):    # the last for an unexpected form
         for each in _described(path)['topics_with_message_count']:
             name, count = each['topic_metadata']['name'], int(each['message_count'])
             if name in topics and len(topics[name]) < count:
@@ -103,7 +103,7 @@ def _not_there(path: Path, topics: Mapping[str, Topic]) -> Iterator[str]:
 
 
 def _described(path: Path) -> dict[str, Any]:
-    """Return what the metadata.yaml of a bag says of it; raises one of BROKEN or OSError."""
+    """Return the contents of a bag's metadata.yaml. Raises one of BROKEN or OSError."""
     metadata = with_a_file_as_metadata(path) / 'metadata.yaml'
     return dict(yaml.safe_load(metadata.read_text(encoding='utf-8'))[
         'rosbag2_bagfile_information'])
@@ -195,7 +195,7 @@ def _read_mcap(file: Path, select: Callable[[str], bool], contents: Contents) ->
             decoder.finish()
     if expected not in (None, decoder.count):
         contents.problems.append(f'{file} is damaged: {decoder.count} of its {expected} messages '
-                                 'are there')
+                                 'can be read')
 
 
 class _McapDecoder:
@@ -307,7 +307,7 @@ def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
     else:
         raise ValueError(f'a chunk is compressed by {chunk.compression!r}')
     if len(data) != size:
-        raise ValueError('a chunk does not unpack to the size that it says')
+        raise ValueError('a chunk does not unpack to the size in its header')
     return data
 
 
@@ -382,7 +382,7 @@ def most_unpacked(path: Path) -> int:
 
 
 def _unzipped(packed: IO[bytes], most_bytes: int) -> bytes:
-    """Return what zstd data unpack to. Raises ValueError if it is too much."""
+    """Return unpacked zstd data. Raises ValueError if they are too large."""
     with zstandard.ZstdDecompressor().stream_reader(packed) as stream:
         found = stream.read(most_bytes + 1)
     if len(found) > most_bytes:

@@ -57,7 +57,7 @@ class _ChunkIndices:
     """
     The chunk indices as bytes, which are written at the end of the file.
 
-    The list of objects that mcap keeps takes eight times the memory: 40 MB an hour at 1 kHz.
+    The list of objects in mcap takes eight times as much memory: 40 MB an hour at 1 kHz.
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class BagWriter:
     def add_topic(self, name: str, type_: str,
                   offered: Sequence[Mapping[str, Any]] = (RELIABLE,)) -> int:
         """Add a topic with the QoS that its publishers offer; return its channel."""
-        # A copy for each topic: YAML writes what is shared as a reference.
+        # A copy for each topic: YAML writes a shared object as an alias.
         offered = copy.deepcopy(list(offered))
         if type_ not in self._schemas:
             definition, _ = typestore().generate_msgdef(type_, ros_version=2)

@@ -2,7 +2,7 @@
 Read and write the numbers of many serialised messages (CDR) at once.
 
 Messages of one type with equal strings and sequence lengths have every number at the same offset.
-One message is parsed; numpy then takes the numbers of all from a table of bytes, about fifty times
+One message is parsed; numpy then reads the numbers of all from a table of bytes, about fifty times
 faster than decoding each message (bench/recording.py).
 """
 

@@ -188,7 +188,7 @@ class Run:
                          str(len(values) - len(known))))
         yield Table(columns, rows, right=columns[2:])
         absent = [signal.name for signal in SIGNALS
-                  if signal.name not in present and signal.name != 'pressure']   # of others only
+                  if signal.name not in present and signal.name != 'pressure']   # never of ours
         if absent:
             yield 'absent: ' + ', '.join(absent)
 
@@ -199,3 +199,12 @@ class Run:
 
     def _repr_html_(self) -> str:
         return as_html(self.parts())
+
+
+def hold_last(values: Array) -> Array:
+    """Return a signal with missing samples replaced by the last one before (or the first)."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros_like(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(values.size), 0))
+    return values[np.maximum(last, np.argmax(known))]

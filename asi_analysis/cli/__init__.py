@@ -39,7 +39,7 @@ def main() -> int:
     choose_folder('MPLCONFIGDIR', Path(os.environ.get('XDG_CONFIG_HOME') or '~/.config')
                   / 'matplotlib')
     warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
-    # Typer brings its own copy of click; this is its ClickException.
+    # The ClickException of typer's own copy of click.
     click_exception: Any = typer.BadParameter.__mro__[2]
     try:
         end_while_compiling()

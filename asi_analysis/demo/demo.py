@@ -33,11 +33,11 @@ class Demo(Result):
                 yield f'{each["name"]}: {in_words(each["analysis"]["oscillation"])}'
         gap = self.gap
         error_n = gap['improved_error_n']
-        put_in = ('There is nothing to put into the model' if error_n is None else
-                  f'Put into the model, the error of the force is {error_n:.3g} N, not '
-                  f'{gap["nominal_error_n"]:.3g} N (rms)')
+        improvement = ('No effect was added to the model' if error_n is None else
+                       f'With this effect in the model, the error of the force is {error_n:.3g} '
+                       f'N, not {gap["nominal_error_n"]:.3g} N (rms)')
         yield (f'withheld effect: {gap["withheld"]}; found: {gap["verdict"]} '
-               f'({100.0 * gap["probability"]:.0f} %). {put_in}')
+               f'({100.0 * gap["probability"]:.0f} %). {improvement}')
         yield f'report: {self.report}'
 
 
@@ -71,8 +71,8 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
         'gap': {'withheld': HIDDEN.name, 'verdict': diagnosed.gap.verdict,
                 'probability': diagnosed.gap.probability,
                 'nominal_error_n': diagnosed.error_n['nominal'],
-                'improved_error_n': diagnosed.error_n['improved'] if diagnosed.put_in else None,
-                'shrink': diagnosed.shrink if diagnosed.put_in else None,
+                'improved_error_n': diagnosed.error_n['improved'] if diagnosed.has_model else None,
+                'shrink': diagnosed.shrink if diagnosed.has_model else None,
                 'report': str(out / GAP / 'report.html')},
         'runs': [{'name': each.plan.name, 'bag': str(each.bag), 'analysis': each.analysis}
                  for each in recorded],

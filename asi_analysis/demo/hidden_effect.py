@@ -34,7 +34,7 @@ class FoundEffect(NamedTuple):
     """The diagnosis; the runs: machine, nominal, improved; errors of the models (N, rms)."""
 
     gap: Gap
-    put_in: bool   # the answer has an improved model
+    has_model: bool   # whether the answer has an improved model, with the effect
     runs: dict[str, Run]
     error_n: dict[str, float]
 
@@ -56,16 +56,16 @@ def find_hidden_effect(record: Callable[[str, Experiment], Run], out: Path,
         return Experiment(actuator, CONTROLLER, DURATION_S, rate_hz=RATE_HZ)
 
     machine = record('machine', of({**NOMINAL, **HIDDEN.example, **NOISE}))
-    # A bag holds all parameters of its run: the diagnosis gets none but the nominal ones.
+    # A bag holds all parameters of its run: the diagnosis is given only the nominal ones.
     withheld = replace(machine, information={
         name: value for name, value in machine.information.items() if name != 'actuator'})
     gap = diagnose([withheld], NOMINAL, progress=progress)
     gap.write_report(out)
     path = out / 'improved.yaml'
-    put_in = path.exists()
-    improved = read_parameters(path, 'actuator') if put_in else NOMINAL
+    has_model = path.exists()
+    improved = read_parameters(path, 'actuator') if has_model else NOMINAL
     runs = {'machine': machine, 'nominal': record('nominal', of(NOMINAL)),
             'improved': record('improved', of(improved))}
-    return FoundEffect(gap, put_in, runs, {
+    return FoundEffect(gap, has_model, runs, {
         name: float(np.sqrt(np.mean((runs[name].signal('force') - machine.signal('force')) ** 2)))
         for name in ('nominal', 'improved')})

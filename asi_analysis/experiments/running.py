@@ -71,7 +71,7 @@ def run_experiment(experiment: Experiment, out: Path, progress: Progress = silen
             else:
                 progress(actuator.text, None)
         if nodes['actuator'].returncode:
-            for _ in range(QUEUE):   # it ended when all it had said was here
+            for _ in range(QUEUE):   # all messages that it published before its end have arrived
                 _raise_if_fault(status(), bag)
             raise RunFailedError(_failure('actuator', nodes['actuator'], out)
                                  + f'; the bag so far: {bag}')
@@ -163,7 +163,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
                     env=dict(environment), start_new_session=True, preexec_fn=end_with_parent)
         yield nodes
     except KeyboardInterrupt:
-        # All at once, as by ros2 launch: who presses Ctrl-C does not want to wait for each.
+        # All at once, as by ros2 launch: one after the other takes longer.
         ended_by = time.monotonic() + PATIENCE_S
         for process in nodes.values():
             process.send_signal(signal.SIGINT)
@@ -176,7 +176,7 @@ def _nodes(experiment: Experiment, out: Path, environment: Mapping[str, str]
 
 
 def _stop(nodes: Mapping[str, subprocess.Popen], ended_by: float | None) -> None:
-    """End the nodes one after the other, all of them until a time, if one is given."""
+    """End the nodes one after the other; kill those that still run at `ended_by`, if given."""
     for name in reversed(MODULES):
         process = nodes.get(name)
         if process is None or process.poll() is not None:
@@ -224,7 +224,7 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
     """
     Yield a function that waits up to POLL_S and returns the last diagnostics of the actuator.
 
-    /diagnostics has two messages a second: to listen does not disturb the loop.
+    /diagnostics has two messages a second: subscribing to it does not disturb the loop.
     """
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE',
                           environment['ROS_AUTOMATIC_DISCOVERY_RANGE'])

@@ -22,7 +22,7 @@ from asi_controller.reference import reference_force
 
 # Blocks of loops for each core: several, so that all cores finish at about the same time.
 BLOCKS_A_CORE: Final = 8
-# Ticks of compiled code after which a block looks whether it is to stop.
+# Ticks of compiled code after which a block checks whether it is to stop.
 PIECE: Final = 1000
 
 Values = Mapping[str, Value]

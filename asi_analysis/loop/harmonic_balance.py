@@ -37,10 +37,10 @@ AVERAGED: Final = 10         # periods over which the clock's phases are average
 SEALS_SETTLING: Final = 60   # most periods until the deflection of the seals is periodic
 SETTLED_N: Final = 1e-7      # tolerance of that, as a force
 SUBSTEPS: Final = 8          # of a control period, for the hysteresis
-TOLERANCE: Final = 1e-7      # of the residual, over the size of the command
+TOLERANCE: Final = 1e-7      # of the residual, relative to the command
 MOST_STEPS: Final = 30
-# Of a branch: its first step of arc length, in the scale of the unknowns, most points, and lowest
-# gain over that of its start.
+# Of a branch: first step of arc length, in scaled unknowns; largest number of points; lowest gain,
+# as a multiple of that at its start.
 FIRST_ARC: Final = 0.04
 MOST_POINTS: Final = 60
 LOWEST: Final = 0.3
@@ -148,7 +148,7 @@ def valve_forces(position: Array, velocity: Array, p: np.void) -> tuple[Array, A
 
 @jit
 def _friction(velocity, seal, period, p, out):
-    """Fill in the friction of a period after which the seals are as before it."""
+    """Fill in the friction over a period, for a periodic deflection of the seals."""
     step = period / velocity.size
     before = change_before = 0.0
     for turn in range(SEALS_SETTLING):
@@ -161,7 +161,7 @@ def _friction(velocity, seal, period, p, out):
         change = seal - begin
         if abs(change) * p.friction_presliding_stiffness < SETTLED_N:
             break
-        # Seals that hardly slide creep for thousands of periods: secant method.
+        # Seals that hardly slide would creep for thousands of periods: so by the secant method.
         slope = (change - change_before) / (begin - before) if turn > 0 else -1.0
         before, change_before = begin, change
         seal = begin - change / min(max(slope, -1.0), -0.01)

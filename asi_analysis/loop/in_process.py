@@ -115,8 +115,8 @@ def _safety(experiment: Experiment) -> Safety:
         raise InputError(f'mode = {experiment.mode} needs the nodes: in one process it is '
                          'lockstep')
     if experiment.controller['reference.shape'] == 'topic':
-        raise InputError('reference.shape = topic needs the nodes: in one process there is no '
-                         'topic to hear')
+        raise InputError('reference.shape = topic needs the nodes: in one process there are no '
+                         'topics')
     values = {**completed(experiment.node_parameters, ACTUATOR_NODE_PARAMETERS),
               **experiment.actuator}
     rate_hz, limit_n = experiment.control_rate_hz, float(experiment.actuator['command_limit'])
@@ -134,7 +134,7 @@ def fault_of(experiment: Experiment, run: LoopRun) -> str:
 
 
 def _applied(safety: Safety, piece: LoopRun, before_n: float) -> Array:
-    """Return the command (N) that the actuator has had before each tick, up to a fault."""
+    """Return the command (N) applied before each tick, up to a fault; before_n: the last one."""
     applied_n = []
     for command_n, force, valve, position, velocity in zip(
             [before_n, *piece.command_n[:-1].tolist()], piece.force_n.tolist(),
@@ -196,7 +196,7 @@ class _Recorder:
                 if len(stamps) > 1}
 
     def _write_state(self, stamp_ns: int, state: State, reason: str) -> None:
-        """Write what state the actuator is in from a stamp (ns) on."""
+        """Write a change of the actuator's state at a stamp (ns)."""
         types = typestore().types
         header = types['std_msgs/msg/Header'](
             types['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9), '')

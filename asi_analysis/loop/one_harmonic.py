@@ -101,7 +101,7 @@ def least_gain(needed: NeededGain, near_hz: float | None = None) -> tuple[float,
     near_hz: search only about this frequency, which is faster.
     """
     best = None
-    needed_once = cache(needed)   # brentq begins with the ends of the bracket again
+    needed_once = cache(needed)   # brentq evaluates the ends of the bracket again
     for low, high in _crossings(needed_once, near_hz):
         f = float(brentq(lambda f: needed_once(f).imag, low, high, xtol=1e-4))
         gain = needed_once(f).real

@@ -23,7 +23,7 @@ from asi_analysis.loop.simulation import (
 from asi_analysis.measures.oscillation import Oscillation
 
 # Factor between gains that are tried, up to MOST times the first.
-RAISE: Final = 1.06
+GAIN_FACTOR: Final = 1.06
 MOST: Final = 12.0
 # Gains that are simulated in parallel.
 IN_PARALLEL: Final = 2
@@ -67,13 +67,13 @@ def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: floa
     below, found = start_gain, cycles([start_gain])[0]
     high = start_gain
     while found is not None and below > start_gain / most:
-        high, below = below, below / RAISE
+        high, below = below, below / GAIN_FACTOR
         lower = cycles([below])[0]
         if lower is None:
             break
         found = lower
     while found is None:
-        tried = [below * RAISE ** k for k in range(1, IN_PARALLEL + 1)]
+        tried = [below * GAIN_FACTOR ** k for k in range(1, IN_PARALLEL + 1)]
         if below > most * start_gain:
             return None
         for gain, trial in zip(tried, cycles(tried), strict=True):
@@ -122,7 +122,7 @@ def branch(actuator: Values, controller: Values, rate_hz: float, first_gain: flo
     gain, first = first_gain, None
     while first is None and gain <= MOST * first_gain:
         first = balanced_cycle(actuator, with_gain(controller, gain), rate_hz, harmonics)
-        gain *= RAISE
+        gain *= GAIN_FACTOR
     if first is None:
         return []
     loop, start = first

@@ -46,7 +46,7 @@ class Sweep(Result):
             [*map(str, run['values'].values()),
              *(number(run[key], '', 3) for key in COLUMNS.values())] for run in self.runs],
             right=list(COLUMNS))
-        yield from (f'note: run {number}: the valve is shut, because {run["fault"]}'
+        yield from (f'note: run {number}: the valve was closed by a fault, {run["fault"]}'
                     for number, run in enumerate(self.runs, 1) if run['fault'])
         if any(run['values'].get('controller.gain') == 0.0 for run in self.runs):
             yield "note: controller.gain = 0 is the compensator's own gain"
@@ -83,7 +83,7 @@ def grid(over: Sequence[str]) -> dict[str, list[Value]]:
         name, _, listed = text.partition('=')
         name = name.strip()
         if name in found:
-            raise InputError(f'--over {text}: {name} is there twice')
+            raise InputError(f'--over {text}: {name} is given twice')
         parts = listed.split(',')
         if listed.count(':') == 2:
             parts = _spaced(text, *listed.split(':'))

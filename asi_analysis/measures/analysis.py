@@ -170,7 +170,7 @@ def _bandwidth(run: Run, width: Bandwidth, name: str) -> dict[str, Any]:
 
 def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Sequence[Finding],
                        figures: dict[str, Any], reliable: dict[str, bool]) -> list[str]:
-    """Set figures of the run that rest on doubtful samples to None; return the notes."""
+    """Set figures that rest on doubtful samples to None; return a note on each."""
     start, end = float(run.time_s[0]), float(run.time_s[-1])
     notes: list[str] = []
     by_step = figures['bandwidth_method'] == 'step'
@@ -198,7 +198,7 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
             continue
         if figures[name] < -run.period_s and 'delay' in name:
             reliable[name] = False
-            notes.append(f'{words}: doubtful, the output comes before the reference')
+            notes.append(f'{words}: doubtful, the output precedes the reference')
         notes += trusted.note(words)
         if trusted.withheld:
             figures[name] = None

@@ -1,4 +1,4 @@
-"""Breaks of a signal: unpredicted samples, spikes, jumps and frozen samples."""
+"""Implausible samples of a signal: unpredicted ones, spikes, jumps and frozen samples."""
 
 from typing import Final
 
@@ -15,22 +15,23 @@ MOST: Final = 20_000
 # Smallest change of an input to which the signal may respond, as a share of its range; samples
 # that count as the beginning of the response.
 STEP: Final = 0.01
-ANSWER: Final = 4
-# Smallest deviation that is a break: as a share of the range of the signal, and as a multiple of
-# the 90 % quantile of all deviations. A signal stands still if it moves by less than this share of
-# its next change.
+RESPONSE_SAMPLES: Final = 4
+# Smallest implausible deviation: as a share of the range of the signal, and as a multiple of the
+# 90 % quantile of all deviations. A signal is at rest if it moves by less than this share of its
+# next change.
 SHARE: Final = 0.2
 USUAL: Final = 10.0
-# Least share of different values in a signal for which repeated values are no coincidence.
+# Least share of distinct values in a signal that is not quantised: repeated values are suspect.
 CONTINUOUS: Final = 0.9
-# Least number of equal samples that are frozen. The signal must be in motion: one of as many
-# changes before them, and one after them, is larger than this share of the median change.
+# Least number of equal samples that are frozen. The signal must move before and after them: one of
+# as many changes is larger than this share of the median change.
 FROZEN: Final = 4
-STIRRED: Final = 0.1
-# Share of a jump by which a mirrored signal may miss, and change before and after it.
+MOVING: Final = 0.1
+# A change of sign: largest error of the mirrored value, and largest change before and after the
+# jump, as a share of the jump.
 MIRRORED: Final = 0.4
-# Factor by which such a jump exceeds the changes of the last samples.
-AGAIN: Final = 1.5
+# Least ratio of such a jump to the changes of the last samples.
+RECENT: Final = 1.5
 
 
 def unexplained(inputs: Array, values: Array) -> Mask:
@@ -54,7 +55,7 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     answer = 2.0 * signal.lfilter(factors[LAGS:], 1.0, inputs)
     # A response to the input that is missing, or twice as large as predicted, is no break.
     deviation = np.abs(alone - np.clip(alone, np.minimum(answer, 0.0), np.maximum(answer, 0.0)))
-    # Of one step alone, any answer is possible.
+    # After a single step any response is possible.
     stepped = ndimage.maximum_filter1d(np.abs(inputs), LAGS + 1, origin=LAGS // 2) > SHARE
     deviation[mirrored & stepped] = np.abs(values[mirrored & stepped])
     deviation[:LAGS] = 0.0
@@ -62,15 +63,15 @@ def unexplained(inputs: Array, values: Array) -> Mask:
 
 
 def _mirrored(values: Array) -> Mask:
-    """Return where a signal jumps to about its value before with the other sign, and goes on."""
+    """Return where a signal changes its sign: it jumps to the mirror image of its course."""
     found = np.zeros(len(values), bool)
     before, change, after = np.diff(values)[:-2], np.diff(values)[1:-1], np.diff(values)[2:]
-    other = -values[1:-2] - before      # the sample, had the sign been wrong up to it
-    # A signal with few samples a period changes as much again and again.
+    other = -values[1:-2] - before      # the mirror image, extrapolated by a sample
+    # A signal with few samples a period has as large changes regularly.
     recent = ndimage.maximum_filter1d(np.abs(before), LAGS // 2, origin=(LAGS // 2 - 1) // 2)
     found[2:-1] = (np.abs(values[2:-1] - other) < MIRRORED * np.abs(change)) & (
         np.maximum(np.abs(before), np.abs(after)) < MIRRORED * np.abs(change)) & (
-        AGAIN * recent < np.abs(change))
+        RECENT * recent < np.abs(change))
     return found
 
 
@@ -84,7 +85,7 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
     """
     smooth = ndimage.median_filter(values, 5, mode='mirror')
     deviation = np.abs(values - smooth)
-    deviation[0] = 0.0      # it may be at rest, before all others
+    deviation[0] = 0.0      # the signal may have been at rest before
     span = float(np.ptp(inputs)) if inputs is not None and same_unit else np.inf
     large = _large(deviation, max(float(np.ptp(smooth)), span if same_unit else 0.0))
     if large.sum() > max(2, 0.01 * len(values)):
@@ -98,7 +99,7 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) 
 
 
 def _fillers(values: Array, large: Mask) -> Mask:
-    """Return which of many large deviations are one value, in a signal that has none twice."""
+    """Return which of many large deviations are one filler value in a continuous signal."""
     found, counts = np.unique(values[large], return_counts=True)
     filler = large & (values == found[np.argmax(counts)])
     if 2 * counts.max() > large.sum() and is_continuous(values[~large]):
@@ -107,22 +108,22 @@ def _fillers(values: Array, large: Mask) -> Mask:
 
 
 def _ringing(deviation: Array, begun: Mask, large: Mask) -> Mask:
-    """Return the large deviations of n samples that a response begins with, as its ring decays."""
+    """Return which large deviations are a decaying oscillation that begins at samples `begun`."""
     found = begun.copy()
     for k in np.flatnonzero(large & ~begun):
-        last = slice(max(k - ANSWER, 0), k)
+        last = slice(max(k - RESPONSE_SAMPLES, 0), k)
         found[k] = (found[last] & (deviation[last] > deviation[k])).any()
     return found
 
 
 def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]:
     """
-    Return the first and the last sample of each part that jumps lead to, out of n samples.
+    Return the first and the last sample of each part between two jumps, out of n samples.
 
-    A jump is a change that is predicted neither from the past of the signal nor from its
-    reference; that explains a change of at most twice its own range. Two successive jumps enclose
-    a part. With an odd number of jumps it is unknown which side is right, and all samples are one
-    part. A change after a gap in time is no jump.
+    A jump is a change that neither the past of the signal nor its reference predicts; a reference
+    explains a change of at most twice its own range. Two successive jumps enclose a part. With an
+    odd number of jumps it is unknown which side is right, and all samples are one part. A change
+    after a gap in time is no jump.
     """
     if len(values) < FEWEST:
         return []
@@ -141,12 +142,12 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
 
 def frozen(values: Array) -> list[tuple[int, int]]:
     """
-    Return the first and last sample of parts, out of n samples, that stand still in motion.
+    Return the first and last sample of parts, out of n samples, that are constant within a motion.
 
     Only in a signal whose values are hardly ever repeated.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    # An end that stands still may be most of the run: a sensor that failed.
+    # The end may be constant for most of the run: a sensor that failed.
     until = begins[-1] + min(FROZEN, len(values) - begins[-1])
     if 2 * len(begins) < until or not is_continuous(values[begins]):
         return []
@@ -154,21 +155,21 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     changes = np.abs(np.diff(values[begins]))
     if not len(changes):
         return []
-    stirred = changes > STIRRED * float(np.median(changes))
+    moving = changes > MOVING * float(np.median(changes))
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
-            for k in np.flatnonzero(lengths >= FROZEN) if stirred[max(k - FROZEN, 0):k].any()
-            and (stirred[k:k + FROZEN].any() or k == len(changes))]
+            for k in np.flatnonzero(lengths >= FROZEN) if moving[max(k - FROZEN, 0):k].any()
+            and (moving[k:k + FROZEN].any() or k == len(changes))]
 
 
 def _begun(inputs: Array, values: Array) -> Mask:
-    """Return where a signal that stood still begins to move after a change of its input."""
+    """Return where a signal at rest begins to respond to a change of its input."""
     begun = np.zeros(len(values), bool)
     change = np.abs(np.diff(values, prepend=values[0]))
     steps = np.abs(np.diff(inputs, prepend=inputs[0])) > STEP * float(np.ptp(inputs))
     for lag in range(min(LAGS, len(values) - 1) + 1):
         begun[lag + 1:] |= steps[1:len(values) - lag] & (
             np.abs(values[lag:-1] - values[:len(values) - lag - 1]) < SHARE * change[lag + 1:])
-    return np.convolve(begun, np.ones(ANSWER))[:len(begun)] > 0.0
+    return np.convolve(begun, np.ones(RESPONSE_SAMPLES))[:len(begun)] > 0.0
 
 
 def is_continuous(values: Array) -> bool:
@@ -177,5 +178,5 @@ def is_continuous(values: Array) -> bool:
 
 
 def _large(deviation: Array, span: float) -> Mask:
-    """Return which deviations are far larger than usual, and large for this range."""
+    """Return which deviations are far larger than usual, and a large share of the range `span`."""
     return deviation > max(USUAL * float(np.quantile(deviation, 0.9)), SHARE * span)

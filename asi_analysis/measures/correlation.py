@@ -7,7 +7,7 @@ from scipy import signal
 
 from asi_analysis.arrays import Array
 
-# Correlation below which there is no delay; coefficients that are equal.
+# Least correlation for a delay; largest difference of two correlations that count as equal.
 LEAST_CORRELATION: Final = 0.3
 EQUAL_CORRELATION: Final = 0.01
 
@@ -46,7 +46,7 @@ def largest_correlation(a: Array, b: Array) -> tuple[float, float]:
     spread = [np.maximum(over(each ** 2, first, last) - total ** 2 / count, 0.0)
               for each, first, last, total in ((a, begin_a, end_a, sum_a),
                                                (b, begin_b, end_b, sum_b))]
-    # Where one of the signals rests there is no correlation.
+    # While one of the signals is constant there is no correlation.
     least = [1e-3 * count / a.size * float(np.sum((each - each.mean()) ** 2)) for each in (a, b)]
     known = (spread[0] > least[0]) & (spread[1] > least[1])
     coefficient = np.where(known, (products - sum_a * sum_b / count)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+from asi_analysis.arrays import Array
+
 Interval = tuple[float, float]
 
 DOUBTFUL: Final = 'doubtful'
@@ -28,12 +30,17 @@ class Finding(NamedTuple):
                               for start, end in self.intervals_s[:LISTED]]}
 
 
+def whole_run(time_s: Array) -> tuple[Interval, ...]:
+    """Return the intervals of a finding that concerns all of n samples."""
+    return ((float(time_s[0]), float(time_s[-1])),)
+
+
 def name_of(name: str) -> str:
     """Return the name of a signal in words."""
     return name.replace('_', ' ')
 
 
 def place_of(intervals: Sequence[Interval]) -> str:
-    """Return from when to when some intervals are."""
+    """Return, as text, the time from the first to the last of some intervals."""
     start, end = intervals[0][0], intervals[-1][1]
     return f'at {start:.6g} s' if end - start < 1e-9 else f'between {start:.6g} and {end:.6g} s'

@@ -16,11 +16,10 @@ import numpy as np
 from scipy import optimize, signal, special
 
 from asi_analysis.arrays import Array
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.measures.bursts import FEWEST_DRIVEN, bursts
 from asi_analysis.measures.drives import drives
 from asi_analysis.measures.sinusoids.sinusoid import dominant_frequency, fits, least_squares
-from asi_analysis.measures.step_response import hold_last
 from asi_analysis.reporting.result import finite
 from asi_common.jit import jit
 
@@ -36,7 +35,7 @@ FEWEST_PERIODS: Final = 5
 LEAST_SHARE: Final = 1e-3
 LEAST_EXPLAINED: Final = 0.3
 HARMONICS: Final = 9
-# Least distance from a harmonic of a drive, over the frequency resolution.
+# Least distance from a harmonic of a drive, as a share of the frequency resolution.
 LOCKED: Final = 0.1
 # Periods from which a growth rate can be estimated.
 FEWEST_RATED: Final = 3
@@ -184,6 +183,12 @@ def fit_sine(time: Array, values: Array, frequency_hz: float) -> tuple[complex, 
     return complex(weights[0], -weights[1]), values - basis @ weights
 
 
+def amplitude_at(values: Array, frequency_hz: float, rate_hz: float) -> complex:
+    """Return the complex amplitude of n samples, whole periods, at a frequency, by projection."""
+    angle = 2.0 * np.pi * frequency_hz * np.arange(len(values)) / rate_hz
+    return complex(2.0 * np.mean(values * np.exp(-1j * angle)))
+
+
 def _steady_part(run: Run) -> slice:
     """Return the samples of the second half of the time after the last jump of the reference."""
     n = run.time_s.size
@@ -217,9 +222,9 @@ def _period(time: Array, drive: Array, noise_floor: float) -> float | None:
 
 def _without_period(time: Array, output: Array, period: float) -> tuple[Array, float]:
     """
-    Return a signal without its linear trend and without a period and its harmonics.
+    Return a signal without its linear trend and its periodic part, and one amplitude of that part.
 
-    And the largest amplitude of the harmonics from the second on.
+    It is the largest amplitude of the harmonics from the second on.
     """
     angle = 2.0 * np.pi / period * np.outer(time - time.mean(), np.arange(1, HARMONICS + 1))
     columns = np.column_stack([np.ones_like(time), time - time.mean(), np.cos(angle),
@@ -230,7 +235,7 @@ def _without_period(time: Array, output: Array, period: float) -> tuple[Array, f
 
 
 def _combined(frequency_hz: float, span: float, drives_hz: list[float]) -> bool:
-    """Return whether a frequency is a sum of multiples of two of the drives', of either sign."""
+    """Return whether a frequency is a sum or difference of multiples of two drive frequencies."""
     multiples = np.arange(-HARMONICS, HARMONICS + 1)
     return any(bool((np.abs(np.add.outer(multiples * one, multiples * other) - frequency_hz)
                      < LOCKED / span).any())
@@ -275,18 +280,19 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
             1.0 / period for _, period, _ in periods]):
         names = ' and '.join(drive.name for drive, _, _ in periods)
         return Oscillation(None, reason=(
-            f'what is left is at {found.frequency_hz:.4g} Hz, a sum of multiples of the '
+            f'the residual oscillates at {found.frequency_hz:.4g} Hz, a sum of multiples of the '
             f'frequencies of {names}: a nonlinear response to both, or an oscillation there'))
     for drive, period, harmonic in periods:
         if found.sustained is not False:
             cycles = found.frequency_hz * period
             apart = abs(cycles - round(cycles)) / period   # Hz, from the next harmonic
             if apart < max(LOCKED / span, 3.0 * found.frequency_sd_hz):
-                if found.amplitude_n <= harmonic:   # one more of them
+                if found.amplitude_n <= harmonic:   # a further harmonic of the drive
                     return Oscillation()
                 return Oscillation(None, reason=(
-                    f'what is left is at {found.frequency_hz:.4g} Hz, {round(cycles)} times the '
-                    f'frequency of {drive.name}: its harmonic, or an oscillation locked to it'))
+                    f'the residual oscillates at {found.frequency_hz:.4g} Hz, {round(cycles)} '
+                    f'times the frequency of {drive.name}: its harmonic, or an oscillation locked '
+                    'to it'))
         elif np.std(output) > noise_floor:
             burst = bursts(time, output, period)
             if burst is not None and burst.amplitude > noise_floor:
@@ -300,7 +306,7 @@ def oscillation(run: Run, name: str | None = None) -> Oscillation:
 
 
 def _steady(time: Array, output: Array, noise_floor: float) -> Oscillation:
-    """Return the oscillation of a signal without drives, of a steady or decaying amplitude."""
+    """Return the oscillation of an undriven signal, fitted with a growth rate."""
     found = fits(time, output, dominant_frequency(time, output, FEWEST_PERIODS), (True,))
     if not found:
         return Oscillation()

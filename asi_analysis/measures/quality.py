@@ -15,7 +15,15 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.breaks import is_continuous, spikes
-from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, Interval, name_of, place_of
+from asi_analysis.measures.finding import (
+    DOUBTFUL,
+    NOTE,
+    Finding,
+    Interval,
+    name_of,
+    place_of,
+    whole_run,
+)
 from asi_analysis.measures.recomputed import of_controller
 from asi_analysis.measures.relations import moved_by, of_motion, of_reference
 
@@ -32,26 +40,26 @@ CLIPPED_SAMPLES: Final = 4
 # be resolved, and figures are doubtful.
 NOTED_LEVELS: Final = 100
 FEWEST_LEVELS: Final = 25
-LARGE: Final = 0.1    # share of the largest number beyond which digits may be few
-# A signal that changes no more often is constant in parts, as a velocity that is prescribed.
+LARGE: Final = 0.1    # share of the largest value above which the number of digits is judged
+# A signal with fewer changes is piecewise constant, such as a prescribed velocity.
 FEWEST_CHANGES: Final = 4
-# Samples of an even grid for each recorded one, beyond which a run comes in bursts.
+# Samples of an even grid per recorded sample, above which the samples come in bursts.
 MOST_FILLED: Final = 10.0
-# Share of the changes of a signal that are a multiple of so many samples apart, and number of
-# them, for which it is held between them.
+# A signal is held between every n-th sample if this share of its changes, and at least so many,
+# are a multiple of n samples apart.
 HELD: Final = 0.99
 FEWEST_HELD: Final = 50
-LARGEST: Final = 1e100   # number in a signal: squares and sums of more overflow
+LARGEST: Final = 1e100   # value of a signal: squares and sums of larger ones overflow
 LOSSES: Final = frozenset(('gap', 'missing'))
-# Lost samples in a row that are bridged: beyond, what moves meanwhile is not known.
+# Longest gap, in samples, over which a motion may be interpolated.
 BRIDGED: Final = 7
-# Findings that say why the command is not the controller's.
+# Findings that explain why the command is not that of the recorded controller.
 EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion', 'copy'))
 
 
 def findings(run: Run) -> list[Finding]:
     """Return the defects of the samples of a run (at least 2), doubtful ones first."""
-    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
+    whole = whole_run(run.time_s)
     found = [*_of_time(run.time_s)]
     found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     for name, values in run.signals().items():
@@ -151,6 +159,7 @@ def _long_inside(run: Run, lost: Finding) -> bool:
 
 
 def _of_time(time: Array) -> Iterator[Finding]:
+    """Yield the findings on the time: order, steps of the clock, gaps, jitter."""
     steps = np.diff(time)
     period = float(np.median(steps))
     if (wrong := _intervals(time, steps <= 0.0)):
@@ -172,12 +181,13 @@ def _of_time(time: Array) -> Iterator[Finding]:
                       f'about {lost} samples are missing in {len(missing)} gaps, '
                       f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {place_of(missing)}')
     if jitter > JITTER * period:
-        yield Finding('jitter', 'time', NOTE, ((float(time[0]), float(time[-1])),),
+        yield Finding('jitter', 'time', NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
                       f'{100.0 * jitter / period:.0f} % of a period early or late')
 
 
 def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
+    """Yield the findings on one signal: missing samples, spikes, clipping, resolution."""
     known = np.isfinite(values)
     if not known.any():
         return
@@ -211,23 +221,23 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
                           f'the {name_of(name)} stays at its {word} value {limit:.4g} {unit} '
                           f'{place_of(where)}: it is clipped, or against a stop')
     if (held := _held(values)) > 1:
-        yield Finding('held', name, NOTE, ((float(time[0]), float(time[-1])),),
-                      f'the {name_of(name)} changes at every {held}. sample only: it was measured '
+        yield Finding('held', name, NOTE, whole_run(time),
+                      f'the {name_of(name)} changes only every {held} samples: it was measured '
                       f'at {run.rate_hz / held:.4g} Hz')
-    whole = ((float(time[0]), float(time[-1])),)
+    whole = whole_run(time)
     if coarse := _quantised(values):
         yield Finding('quantisation', name, DOUBTFUL if coarse[0] < FEWEST_LEVELS else NOTE, whole,
                       f'the {name_of(name)} has only {coarse[0]} different values, '
                       f'{coarse[1]:.4g} {unit} apart')
     elif coarse := _quantised(large := values[np.abs(values) > LARGE * np.abs(values).max()]):
-        # Numbers with two digits are close together near 0.
+        # Rounded to two significant digits, values are close together near 0.
         yield Finding('quantisation', name, DOUBTFUL if coarse[0] < FEWEST_LEVELS else NOTE, whole,
                       f'the {name_of(name)} has only {coarse[0]} different values beyond '
                       f'{np.abs(large).min():.4g} {unit}, at least {coarse[1]:.4g} {unit} apart')
 
 
 def _quantised(values: Array) -> tuple[int, float] | None:
-    """Return number and distance of the levels of a signal of n samples; None if of many."""
+    """Return the number of quantisation levels and their distance; None if there are many."""
     level = np.unique(values)
     step = float(np.diff(level).min(initial=np.inf))
     # A signal at rest also repeats values, but these are not on an even grid.
@@ -246,7 +256,7 @@ def without_spikes(reference: Array) -> Array:
 
 
 def _spikes(run: Run, name: str, present: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Return which of the present samples are spikes that reference or command do not explain."""
+    """Return which of the present samples are spikes without a cause in reference or command."""
     values = run.signals()[name][present]
     if name == 'reference':
         return np.isnan(without_spikes(values))
@@ -266,9 +276,9 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
     """
     Return which samples are clipped at the smallest, and at the largest value.
 
-    A clipped signal stays at the value after reaching it in a large step; one that settles, or is
-    quantised or held, reaches it in its smallest steps. Where no other value comes twice, a few
-    samples at exactly that one suffice.
+    A clipped signal reaches the limit in a large step and stays there; one that settles, or is
+    quantised or held, reaches it in its smallest steps. If no other value is repeated, a few
+    samples at exactly this one suffice.
     """
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     lengths = np.diff(begins, append=len(values))
@@ -294,7 +304,7 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
 
 
 def _held(values: Array) -> int:
-    """Return by how many samples the changes of a signal are apart, 1 if not regularly."""
+    """Return the number of samples between the changes of a signal, 1 if it is not regular."""
     begins = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     apart = np.diff(begins)
     if len(apart) < FEWEST_HELD or not is_continuous(values[begins]):

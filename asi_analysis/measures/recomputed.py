@@ -1,12 +1,12 @@
 """
-Whether a run is what its controller and its actuator compute from the recorded signals.
+Recomputation of a run: the recorded controller and actuator, driven by the recorded signals.
 
-A bag of this package holds both with all parameters. In lock-step the reference, the command that
-the controller computes from it and the recorded force, and the motion and force that the actuator
-gives for these commands, are then known to the last bit: a difference is due to samples that were
-altered, replaced or moved in time afterwards. As the force is that of the commands, and they are
-those of the force, no other run has both; and neither is simulated in a loop of its own, in which
-a rounding error of another machine could grow.
+A bag of this package holds all parameters of both. In lock-step three things are then known to the
+last bit: the reference, the command that the controller computes from it and the recorded force,
+and the motion and force that the actuator gives for the recorded commands. A difference is due to
+samples that were altered, replaced or moved in time afterwards. Each half of the loop is computed
+from the recorded signals of the other, not simulated in a closed loop, where a rounding error of
+another machine could grow.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,15 @@ from asi_actuator.parameters import as_record
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.information import missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run
-from asi_analysis.measures.finding import DOUBTFUL, NOTE, Finding, Interval, name_of, place_of
+from asi_analysis.measures.finding import (
+    DOUBTFUL,
+    NOTE,
+    Finding,
+    Interval,
+    name_of,
+    place_of,
+    whole_run,
+)
 from asi_analysis.versions import versions
 from asi_common.parameter import ParameterError
 from asi_common.record import record_of
@@ -29,30 +37,31 @@ from asi_controller.reference import TOPIC, reference_forces
 
 # Largest difference that is no finding, as a share of the largest value of a signal.
 SHARE: Final = 1e-5
-# The same, where it shows that the actuator or the controller began in another state.
+# The same for equal signals, which show that actuator or controller began in the assumed state.
 SAME: Final = 1e-9
 # Share of a period by which samples may be early or late.
 EVEN: Final = 0.01
-# Sample by which a controller that was in another state at the beginning shows.
+# Number of first samples by which a controller that began in another state is recognised.
 FIRST: Final = 3
-MOST_HZ: Final = 1e9   # of a control rate: more is no rate
-# Sub-steps of the actuator that are computed, about a second; later samples are not compared.
+MOST_HZ: Final = 1e9   # largest plausible control rate
+# Sub-steps of the actuator that are computed, in about a second; later samples are not compared.
 MOST_SUBSTEPS: Final = 3e6
-# Trials for a velocity that was not recorded.
+# Iterations for a velocity that was not recorded.
 PASSES: Final = 30
-# Fastest change of the command that the actuator's node passes on by default, N/s.
+# Default limit of the rate of the command in the actuator's node, N/s.
 COMMAND_RATE: Final = next(float(each.default) for each in SAFETY_PARAMETERS
                            if each.name == 'limit.command_rate')
 # Real time: the largest change of the difference from sample to sample that is no finding, as a
-# share of the range of the command; time for which a lost state shows in the memory of the
-# controller, s; least and most periods between samples; share of samples that may be altered:
-# beyond, another controller is as likely.
+# share of the range of the command; time for which a lost state affects the memory of the
+# controller, s; samples before a repeated command that may answer another state; least and most
+# periods between samples; least delay of a late sample, in periods; largest share of samples that
+# may be altered: beyond, another controller is as likely.
 CHANGE: Final = 1e-3
 REMEMBERED_S: Final = 0.05
-BEFORE: Final = 2       # samples before a command that stays, which may be of another state
+BEFORE: Final = 2
 LEAST_PERIODS: Final = 0.9
 MOST_PERIODS: Final = 3.0
-LATE: Final = 0.3       # share of a period
+LATE: Final = 0.3
 MOST_ALTERED: Final = 0.3
 MOVED: Final = ('force', 'valve_position', 'position', 'velocity')
 
@@ -85,7 +94,7 @@ def of_controller(run: Run) -> ByController:
     moved = None if again is None else moved_by(run, again)
     if run.command_n is None and moved is None and run.information.get('controller'):
         found.append(Finding(
-            'reading', 'time', NOTE, ((float(run.time_s[0]), float(run.time_s[-1])),),
+            'reading', 'time', NOTE, whole_run(run.time_s),
             'the recording lacks the command of its run: samples that were altered may not show'))
     altered = [] if again is None or moved is None else list(_of_moved(run, moved))
     agrees = (again is not None and not altered and run.command_n is not None
@@ -94,12 +103,13 @@ def of_controller(run: Run) -> ByController:
 
 
 def _interval(run: Run, wrong: Mask) -> tuple[Interval, ...]:
+    """Return the interval from the first to the last wrong sample."""
     samples = np.flatnonzero(wrong)
     return ((float(run.time_s[samples[0]]), float(run.time_s[samples[-1]])),)
 
 
 def _in_another_state(run: Run, pairs: list[tuple[Array, Array]]) -> bool:
-    """Return whether a run of which samples are missing began in a state that is not known."""
+    """Return whether a run without its first samples began in another state than rest."""
     return missing_ticks(run.information, len(run)) > 0 and any(
         np.abs(recorded[:FIRST] - again[:FIRST]).max() > SAME * np.abs(again).max()
         for recorded, again in pairs)
@@ -130,9 +140,10 @@ def _of_moved(run: Run, moved: Trajectory) -> Iterator[Finding]:
 
 
 def _of_rate(run: Run) -> Iterator[Finding]:
+    """Compare the sampling rate of a run in lock-step with its control rate."""
     rate_hz = _rate(run) or np.nan
     periods = run.period_s * rate_hz
-    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
+    whole = whole_run(run.time_s)
     ticks = run.information.get('experiment', {}).get('ticks', np.inf)
     if round(periods) > 1 and abs(periods - round(periods)) < EVEN and (
             periods * (len(run) - 1) <= ticks):
@@ -140,25 +151,27 @@ def _of_rate(run: Run) -> Iterator[Finding]:
                       f'the recording has one of {round(periods)} samples of this run, whose '
                       f'rate was {rate_hz:g} Hz')
     elif abs(periods - 1.0) > EVEN:
-        yield Finding('rate', 'time', DOUBTFUL, whole,
-                      f'the samples are {run.period_s:.4g} s apart, those of this run were '
-                      f'{1.0 / rate_hz:.4g} s: is the time right?')
+        yield _wrong_rate(run, rate_hz)
+
+
+def _wrong_rate(run: Run, rate_hz: float) -> Finding:
+    return Finding('rate', 'time', DOUBTFUL, whole_run(run.time_s),
+                   f'the samples are {run.period_s:.4g} s apart, those of this run were '
+                   f'{1.0 / rate_hz:.4g} s: is the time right?')
 
 
 def _of_real_time(run: Run) -> Iterator[Finding]:
     """
     Compare the rate and the commands of a run in real time with those of its controller.
 
-    There the controller has a memory from before the first sample, and may answer a state twice
-    or not at all, which the recording shows by a command that stays, or late states. So compared
-    is how much the difference changes, except shortly after such places.
+    The state of the controller before the first sample is unknown, and it may answer a state twice
+    or not at all: the recording then has a repeated command, or late states. So only changes of
+    the difference are compared, except shortly after such places.
     """
     if (rate_hz := _rate(run, 'realtime')) is None:
         return
     if not LEAST_PERIODS <= run.period_s * rate_hz <= MOST_PERIODS:
-        yield Finding('rate', 'time', DOUBTFUL, ((float(run.time_s[0]), float(run.time_s[-1])),),
-                      f'the samples are {run.period_s:.4g} s apart, those of this run were '
-                      f'{1.0 / rate_hz:.4g} s: is the time right?')
+        yield _wrong_rate(run, rate_hz)
         return
     if run.command_n is None or not np.isfinite(run.command_n).any():
         return
@@ -170,7 +183,7 @@ def _of_real_time(run: Run) -> Iterator[Finding]:
     command, time = part.signal('command'), part.time_s
     late = np.abs(np.diff(time) * rate_hz - 1.0) > LATE
     unknown = np.append(True, late | (np.diff(command) == 0.0))
-    unknown[-1] = True      # it may have no answer
+    unknown[-1] = True      # the last state may have no answer
     after = round(REMEMBERED_S * rate_hz)
     remembered = np.convolve(unknown, np.ones(BEFORE + after + 1))[BEFORE:][:len(part)] > 0.5
     changes = np.abs(np.diff(again - command, prepend=0.0)) > CHANGE * float(np.ptp(command))
@@ -187,7 +200,7 @@ def _of_real_time(run: Run) -> Iterator[Finding]:
 
 
 def _rate(run: Run, mode: str = 'lockstep') -> float | None:
-    """Return the control rate of a run in a mode, Hz; None for another run."""
+    """Return the control rate (Hz) of a run; None if it was not made in this mode."""
     experiment = run.information.get('experiment', {})
     rate_hz = experiment.get('rate_hz', 0.0) if experiment.get('mode') == mode else 0.0
     return float(rate_hz) if 0.0 < rate_hz < MOST_HZ else None
@@ -224,7 +237,7 @@ def recomputed(run: Run, mode: str = 'lockstep') -> Array | None:
 
 
 def _by_velocity(run: Run, controller: dict[str, Any], rate_hz: float) -> Array | None:
-    """Return the commands for a velocity that was not recorded: that of the actuator."""
+    """Return the commands (N) for a velocity that was not recorded, by fixed-point iteration."""
     velocity = np.zeros(len(run))
     for _ in range(PASSES):
         command = run.command_n
@@ -280,7 +293,7 @@ def _same_version(run: Run) -> bool:
 
 
 def _even(run: Run) -> float | None:
-    """Return the period if the samples are evenly spaced from 0 s on."""
+    """Return the period (s) if the samples are evenly spaced from 0 s on; else None."""
     period = run.period_s
     even = len(run) > 1 and np.abs(
         run.time_s - period * np.arange(len(run))).max() < EVEN * period
@@ -289,6 +302,7 @@ def _even(run: Run) -> float | None:
 
 def _commands(run: Run, values: dict[str, Any], rate_hz: float, velocity: Array
               ) -> Array | None:
+    """Return the commands (N) of a compensator; None for parameters that are not allowed."""
     from asi_controller.compensator import commands, compensator
     try:
         record = compensator(values, rate_hz)

@@ -1,7 +1,7 @@
 """
-Findings on how the signals of a run belong together: units, signs, order in time, altered samples.
+Consistency of the signals of a run with each other: units, signs, timing, altered samples.
 
-Compared are the controlled signal with its reference, the command with both, and the position with
+The controlled signal is compared with its reference, the command with both, and the position with
 the velocity.
 """
 
@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
-from asi_analysis.measures.answer import Answer, answer, delayed_signal
 from asi_analysis.measures.breaks import frozen, jumps, spikes
+from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
 from asi_analysis.measures.correlation import correlation_delay, largest_correlation
 from asi_analysis.measures.finding import (
     DOUBTFUL,
@@ -25,58 +25,62 @@ from asi_analysis.measures.finding import (
     Interval,
     name_of,
     place_of,
+    whole_run,
 )
 
-# Ratio of the standard deviations of a controlled signal and its reference from which on (or below
+# Ratio of the standard deviations of a controlled signal and its reference above which (or below
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
 # in any case. Below SAME_SIZE the signal does not follow, and is not compared further.
 UNIT_FACTOR: Final = 100.0
-DECADE: Final = 0.1     # of the logarithm of a ratio that is one of units
+DECADE: Final = 0.1     # largest distance of log10 of a ratio of units from a whole number
 SAME_SIZE: Final = 0.3
 CORRELATED: Final = 0.7
 # The same ratio to a command of the same unit.
 COMMAND_FACTOR: Final = 30.0
-# Samples by which an output that comes before its reference does so clearly, if without the shift
-# their correlation is below this share of that with it.
+# Least lead (samples) of an output over its reference that counts; the correlation without the
+# shift must be below the share CLEARLY of that with it.
 EARLY_SAMPLES: Final = 3
 CLEARLY: Final = 0.8
-# Share of a run by which an output may be early, or within which one of the wrong sign answers.
+# Largest lead of an output, and longest delay of one of the wrong sign, as a share of the run.
 SOON: Final = 0.1
-# Largest share of its change that an output may make before the reference changes.
+# Largest share of its change that an output may complete before the reference changes.
 BEFORE: Final = 0.3
-# Factor between position and integral of velocity from which on a unit is wrong, if they agree
-# otherwise; parts of a run that are compared, and samples of each at least.
+# Ratio of the position to the integral of the velocity above which a unit is wrong; least
+# correlation of the two; the same for another signal than the velocity; largest change of the
+# velocity in a period (rms, as a share of it) for an integral.
 MOTION_FACTOR: Final = 1.5
 AGREE: Final = 0.98
-SURELY: Final = 0.995     # of another signal than the velocity
-RESOLVED: Final = 0.5     # largest change of the velocity in a period, rms, as a share of it
+AGREE_OTHER: Final = 0.995
+RESOLVED: Final = 0.5
+# Parts of a run that are compared, and least number of samples in each.
 MOTION_PARTS: Final = 8
-# A jump of the position: how much farther it moves in a period than the velocity within so many
-# samples says, than it usually does for its noise, and as a share of its range.
+MOTION_SAMPLES: Final = 20
+# A jump of the position is larger than each of these: a multiple of the motion by the largest
+# velocity within so many samples, a multiple of the noise, and a share of the range.
 JUMP_FACTOR: Final = 5.0
 JUMP_SAMPLES: Final = 10
 JUMP_NOISE: Final = 20.0
 JUMP_SHARE: Final = 1e-3
-MOTION_SAMPLES: Final = 20
-# Change of a command with a signal of the same unit beyond which that is probably wrong.
+# Gain from a signal to a command of the same unit outside which a unit is probably wrong; within
+# the usual range it is probably right.
 MOST_GAIN: Final = 1000.0
 LEAST_GAIN: Final = 0.01
 USUAL_GAIN: Final = (0.05, 100.0)
-COPIED: Final = 10      # samples that are all those of the reference: no measured signal has them
-FAR: Final = 30.0   # distance from a reference, in ranges of both: its zero is another
+COPIED: Final = 10      # samples equal to the reference: a measured signal is never a copy
+FAR: Final = 30.0       # distance from the reference, in ranges of both, that is a wrong offset
 STEADY_ERROR: Final = 0.1   # of a loop that has settled, as a share of the reference
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 BROKEN: Final = {'jump': 'jumps from one sample to the next',
                  'frozen': 'is constant while it should move'}
-# Findings of a whole run, after which it is not compared further.
+# Findings that concern the whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
 
 def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     """
-    Compare the controlled signal with its reference: unit, and order in time.
+    Compare the controlled signal with its reference: unit, sign and timing.
 
-    as_recorded: the command is known to be the controller's answer to both.
+    as_recorded: the command is known to be the controller's response to both.
     """
     if run.reference_n is None or run.unit('reference') not in CONTROLLED:
         return
@@ -88,7 +92,7 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     if not both.any():
         return
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
-    whole = ((float(time[0]), float(time[-1])),)
+    whole = whole_run(time)
     if len(values) >= COPIED and np.ptp(values) > 0.0 and (values == reference).all():
         yield Finding('copy', name, DOUBTFUL, whole,
                       f'the {name_of(name)} equals its reference in every sample: is it measured?')
@@ -129,8 +133,8 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
 
 
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
-    """Return a finding on a signal that rests, or is far from its reference."""
-    whole = ((float(run.time_s[0]), float(run.time_s[-1])),)
+    """Return a finding on a signal that is constant, or far from its reference."""
+    whole = whole_run(run.time_s)
     span, moved = float(np.ptp(reference)), float(np.ptp(values))
     command = reference if run.command_n is None else run.command_n[np.isfinite(run.command_n)]
     commanded = len(command) > 0 and np.ptp(command) > 0.0 and all(
@@ -162,7 +166,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_]
            ) -> tuple[float, bool]:
-    """Return how far a signal moves for its reference, and whether its unit is probably wrong."""
+    """Return the ratio of the standard deviations, and whether the unit is probably wrong."""
     reference_sd, output_sd = float(np.std(reference)), float(np.std(values))
     ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
     if 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
@@ -171,13 +175,14 @@ def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_
     if not strange and run.command_n is not None and run.unit('command') == run.unit('reference'):
         strange = output_sd > COMMAND_FACTOR * float(np.nanstd(run.command_n[both]))
     if ratio < 1.0 and run.velocity_m_s is not None and _changes(run.velocity_m_s):
-        # The force on a piston that moves freely is small, too.
+        # A freely moving piston has a small force too, but the ratio is no power of ten.
         strange = strange and abs(math.log10(ratio) - round(math.log10(ratio))) < DECADE
     return ratio, strange
 
 
 def _of_continuity(name: str, time: Array, reference: Array, values: Array
                    ) -> Iterator[Finding]:
+    """Yield the findings on jumps and frozen samples of a signal, apart from its spikes."""
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
     for kind, parts in (('jump', jumps(time, reference, values)), ('frozen', frozen(values))):
@@ -186,6 +191,7 @@ def _of_continuity(name: str, time: Array, reference: Array, values: Array
 
 
 def _of_parts(kind: str, name: str, time: Array, parts: list[tuple[int, int]]) -> Finding:
+    """Return one finding for parts, each given by its first and last sample."""
     where = tuple((float(time[first]), float(time[last])) for first, last in parts)
     return Finding(kind, name, DOUBTFUL, where,
                    f'the {name_of(name)} {BROKEN[kind]} {place_of(where)}')
@@ -193,19 +199,19 @@ def _of_parts(kind: str, name: str, time: Array, parts: list[tuple[int, int]]) -
 
 def _of_order(run: Run, name: str, time: Array, reference: Array, values: Array
               ) -> Iterator[Finding]:
+    """Yield a finding if a signal comes before its reference."""
     if early := _answered_before(time, reference, values):
         yield Finding('order', name, DOUBTFUL, early,
                       f'the {name_of(name)} changes before its reference does {place_of(early)}: '
-                      'their times do not belong together')
+                      'they are not synchronised')
     elif lead := _lead(reference, values):
-        yield Finding('order', name, DOUBTFUL, ((float(time[0]), float(time[-1])),),
+        yield Finding('order', name, DOUBTFUL, whole_run(time),
                       f'the {name_of(name)} fits its reference best if it is '
-                      f'{1e3 * lead * run.period_s:.4g} ms later: their times do not belong '
-                      'together')
+                      f'{1e3 * lead * run.period_s:.4g} ms later: they are not synchronised')
 
 
 def _lead(reference: Array, values: Array) -> int:
-    """Return by how many samples a signal clearly comes before its reference, 0 if it does not."""
+    """Return the lead (samples) of a signal over its reference, 0 if there is no clear one."""
     lag = correlation_delay(reference, values, 1.0)
     lead = 0 if lag is None else round(-lag)
     if not EARLY_SAMPLES <= lead < SOON * len(values):
@@ -216,7 +222,7 @@ def _lead(reference: Array, values: Array) -> int:
 
 
 def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
-    """Return intervals from the response to a jump of the reference to that jump, if later."""
+    """Return intervals from a response to the later jump of the reference that causes it."""
     changes = np.abs(np.diff(reference))
     jumps = np.flatnonzero(changes > 0.2 * max(float(np.ptp(reference)), 1e-300))
     if not 0 < len(jumps) <= 20:
@@ -241,7 +247,7 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
 
 
 def _there_before(reference: Array, values: Array, begin: int, jump: int, end: int) -> bool:
-    """Return whether a signal goes from the old to the new reference, and stays, before a jump."""
+    """Return whether a signal has settled at the new reference before the jump to it."""
     old, new = float(reference[jump - 1]), float(reference[jump])
     share = (values[begin:end] - old) / (new - old)
     until = jump - begin
@@ -251,28 +257,28 @@ def _there_before(reference: Array, values: Array, begin: int, jump: int, end: i
 
 
 class _ByCommand(NamedTuple):
-    """Results of the command: findings, and what is surely right of signal and reference."""
+    """What the command shows: findings, and what of signal and reference is certainly right."""
 
     findings: list[Finding]
     same_unit: bool = False
     same_sign: bool = False
     same_time: bool = False
-    same_samples: bool = False      # as the controller had them, jumps included
+    same_samples: bool = False      # those that the controller had, so that jumps are genuine
 
 
 def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCommand:
     """
-    Compare the command with the answer of a controller to reference and controlled signal.
+    Compare the command with the response of a controller to reference and controlled signal.
 
-    moved: how far the signal moves for its reference; correlation: of both.
+    moved: standard deviation of the signal over that of its reference; correlation: of both.
     """
     if run.command_n is None or run.reference_n is None:
         return _ByCommand([])
     time, signals = run.time_s, (run.command_n, run.reference_n, run.signal(name))
-    whole, words = ((float(time[0]), float(time[-1])),), name_of(name)
-    found = answer(time, *signals)
+    whole, words = whole_run(time), name_of(name)
+    found = control_law(time, *signals)
     if found is None or not found.everywhere:
-        if found_late := list(_of_no_answer(run, name)):
+        if found_late := list(_of_delay(run, name)):
             return _ByCommand(found_late)
     if found is None:
         return _ByCommand([])
@@ -281,11 +287,11 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     if wrong := _wrong_unit(found, words, moved if alike else 1.0, correlation):
         problems.append(Finding(wrong[0], name, DOUBTFUL, whole, wrong[1]))
     for part in found.breaks:
-        # What comes after lost rows has another time, or another offset.
+        # After lost rows all later samples have wrong times.
         where = ((float(time[part.first]), float(time[-1 if part.lost else part.last])),)
-        what = ('the command does not answer reference and {} as in the rest of the run {}: '
+        what = ('the command does not respond to reference and {} as in the rest of the run {}: '
                 'samples were lost, repeated or altered' if part.factor is None else
-                f'the command answers {part.factor:.4g} times the {{}} {part.offset:+.4g} '
+                f'the command responds to {part.factor:.4g} times the {{}} {part.offset:+.4g} '
                 f'{run.unit(name)} {{}}: it was altered after the controller had it')
         problems.append(Finding('answer', 'time' if part.factor is None else name, DOUBTFUL,
                                 where, what.format(words, place_of(where))))
@@ -295,14 +301,14 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
                       found.everywhere, found.everywhere and found.of_all)
 
 
-def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
+def _wrong_unit(found: ControlLaw, words: str, moved: float, correlation: float
                 ) -> tuple[str, str] | None:
     """Return kind and text of a finding on unit or sign; None if there is nothing wrong."""
     factor, size = found.factor, abs(found.signal)
     if np.isnan(size):
         return None
     if factor not in (None, 1.0, -1.0):
-        return 'unit', (f'the command answers 1/{factor:.4g} of the {words} as it answers the '
+        return 'unit', (f'the command responds to 1/{factor:.4g} of the {words} as to the '
                         'reference: is the unit of each right?')
     if factor == -1.0 or factor is None and found.everywhere and found.signal > 0.0 and (
             found.reference > 0.0 or correlation < 0.0):
@@ -318,16 +324,16 @@ def _wrong_unit(found: Answer, words: str, moved: float, correlation: float
     return None
 
 
-def _of_no_answer(run: Run, name: str) -> Iterator[Finding]:
-    """Say which signal was recorded late, where the command shows it."""
+def _of_delay(run: Run, name: str) -> Iterator[Finding]:
+    """Yield a finding if the command shows that a signal was recorded late."""
     signals = (run.signal('command'), run.signal('reference'), run.signal(name))
-    whole, words = ((float(run.time_s[0]), float(run.time_s[-1])),), name_of(name)
+    whole, words = whole_run(run.time_s), name_of(name)
     which, samples = delayed_signal(run.time_s, *signals)
     if which:
         signal, word = (name, words) if which == 'signal' else (which, which)
         yield Finding('order', signal, DOUBTFUL, whole,
-                      f'the command answers the {word} {1e3 * samples * run.period_s:.4g} ms '
-                      'before it is recorded: their times do not belong together')
+                      f'the command responds to the {word} {1e3 * samples * run.period_s:.4g} ms '
+                      'before it is recorded: they are not synchronised')
 
 
 def of_motion(run: Run) -> Iterator[Finding]:
@@ -340,9 +346,9 @@ def of_motion(run: Run) -> Iterator[Finding]:
         return
     if jumped := _position_jumps(run, known):
         yield Finding('motion', 'time', DOUBTFUL, jumped,
-                      f'the position jumps {place_of(jumped)}, which the velocity beside it does '
-                      'not say: samples were lost, or altered')
-    whole = _way_by_velocity(run, known, run.velocity_m_s)
+                      f'the position jumps {place_of(jumped)} without a velocity that explains '
+                      'it: samples were lost, or altered')
+    whole = _position_ratio(run, known, run.velocity_m_s)
     if whole is None and (other := _exchanged(run, known)):
         time = ((float(run.time_s[known[0]]), float(run.time_s[known[-1]])),)
         yield Finding('motion', 'time', DOUBTFUL, time,
@@ -350,7 +356,7 @@ def of_motion(run: Run) -> Iterator[Finding]:
                       'velocity: are they exchanged?')
         return
     parts = [known] if whole and not _near_one(whole) else np.array_split(known, MOTION_PARTS)
-    ratios = [_way_by_velocity(run, part, run.velocity_m_s) for part in parts]
+    ratios = [_position_ratio(run, part, run.velocity_m_s) for part in parts]
     wrong = [(ratio, part) for ratio, part in zip(ratios, parts, strict=True)
              if ratio and not _near_one(ratio)]
     if wrong:
@@ -362,7 +368,7 @@ def of_motion(run: Run) -> Iterator[Finding]:
 
 
 def _position_jumps(run: Run, known: npt.NDArray[np.intp]) -> tuple[Interval, ...]:
-    """Return where the position moves in one period, and the velocity beside it says nothing."""
+    """Return where the position jumps in one period, much farther than its velocity explains."""
     assert run.position_m is not None
     assert run.velocity_m_s is not None
     time, position, velocity = run.time_s[known], run.position_m[known], run.velocity_m_s[known]
@@ -370,7 +376,7 @@ def _position_jumps(run: Run, known: npt.NDArray[np.intp]) -> tuple[Interval, ..
     beside = ndimage.maximum_filter1d(np.abs(velocity), 2 * JUMP_SAMPLES + 1)
     longest = np.maximum(periods, run.period_s)     # stamps may be late
     expected = JUMP_FACTOR * longest * np.maximum(beside[1:], beside[:-1])
-    # Of a position with noise, or with few digits.
+    # The usual unexplained motion: noise, or the resolution.
     usual = max(float(np.quantile(moved - np.minimum(moved, expected / JUMP_FACTOR), 0.9)),
                 float(moved[moved > 0.0].min(initial=np.inf)))
     jumped = (moved > expected) & (moved > JUMP_NOISE * usual) & (
@@ -379,7 +385,7 @@ def _position_jumps(run: Run, known: npt.NDArray[np.intp]) -> tuple[Interval, ..
 
 
 def moved_by(run: Run, present: npt.NDArray[np.intp]) -> Mask:
-    """Return at which of these samples the position moves as the velocity says, with its peaks."""
+    """Return at which of these samples the position confirms a peak of the velocity."""
     moved = np.zeros(len(present), bool)
     if run.position_m is None or run.velocity_m_s is None or len(present) < 5 or (
             run.unit('velocity') != f'{run.unit("position")}/s'):
@@ -400,20 +406,20 @@ def _near_one(ratio: float) -> bool:
 
 
 def _exchanged(run: Run, known: npt.NDArray[np.intp]) -> str:
-    """Return the signal that is the derivative of the position instead of the velocity, or ''."""
+    """Return the name of the signal that the position is the integral of; '' if there is none."""
     return next((name for name, values in run.signals().items()
                  if name not in ('position', 'velocity', 'reference')
                  and np.isfinite(values[known]).all() and run.velocity_m_s is not None
                  and np.ptp(run.velocity_m_s[known]) > 0.0
-                 and _way_by_velocity(run, known, values, SURELY) is not None), '')
+                 and _position_ratio(run, known, values, AGREE_OTHER) is not None), '')
 
 
-def _way_by_velocity(run: Run, part: npt.NDArray[np.intp], values: Array, agree: float = AGREE
-                     ) -> float | None:
+def _position_ratio(run: Run, part: npt.NDArray[np.intp], values: Array, agree: float = AGREE
+                    ) -> float | None:
     """
-    Return the change of position over the integral of a velocity of n samples.
+    Return the ratio of the position to the integral of a velocity of n samples.
 
-    None if they do not agree, or the samples are too far apart for an integral.
+    None if their correlation is below `agree`, or the samples are too far apart for an integral.
     """
     assert run.position_m is not None
     time, position, velocity = run.time_s[part], run.position_m[part], values[part]

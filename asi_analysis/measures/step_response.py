@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal
 
 from asi_analysis.arrays import Array
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.errors import InputError
 from asi_analysis.measures.quality import LOSSES, Finding, Trust, findings, trust, without_spikes
 from asi_analysis.reporting.result import Pictures, Result, Table, number
@@ -27,8 +27,8 @@ FEWEST_SAMPLES: Final = 5
 LONGEST_JUMP: Final = 3
 # Largest fall of the force during a monotone rise, as a share of the step.
 DIP: Final = 0.05
-# Ratio of the times from 10 to 50 % and from 50 to 90 % of a jump and a creep, at least.
-# A first-order lag has 2.7.
+# Least ratio of the time from 50 to 90 % to that from 10 to 50 % for a creep (a first-order lag
+# has 2.7).
 CREEP: Final = 5.0
 # A settling band below this many standard deviations of the noise is missed because of noise.
 NOISE_MARGIN: Final = 4.0
@@ -117,7 +117,7 @@ def _crossing(time: Array, share: Array, level: float) -> float | None:
 
 
 def _settling(time: Array, share: Array, band: float) -> float | None:
-    """Return when `share` enters 1 -+ band and stays, interpolated; None if it does not."""
+    """Return when `share` enters 1 ± band and stays, interpolated; None if it does not."""
     outside = np.flatnonzero(np.abs(share - 1.0) > band)
     if not outside.size:
         return float(time[0])
@@ -204,15 +204,6 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
                 tuple(notes))
 
 
-def hold_last(values: Array) -> Array:
-    """Return a signal with missing samples replaced by the last one before (or the first)."""
-    known = np.isfinite(values)
-    if not known.any():
-        return np.zeros_like(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(values.size), 0))
-    return values[np.maximum(last, np.argmax(known))]
-
-
 def _settings(reference: Array) -> Array:
     """Return a reference without gaps and spikes."""
     return hold_last(without_spikes(hold_last(reference)))
@@ -244,7 +235,7 @@ HEADLINE: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'set
 
 
 TRANSIENT: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'settling_time_5_s')
-# A response that stays in its band for this multiple of the settling time does not leave it again.
+# A response is assumed not to leave its band again after this multiple of the settling time.
 RETURNS: Final = 2.0
 # Largest share of missing samples in the steady part.
 LOST_SHARE: Final = 0.1
@@ -301,7 +292,7 @@ def _why_no_step(run: Run, name: str) -> str:
         return 'step: the run has no reference'
     if name != run.controlled():
         return f'step: the reference is that of a {run.controlled()}, not of the {name}'
-    return 'step: the reference has none'
+    return 'step: the reference has no step'
 
 
 def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
@@ -312,11 +303,11 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     changed = np.flatnonzero(np.abs(reference[first:] - step.final_n)
                              > 0.02 * abs(step.final_n - step.initial_n))
     end = float(time[first + changed[0] - 1] if changed.size else time[-1])
-    # Whether the step ends there at all, the first sample of another reference says.
+    # The step ends at the first sample with another reference, if there is one.
     ended = float(time[first + changed[0]]) if changed.size else end
     settled = step.settling_time_2_s or step.settling_time_5_s
     signals = (name, 'reference')
-    # Lost samples soon after the response has entered the band may have left it again.
+    # In lost samples soon after the response has entered the band it may have left it again.
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
                    min(step.time_s + RETURNS * settled, end) if settled else end)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), ended,

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.frequency_response import is_sine
+from asi_analysis.measures.oscillation import amplitude_at
 
 
 class Tracking(NamedTuple):
@@ -47,25 +47,21 @@ def tracking(run: Run, name: str | None = None) -> Tracking:
 
 
 def _impedance(run: Run) -> dict[str, float]:
-    """Return the impedance at the frequency of a motion that is a single sine; {} of any other."""
+    """Return the impedance (N s/m) at the frequency of a sinusoidal motion; {} for any other."""
     if run.velocity_m_s is None or run.force_n is None:
         return {}
     known = np.isfinite(run.velocity_m_s) & np.isfinite(run.force_n)
     if not known.all() or np.ptp(run.velocity_m_s) == 0.0 or not is_sine(run.velocity_m_s):
         return {}
-    # The second half, in whole periods: what is left of the start has decayed.
+    # The second half, in whole periods: the transient has decayed.
     spectrum = np.abs(np.fft.rfft(run.velocity_m_s - run.velocity_m_s.mean()))
     frequency = float(np.argmax(spectrum)) / (len(run) * run.period_s)
     periods = int(0.5 * len(run) * run.period_s * frequency)
     if periods < 1:
         return {}
     count = round(periods / (frequency * run.period_s))
-    line = np.exp(-2j * np.pi * frequency * run.period_s * np.arange(count))
-
-    def amplitude(values: Array) -> complex:
-        last = values[-count:]
-        return complex(np.sum((last - last.mean()) * line))
-
-    impedance = -amplitude(run.force_n) / amplitude(run.velocity_m_s)
+    force, velocity = (amplitude_at(last - last.mean(), frequency, run.rate_hz)
+                       for last in (run.force_n[-count:], run.velocity_m_s[-count:]))
+    impedance = -force / velocity
     return {'impedance_hz': frequency, 'impedance_real': impedance.real,
             'impedance_imaginary': impedance.imag}

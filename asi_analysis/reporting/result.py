@@ -64,7 +64,7 @@ class Result(dict[str, Any]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document that the command prints with `--json`, as a copy."""
-        # A figure of samples near the largest number may overflow; JSON has no word for that.
+        # Figures of huge samples may overflow, and JSON has no infinity.
         document: dict[str, Any] = json.loads(json.dumps(self), parse_constant=lambda _: None)
         return document
 

@@ -26,7 +26,7 @@ PREFERENCES: Final[Mapping[str, Mapping[str, float]]] = {
                     'sine_error_percent': 25.0},
     'quiet': {'felt_force_slow_n': 40.0, 'felt_force_fast_n': 150.0, 'least_re_z_n_s_m': 4.0},
 }
-# Error, felt force and effort, of which no one is better without another being worse.
+# Figures of the Pareto front: error, settling, felt force and effort.
 FRONT: Final = ('sine_error_percent', 'settling_median_s', 'felt_force_slow_n', 'noise_gain')
 
 
@@ -57,8 +57,8 @@ class Tuning(Result):
             yield f'written: {self.file}'
 
     def pictures(self) -> Pictures:
-        return {'front': (_draw(self), 'Settings that no other one beats; those below and to the '
-                                       'left are better')}
+        return {'front': (_draw(self), 'Pareto front of the settings; below and to the left is '
+                                       'better')}
 
 
 def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
@@ -104,7 +104,7 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
 
 def _rows(found: Mapping[str, float], before: Mapping[str, float], goals: Mapping[str, float]
           ) -> list[dict[str, Any]]:
-    """Return the rows of figures with what is to be reached."""
+    """Return the figures with their goals, and whether these are reached."""
     misses = missed(found, goals)
     return [{'name': row.name, 'text': row.text, 'unit': row.unit,
              'goal': goals.get(row.name, row.goal),

@@ -51,7 +51,7 @@ class Condition(NamedTuple):
     name: str
     actuators: Sequence[Values]
     rate_hz: float
-    held: bool = False      # only steps and sines, on the plant's load, with no value to reach
+    held: bool = False      # only steps and sines, on the load of the plant, without goals
 
 
 class Comparison(Result):
@@ -273,7 +273,7 @@ def conditions(actuator: Values, rates_hz: Sequence[float], springs_n_m: Sequenc
 
 
 def _rows(condition: Condition, found: Sequence[Mapping[str, float]]) -> list[dict[str, Any]]:
-    """Return the rows of a condition; of several plants their median, then their worst."""
+    """Return the rows of a condition; for several plants the median, then the worst of them."""
     rows = [row for row in ROWS if row.name in found[0]]
     worst = {row.name: (min if row.more else max)(each[row.name] for each in found)
              for row in rows}
@@ -313,7 +313,7 @@ def read_compared(texts: Sequence[str]) -> tuple[dict[str, Values], dict[str, Ru
     recordings: dict[str, Run] = {}
     for text in texts:
         if texts.count(text) > 1:
-            raise InputError(f'{text} is there twice')
+            raise InputError(f'{text} is given twice')
         if text in COMPENSATORS:
             controllers[text] = {'compensator': text}
         elif Path(text).suffix in ('.yaml', '.yml'):

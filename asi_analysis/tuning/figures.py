@@ -7,20 +7,21 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.loop.closed_loop import Values, close_many, loops_of
+from asi_analysis.measures.oscillation import amplitude_at
 
 SIZES_N: Final = (20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0)
 BAND_HZ: Final = (20.0, 40.0, 60.0, 80.0, 100.0)
 # Velocity (m/s) and frequency (Hz) of the motions by which a user feels the actuator.
 MOTIONS: Final = {'felt_force_slow_n': (0.2, 1.0), 'felt_force_fast_n': (0.5, 2.0)}
-# Frequencies (Hz) and velocities (m/s) at which the apparent impedance is taken: where an
-# integrator with velocity feed-forward is the least passive is at 4 to 6 Hz, moved fast.
+# Frequencies (Hz) and velocities (m/s) at which the apparent impedance is computed. A loop with
+# integrator and velocity feed-forward is the least passive at 4 to 6 Hz, in fast motion.
 IMPEDANCE_HZ: Final = (1.0, 2.0, 4.0, 6.0, 10.0, 20.0, 50.0)
 IMPEDANCE_M_S: Final = (0.02, 0.1, 0.4)
 # Duration of a step, and rest before it: a compensator starts in the steady state.
 STEP_S: Final = 0.4
 BEFORE_S: Final = 0.01
-# Deficit of the real part of the impedance (N s/m) that counts as much as a factor e of another
-# figure; sensor noise (N).
+# Negative real part of the impedance (N s/m) that counts as much as a factor e of another figure;
+# sensor noise (N).
 IMPEDANCE_SCALE: Final = 100.0
 NOISE_N: Final = 1.0
 DIVERGED: Final = 1e6
@@ -54,9 +55,7 @@ ROWS: Final = (
 def _harmonic(values: Array, frequency_hz: float, rate_hz: float) -> complex:
     """Return the complex amplitude at a frequency, over at least one period and about 0.2 s."""
     periods = max(1, round(0.2 * frequency_hz))
-    last = values[-round(periods * rate_hz / frequency_hz):]
-    angle = 2.0 * np.pi * frequency_hz * np.arange(len(last)) / rate_hz
-    return complex(2.0 * np.mean(last * np.exp(-1j * angle)))
+    return amplitude_at(values[-round(periods * rate_hz / frequency_hz):], frequency_hz, rate_hz)
 
 
 def _runs(actuators: Sequence[Values], controllers: Sequence[Values], rate_hz: float,
@@ -75,7 +74,7 @@ class Responses(NamedTuple):
 
 
 def _references(controller: Values, shape: str, **settings: float) -> dict[str, Any]:
-    # The controller's own reference may have an offset, or an end.
+    # Without the controller's own reference, which may have an offset, or an end.
     own = {name: value for name, value in controller.items() if not name.startswith('reference.')}
     return {**own, 'reference.shape': shape, 'reference.start': BEFORE_S,
             **{f'reference.{name}': value for name, value in settings.items()}}

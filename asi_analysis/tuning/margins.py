@@ -1,10 +1,11 @@
 """
 Margins of the linear loop, at rest and moved: gain, phase and disk.
 
-The hysteresis is left out: a command that moves on passes the play without it. Of the locked
-piston, with the slope of the force over the valve command where the moved actuator gives no force
-(`asi_controller/additions/gain_schedule.py`). The disk margin is the balanced one of Seiler,
-Packard and Gahinet, An Introduction to Disk Margins, IEEE Control Systems Magazine 40, 2020.
+The hysteresis is left out: a command that moves in one direction is not delayed by the play. The
+piston is locked; in motion the gain is the slope of the force over the valve command at which the
+moved actuator gives no force (`asi_controller/additions/gain_schedule.py`). The disk margin is the
+balanced one of Seiler, Packard and Gahinet, An Introduction to Disk Margins, IEEE Control Systems
+Magazine 40, 2020.
 """
 
 import math
@@ -65,7 +66,7 @@ def margins(actuator: Values, controller: Values, rate_hz: float) -> list[Margin
     p, c = loop.plant, loop.compensator
     frequency = np.geomspace(LOWEST_HZ, 0.499 * rate_hz, FREQUENCIES)
     plant = linear.plant(p, loop.period_s, linear.damping_slope(p), seals_stuck=True)(frequency)
-    # The schedule is that of the compensator, not of the integrator beside it.
+    # The gain schedule applies to the compensator, not to the integrator in parallel.
     z = np.exp(2j * np.pi * frequency / rate_hz)
     integral = float(c['integrator_rate']) / rate_hz / (z - 1.0)
     direct = loop.compensated(frequency) - integral

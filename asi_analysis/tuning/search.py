@@ -2,10 +2,10 @@
 Search of the settings of the controller: the figures of `figures.py`, under attack.
 
 The structure is declared: two leads without their lag, and all additions. The strategy is CMA-ES
-(Hansen, The CMA Evolution Strategy: A Tutorial, 2016). Its cost is what the rows miss, and the
-oscillation that is left under the worst conditions known, each made worse by a margin. Conditions
-are those that the attack of `asi quench` finds; the best settings are attacked again and again,
-and what is found joins.
+(Hansen, The CMA Evolution Strategy: A Tutorial, 2016). The cost is the distance of the figures
+from their goals, and the oscillation that remains under the worst conditions known, each made
+worse by a margin. The conditions are found by the attack of `asi quench`, which is repeated on the
+best settings during the search.
 """
 
 import math
@@ -49,22 +49,24 @@ RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
 POPULATION: Final = 14
 SPREAD: Final = 0.06
 RATES_HZ: Final = (5000.0, 2000.0, 1000.0)
-# By how much the loop gain and the delay (s) of each condition are raised: the margin.
+# The margin: factor of the loop gain, and addition to the delay (s), in each condition.
 MARGIN: Final = (1.1, 1e-4)
-# Amplitude (N, rms) that may be left, durations (s) at the end over which it is measured twice,
-# and by how much its logarithm must fall from one to the other, so that it decays.
-LEFT_N: Final = 0.2
+# Largest remaining amplitude (N, rms) that is no oscillation; length (s) of the last two windows
+# in which it is measured; least fall of its logarithm from one to the other for a decay.
+REMAINING_N: Final = 0.2
 WATCHED_S: Final = 0.12
 FALL: Final = 0.2
-# The attack inside: conditions tried, the worst of which are kept, and generations between two.
+# The attacks during the search: conditions tried, how many of the worst are kept, and generations
+# from one attack to the next.
 ATTACKED: Final = 160
 KEPT: Final = 8
 GENERATIONS: Final = 12
-# Settings that are too bold, by which the first conditions are found.
-BOLD: Final[Sequence[Mapping[str, float]]] = (
+# Factors of the settings that make the loop oscillate: to find the first conditions.
+AGGRESSIVE: Final[Sequence[Mapping[str, float]]] = (
     {'integrator.rate': 2.5, 'gain': 1.3}, {'gain': 2.5},
     {'velocity_feedforward.share': 2.0, 'integrator.rate': 1.5})
-# Cost of a row that is missed, of one that is reached, and of oscillations, per logarithm.
+# Cost per logarithm of a figure that misses its goal, of one that reaches it, and of the remaining
+# oscillations; cost of a point outside the ranges.
 MISSED: Final = 1.0
 REACHED: Final = 0.03
 OSCILLATES: Final = 0.5
@@ -100,8 +102,8 @@ def attacked_rates(rate_hz: float) -> tuple[float, ...]:
 
 
 def remaining_amplitude(conditions: Sequence[Condition], actuator: Values, controller: Values,
-         rates_hz: tuple[float, ...]) -> float:
-    """Return the sum of log(amplitude / LEFT_N) of the oscillations that do not decay."""
+                        rates_hz: tuple[float, ...]) -> float:
+    """Return the sum of log(amplitude / REMAINING_N) of the oscillations that do not decay."""
     gain, delay = MARGIN
     table = defaults(ACTUATOR_PARAMETERS)
     total = 0.0
@@ -121,7 +123,7 @@ def remaining_amplitude(conditions: Sequence[Condition], actuator: Values, contr
             forces[:, :2 * (forces.shape[1] // 2)], 2, axis=1))
         lasts = np.clip(1.0 + np.log(np.maximum(last, 1e-9) / np.maximum(first, 1e-9)) / FALL,
                         0.0, 1.0)
-        total += float((np.log(np.maximum(last / LEFT_N, 1.0)) * lasts).sum())
+        total += float((np.log(np.maximum(last / REMAINING_N, 1.0)) * lasts).sum())
     return total
 
 
@@ -155,7 +157,7 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
     report('first conditions', 0.0)
     highest = {each.name: each.high for each in COMPENSATOR_PARAMETERS}
     first = settings(begin)
-    for number, factors in enumerate(BOLD):
+    for number, factors in enumerate(AGGRESSIVE):
         attacked({**first, **{name: min(float(first[name]) * factor, highest[name])
                               for name, factor in factors.items()}}, number)
     strategy = cma.CMAEvolutionStrategy(

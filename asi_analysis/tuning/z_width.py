@@ -1,9 +1,9 @@
 """
 Z-width: the impedances that a loop can give, by its gain, while it stays passive.
 
-Of a force loop the least is what a user feels at its highest passive gain, the largest that at its
-lowest (Colgate and Brown, Factors affecting the Z-width of a haptic display, IEEE International
-Conference on Robotics and Automation, 1994).
+The smallest impedance is felt at the highest passive gain, the largest at the lowest (Colgate and
+Brown, Factors affecting the Z-width of a haptic display, IEEE International Conference on Robotics
+and Automation, 1994).
 """
 
 from collections.abc import Sequence

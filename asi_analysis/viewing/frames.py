@@ -1,4 +1,4 @@
-"""What the charts of the live page show next, as bytes; pages with the same window share it."""
+"""Frames of the live page: the points of its charts as bytes, shared by pages with one window."""
 
 import asyncio
 import contextlib
@@ -17,9 +17,9 @@ CHARTS: Final[Mapping[str, Mapping[str, str]]] = {
     'valve command (N)': {'command': 'command_n'}}
 LOOP: Final = 'valve position (µm) against valve command (N)'
 WINDOWS_S: Final = {0.2: '0.2 s', 1.0: '1 s', 5.0: '5 s', 20.0: '20 s'}
-# A chart is about as wide: in pixels.
+# Bins of a curve over time, of two points each: about the width of a chart in pixels.
 BINS: Final = 300
-# The longest wait for news of a loop that stands still, s.
+# The longest wait for a new state while the loop is at a standstill, s.
 STILL_S: Final = 0.5
 
 
@@ -29,7 +29,7 @@ class Frames:
     def __init__(self, recent: Recent) -> None:
         """Show what is in `recent`."""
         self._recent = recent
-        self._kept: dict[float, tuple[int, bytes]] = {}   # of how much
+        self._kept: dict[float, tuple[int, bytes]] = {}   # by window: number of states, frame
         self._news = asyncio.Event()
 
     def follow(self) -> None:
@@ -38,17 +38,17 @@ class Frames:
 
         def notify() -> None:
             with contextlib.suppress(RuntimeError):   # the loop has ended
-                loop.call_soon_threadsafe(self._tell)
+                loop.call_soon_threadsafe(self._wake)
         self._recent.on_message = notify
 
-    def _tell(self) -> None:
-        """Wake up all that wait for news."""
+    def _wake(self) -> None:
+        """Wake up all that wait for a new frame."""
         self._news.set()
         self._news = asyncio.Event()
 
     async def after(self, shown: int, window_s: float) -> tuple[int, bytes]:
         """
-        Return the next frame once more was heard than `shown`, and how much that is.
+        Return the number of states so far, once it is not `shown` any more, and their frame.
 
         A frame is an array of float32: states/s, loop time s/s, messages missed; the number of
         points of each curve; their points, x and y. Raises ValueError for another window than

@@ -60,7 +60,7 @@ class Link:
         self._node = node = rclpy.create_node(
             NAME, context=self._context, namespace=namespace, start_parameter_services=False)
         self._clients: dict[str, Any] = {}
-        # Best effort: whoever is late here loses messages, and never holds the loop back.
+        # Best effort: a slow page loses messages, and never delays the loop.
         profile = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._heard = {name: node.create_subscription(
             message_class(TOPICS[name].type), name, lambda _: None, profile, raw=True,
@@ -162,4 +162,4 @@ class Link:
                 self._node.get_namespace().rstrip('/')):
             known |= {each.name: parameter_value_to_python(each.value)
                       for each in (*event.new_parameters, *event.changed_parameters)
-                      if each.name in known}   # new: the node was started again
+                      if each.name in known}   # others are of a new node

@@ -34,14 +34,14 @@ NICE: Final = 5
 # A page that a busy machine has cut off for less is not built anew.
 RECONNECT_S: Final = 30.0
 REFRESH_S: Final = 0.5
-# What a question is asked of: long enough for a slow cycle and for the sweep of a chirp.
+# Seconds that a question is about: enough for a slow cycle and for the sweep of a chirp.
 ASKED_S: Final = 10.0
-# Both nodes say twice a second how they are.
+# Without diagnostics for this long (s) a node has ended; they come twice a second.
 SILENT_S: Final = 2.5
 SILENCE: Final = ('no node is heard: ros2 run asi_actuator actuator, and controller; '
                   'or asi live --simulate', 'warning')
 LEVELS: Final = ('positive', 'warning', 'negative', 'negative')
-# Of the parameters without a block.
+# Heading of the parameters without a block.
 GENERAL: Final = 'general'
 
 
@@ -59,9 +59,9 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
             raise InputError(f'--port {port} cannot be used: {error.strerror}; '
                              'name another one') from None
     session = Session(namespace, simulate)
-    # On a busy machine the loop, which is on its way already, comes before the page.
+    # On a busy machine the loop, whose processes are started already, goes first.
     os.nice(NICE)
-    # A name that leads a browser here from a page of elsewhere is refused.
+    # Other host names are refused, against DNS rebinding by a foreign page.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])
     frames = Frames(session.link.recent)
     app.on_startup(frames.follow)
@@ -81,7 +81,7 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
 
 async def send_frames(socket: WebSocket, frames: Frames) -> None:
     """Send a page of ours the next frame for each window (s) that it asks for."""
-    if not _is_of_ours(socket):
+    if not _is_from_own_page(socket):
         await socket.close()
         return
     await socket.accept()
@@ -90,14 +90,14 @@ async def send_frames(socket: WebSocket, frames: Frames) -> None:
         while True:
             try:
                 heard, frame = await frames.after(heard, float(await socket.receive_text()))
-            except (ValueError, KeyError):   # no page of ours asks so; the second: in bytes
+            except (ValueError, KeyError):   # not our page: no number, or (KeyError) bytes
                 await socket.close()
                 return
             await socket.send_bytes(frame)
 
 
-def _is_of_ours(socket: WebSocket) -> bool:
-    """Return whether it is no page of elsewhere, which may open a WebSocket to any address."""
+def _is_from_own_page(socket: WebSocket) -> bool:
+    """Return whether our page opened a WebSocket; any other page in the browser could, too."""
     try:
         origin = urlsplit(socket.headers.get('origin', '')).netloc
     except ValueError:   # no address
@@ -136,7 +136,7 @@ def page(session: Session) -> None:
 
 
 def _badge(name: str, level: int, text: str, at_s: float) -> tuple[str, str]:
-    """Return what is shown of a status, and its colour."""
+    """Return text and colour of the badge of a node's status."""
     if time.monotonic() - at_s > SILENT_S:
         return f'{name}: has ended, or is silent', 'negative'
     return f'{name}: {text}', LEVELS[min(level, 3)]
@@ -154,8 +154,8 @@ def _charts(rate: ui.label) -> None:
     ui.run_javascript(f'asiLive({json.dumps(charts)}, "{rate.html_id}", {window.value})')
 
 
-async def _tried(action: Awaitable[Any], done: str = '') -> bool:
-    """Do something and say how it ended; return whether it was done."""
+async def _attempt(action: Awaitable[Any], done: str = '') -> bool:
+    """Await an action and notify of its result; return whether it succeeded."""
     try:
         said = await action
     except (LinkError, InputError) as error:
@@ -170,14 +170,14 @@ def _actions(session: Session) -> None:
     link = session.link
     with ui.row().classes('items-center'):
         target = ui.number('step to (N)', value=150.0, format='%g').classes('w-28').mark('target')
-        ui.button('Step', on_click=lambda: _tried(session.step(float(target.value or 0.0))))
+        ui.button('Step', on_click=lambda: _attempt(session.step(float(target.value or 0.0))))
         for label, node, service, data in (
                 ('Pause', ACTUATOR, 'pause', True), ('Go on', ACTUATOR, 'pause', False),
                 ('Reset', ACTUATOR, 'reset', None), ('Enable', ACTUATOR, 'enable', True),
                 ('Disable', ACTUATOR, 'enable', False)):
-            ui.button(label, on_click=lambda node=node, service=service, data=data: _tried(
+            ui.button(label, on_click=lambda node=node, service=service, data=data: _attempt(
                 link.serve(node, service, data))).props('outline')
-        record = ui.button('Record', color='red', on_click=lambda: _tried(session.record()))
+        record = ui.button('Record', color='red', on_click=lambda: _attempt(session.record()))
         ui.timer(REFRESH_S, lambda: record.set_text(
             'End recording' if session.recorder else 'Record'))
     with ui.row().classes('items-center'):
@@ -202,8 +202,8 @@ def _effects(session: Session) -> None:
     with ui.row().classes('items-center'):
         chosen = ui.select(names, label='effect of the plant', value=EFFECTS[0].name
                            ).classes('w-80')
-        ui.button('Inject', on_click=lambda: _tried(session.inject(chosen.value, False)))
-        ui.button('Hide one', on_click=lambda: _tried(
+        ui.button('Inject', on_click=lambda: _attempt(session.inject(chosen.value, False)))
+        ui.button('Hide one', on_click=lambda: _attempt(
             session.inject(random.choice(EFFECTS).name, True), 'one effect is hidden: where is '
             'the gap?'))
         ui.button('Reveal and remove', on_click=lambda: reveal()).props('outline')
@@ -213,7 +213,7 @@ def _effects(session: Session) -> None:
             f'with {session.effect}'))
 
     async def reveal() -> None:
-        await _tried(session.inject('', False), f'it was {session.effect}; it is off'
+        await _attempt(session.inject('', False), f'it was {session.effect}; it is off'
                      if session.effect else 'there was none')
 
 
@@ -268,7 +268,7 @@ def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
     shown = session.shown[node][name]
 
     async def given(new: Any) -> None:
-        if not await _tried(session.change(node, name, new)):
+        if not await _attempt(session.change(node, name, new)):
             show(session.link.values[node][name])
 
     field: Any
@@ -306,5 +306,5 @@ def _widget(session: Session, node: str, name: str) -> Callable[[Any], None]:
         if slider is not None and scale is not None:
             slider.value = scale.place(new)
 
-    # What is being typed stays, until the value changes.
+    # Text that is being typed is kept until the value changes.
     return lambda new: show(new) if new != last else None

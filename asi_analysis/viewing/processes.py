@@ -21,7 +21,7 @@ RUNS: Final = Path('runs')
 EXECUTABLES: Final = {'actuator': 'asi_actuator.executables',
                       'controller': 'asi_controller.executables',
                       'recorder': 'asi_analysis.bags.nodes.executables'}
-# What is asked shares the machine with the loop, and comes second.
+# Niceness of the commands: they share the machine with the loop, which goes first.
 NICE: Final = 10
 
 
@@ -56,9 +56,9 @@ async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str
     anything to ask about.
     """
     if run is None:
-        raise InputError('there is no recording yet: nothing is heard of joint_states')
+        raise InputError('there is nothing to analyse yet: no message of joint_states has come')
     if run.reference_n is not None:
-        # Before its first one the controller has none, and no sample of it is missing.
+        # From the first reference on: those before it are not missing samples.
         run = run[int(np.argmax(np.isfinite(run.reference_n))):]
     bag = free_directory(RUNS, 'live') / 'bag'
     bag.parent.mkdir(parents=True)

@@ -14,7 +14,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.bags.topic_messages import Topic
 from asi_common.topics import TOPICS
 
-# joint_states, which holds all but the reference, comes last: then there is something to show.
+# joint_states, which holds all but the reference, comes last: it completes what is shown.
 HEARD: Final = ('force_reference', 'joint_states')
 KEEP_S: Final = 30.0
 # Number of the last states from which the true rate is computed.
@@ -89,7 +89,7 @@ class Recent:
         shown = _joined(states[bisect_left(states, begin_ns, key=_last_ns):])
         series = {'joint_states': shown}
         for name, each in parts.items():
-            # The reference of before may still hold.
+            # With one part more: its last reference may still be valid.
             times = shown.stamp_ns if each[-1].stamp_ns.any() else shown.publish_ns
             before = bisect_left(each, times[0], key=_last_ns)
             series[name] = _joined(each[max(0, before - 1):])
@@ -112,7 +112,7 @@ class Recent:
 
 
 def _since_start(part: Series) -> Series:
-    """Return a part from the last time on at which the stamps go back: the loop began again."""
+    """Return what follows the last step back of the stamps, where the loop began again."""
     k = int(np.append(np.flatnonzero(np.diff(part.stamp_ns) < 0), -1).max()) + 1
     return _of(part, slice(k, None))
 

@@ -18,7 +18,7 @@ TIME: Final = 'time'
 BLUE, ORANGE = 0x0072b2ff, 0xd55e00ff
 # A loop is drawn this wide and high, in a view whose two scales are the same.
 WIDTH, HEIGHT = 160.0, 100.0
-# Most places of the point that shows where on a loop the time cursor is.
+# Largest number of positions of the point that marks the time cursor on a loop.
 MARKS: Final = 5000
 MOST_HZ: Final = 250.0
 
@@ -65,7 +65,7 @@ def _summary(run: Run) -> str:
 
 
 def _views(run: Run, known: set[str]) -> dict[str, list[str]]:
-    """Return the signals of each view over time by its title; the reference is in one with its."""
+    """Return the signals of each view over time, by title; reference and output share one."""
     views = {}
     for name in (row.name for row in SIGNALS if row.name in known):
         beside = ['reference'] if 'reference' in known and name == run.controlled() else []

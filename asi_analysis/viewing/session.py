@@ -15,7 +15,7 @@ from asi_analysis.viewing.processes import RUNS, NodeProcess
 from asi_common.parameter import Value
 
 ACTUATOR, CONTROLLER = 'asi_actuator', 'asi_controller'
-# A busy machine slows the simulation down, and loses nothing.
+# In lock-step: a busy machine slows the simulation down, and nothing is lost.
 SIMULATED: Final[dict[str, dict[str, Any]]] = {
     'controller': {'mode': 'lockstep', 'rate_hz': 1000.0},
     'actuator': {'mode': 'lockstep', 'rate_hz': 1000.0, 'real_time_factor': 1.0,

@@ -50,11 +50,11 @@ class LoopStatistics:
         self.ticks = self.lost = 0
         self._longest_ns = LONGEST_PERIODS * period_s * 1e9
         self._lost_at_s = -math.inf
-        # Shortened when they are read. Numpy copies 5000 numbers of an array at once; those of a
-        # deque take it half a millisecond, and a tick in that time would be late.
+        # Shortened to WINDOW when they are read. Numpy copies an array at once, but takes half a
+        # millisecond for 5000 numbers of a deque, which would delay a tick.
         self._ticked_ns, self._latencies_ns = array('q'), array('q')
-        self._saturated = array('q')  # the numbers of such ticks
-        # Takes how long the answer of the last tick took, ns.
+        self._saturated = array('q')  # numbers of the saturated ticks
+        # Adds the latency of the last tick, ns.
         self.latency = self._latencies_ns.append
 
     def tick(self, now_ns: int, saturated: bool) -> None:
@@ -101,6 +101,7 @@ class LoopStatistics:
 
 
 def _summary(name: str, times_ns: npt.NDArray[np.int64]) -> dict[str, object]:
+    """Return median, mean, jitter and maximum of times, by key; {} without any."""
     if not times_ns.size:
         return {}
     times_ms = times_ns * 1e-6

@@ -37,7 +37,7 @@ EVENT_PERIOD_NS: Final = 500_000_000
 WAKE_PERIOD_S: Final = 0.02
 # Longest wait of a node that ends until its last messages have been received: it takes 50 ms,
 # unless a subscriber was killed, and even then Ctrl-C takes less than 2 s.
-FAREWELL_S: Final = 1.0
+LAST_MESSAGES_S: Final = 1.0
 # Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
 # callback if several nodes end at the same moment.
 END_S = 60.0
@@ -105,8 +105,8 @@ class LoopExecutor(SingleThreadedExecutor):
         """
         End every wait after WAKE_PERIOD_S of the steady clock.
 
-        Fast DDS, as built for wheels, waits until a time of the system clock: if that is set back
-        by an hour meanwhile, for an hour, unless a message comes (`python -m torture clocks`).
+        Fast DDS, as built for wheels, waits until a time of the system clock. If that is set back
+        by an hour, it waits for an hour, or until a message comes (`python -m torture clocks`).
         """
         while not self.stopped:
             self._awake.trigger()
@@ -117,7 +117,7 @@ class LoopExecutor(SingleThreadedExecutor):
         return not isinstance(entity, Subscription | Timer) and super().can_execute(entity)
 
     def _spin_loop(self, end_ns: int) -> None:
-        """Serve subscriptions and timers until `end_ns`, or until something else is to be done."""
+        """Serve subscriptions and timers until `end_ns`, or until spin_once is needed."""
         nodes = self.get_nodes()
         # A recorder's callback group keeps its subscriptions out: it polls them.
         subscriptions: list[Any] = [s for node in nodes for s in node.subscriptions
@@ -148,7 +148,7 @@ class LoopExecutor(SingleThreadedExecutor):
 
     def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],
                end_ns: int) -> None:
-        """Call the callbacks of subscriptions and timers until `end_ns` and the tick after."""
+        """Call the callbacks of subscriptions and timers until the first tick after `end_ns`."""
         # Attributes are looked up once instead of in every tick.
         heard = [(s.handle, s.handle.pointer, s.msg_type, s.raw, s.callback)
                  for s in subscriptions]
@@ -227,7 +227,7 @@ def _run(make_node: Callable[[], Node]) -> int:
     try:
         node = make_node()
     except (ParameterError, rclpy_implementation.RCLError) as error:
-        # The second: the middleware cannot do what the environment asks for, such as security.
+        # RCLError: the middleware lacks a feature that the environment requests, such as security.
         get_logger('asi').fatal(' '.join(str(error).split()))
         rclpy.try_shutdown()
         return 2
@@ -247,7 +247,7 @@ def _run(make_node: Callable[[], Node]) -> int:
     finally:
         # A thread outside Python prints where the node hangs, and exits with status 1.
         faulthandler.dump_traceback_later(END_S, exit=True)
-        _say_farewell(node)
+        _await_acknowledgement(node)
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
@@ -285,9 +285,9 @@ def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:
             'who may reach it: see doc/how_to/security.md') if local and why else ''
 
 
-def _say_farewell(node: Node) -> None:
-    """Wait until what the node has published has arrived, so that a recorder loses nothing."""
-    end = time.monotonic() + FAREWELL_S
+def _await_acknowledgement(node: Node) -> None:
+    """Wait until all published messages have been received, so that a recorder loses none."""
+    end = time.monotonic() + LAST_MESSAGES_S
     for publisher in node.publishers:
         left = max(0.0, end - time.monotonic())
         publisher.wait_for_all_acked(Duration(nanoseconds=int(left * 1e9)))

@@ -1,5 +1,5 @@
 """
-Publishers and subscriptions of the topics with their QoS; clocks and time stamps.
+Publishers and subscriptions of the topics that `asi_common/topics.py` lists; clocks, stamps.
 
 The QoS of each can be overridden by parameters, as ROS 2 names them:
 qos_overrides./TOPIC.publisher.depth, or .subscription; history, depth, reliability.

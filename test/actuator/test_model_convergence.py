@@ -211,9 +211,9 @@ import numpy as np
 from asi_actuator.model import load
 from asi_actuator.model.actuator import measure, rest, step
 from asi_actuator.parameters import as_record
-default = load.STRAIGHT
+default = load.LINEAR_STEP
 def run(values, straight):
-    load.STRAIGHT = straight
+    load.LINEAR_STEP = straight
     p, state = (np.array([r]).view(np.recarray)[0] for r in (as_record(values), rest()))
     forces = []
     for k in range(150):

@@ -166,7 +166,7 @@ def test_run_slices_prints_and_draws(cycling: asi.Run) -> None:
     (lambda run: asi.frequency_response(run), 'too few frequencies'),
     (lambda run: asi.frequency_response(run, 'colour'), 'colour'),
     (lambda run: asi.detect_limit_cycles(run, 'colour'), 'colour'),
-    (lambda run: asi.step_response(asi.simulate({}, CHIRP, 0.2)).plot(), 'reference has none'),
+    (lambda run: asi.step_response(asi.simulate({}, CHIRP, 0.2)).plot(), 'reference has no step'),
     (lambda run: asi.predict_cycles({}, {}, first_gain=0.0), 'gain'),
     (lambda run: asi.predict_cycles({'load.mas': 1.0}, {}), 'load.mas'),
     (lambda run: asi.quench_cycles({}, {}, [0.0]), 'rate'),

@@ -47,7 +47,7 @@ def design(gain, notch_frequency, **settings):
     return Design((*zeros, 1j * omega, -1j * omega), (*poles, -omega, -omega), gain)
 
 COMPENSATOR = lead_lag.COMPENSATOR._replace(
-    name='lead_lag_notch', order=99, design=design,
+    name='newcomer', order=99, design=design,
     parameters=(*lead_lag.COMPENSATOR.parameters,
                 Parameter('notch_frequency', 90.0, 'Hz', 'Centre of the notch', 0.1, 1e4)))
 """
@@ -56,11 +56,11 @@ ALL: list[dict[str, Value]] = [*({'compensator': name} for name in OWN_GAIN), NO
 
 
 def test_a_compensator_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / 'lead_lag_notch.py').write_text(LEAD_LAG_WITH_NOTCH)
+    (tmp_path / 'newcomer.py').write_text(LEAD_LAG_WITH_NOTCH)
     monkeypatch.setattr(compensators, '__path__', [*compensators.__path__, str(tmp_path)])
     *others, last = (module.COMPENSATOR for module in compensators._declared())
     assert others == list(COMPENSATORS.values())
-    assert [each.name for each in last.table][-1] == 'lead_lag_notch.notch_frequency'
+    assert [each.name for each in last.table][-1] == 'newcomer.notch_frequency'
     ours = {each.name.rpartition('.')[2]: each.default for each in last.table}
     zeros, poles, gain = last.design(5.0, **ours)
     notched = control.zpk(zeros, poles, 1.0)(2j * np.pi * 90.0)

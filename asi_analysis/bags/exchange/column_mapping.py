@@ -18,13 +18,13 @@ from asi_analysis.bags.exchange.units import conversion
 from asi_analysis.bags.run import SIGNALS
 from asi_analysis.errors import InputError, InputWarning
 
-# A joint may be rotary, a reference have the unit of any controlled signal, and the command of a
-# drive be a voltage, a current or a duty cycle.
+# Units allowed for each signal. A joint may be rotary, a reference has the unit of the controlled
+# signal, and a command may be a voltage, a current or a duty cycle.
 UNITS_OF: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in SIGNALS},
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
                 'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s', 'Pa')}
-MOST_LISTED: Final = 40     # columns that a message names
+MOST_LISTED: Final = 40     # columns named in a message
 _UNSIGNED: Final = r'(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _NUMBER: Final = rf'[+-]?{_UNSIGNED}'
 _TERM: Final = re.compile(

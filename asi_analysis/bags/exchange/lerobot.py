@@ -18,7 +18,7 @@ import numpy.typing as npt
 from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, unpacked_limit
 from asi_analysis.errors import InputError, InputWarning
 
-WIDE: Final = re.compile(r':\D*\d{4}')   # a field of a name, filled up to so many characters
+WIDE: Final = re.compile(r':\D*\d{4}')   # a format that pads a number to 1000 characters or more
 INFO: Final = Path('meta/info.json')
 MOST_INFO: Final = 10_000_000   # bytes
 VISUAL: Final = ('image', 'video')
@@ -179,7 +179,7 @@ def _files(dataset: Dataset, episode: int) -> list[Path]:
     file = dataset.path / name
     if '..' in Path(name).parts or Path(name).is_absolute() or not file.is_file():
         raise InputError(f'{dataset.path}: episode {episode} should be in {name}, which is '
-                         'no file of it')
+                         'not a file of the dataset')
     return [file]
 
 
@@ -201,7 +201,7 @@ def _rows(file: Path, episode: int, wanted: Sequence[str], dataset: Dataset
                              f'says {dataset.features[strange[0]].dtype}')
         for group in range(parquet.num_row_groups):
             _refuse_large(file, parquet.metadata.row_group(group), numeric, dataset)
-            # The statistics would tell, but pyarrow ends the process at damaged ones.
+            # Not by the statistics of the row groups: if damaged, pyarrow ends the process.
             places = parquet.read_row_group(group, columns=[EPISODE])[EPISODE]
             if not pc.any(pc.equal(places, episode)).as_py():
                 continue

@@ -22,7 +22,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Result, table_of
 from asi_analysis.reporting.result import Table as Printed
 
-# Words in the name of a column that speak for a signal, the more telling signal first.
+# Words in the name of a column that suggest a signal, the more specific signal first.
 WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for signal, words in {
     'time': 't time timestamp stamp clock sec secs seconds zeit elapsed ms',
     'reference': 'ref reference des desired set setpoint sp target goal soll wanted commanded '
@@ -39,17 +39,17 @@ ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'v
                   'pressure': 'Pa', 'position': 'm', 'valve_position': 'm'}
 # Signals that may be controlled.
 OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
-# What a LeRobot dataset calls the positions of the joints, unless their names say otherwise.
+# Name of the joint positions in a LeRobot dataset, unless the names of the joints say otherwise.
 STATE: Final = 'observation.state'
 # Units that are the whole name of a column.
 WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
-# Words that speak for a joint that turns.
+# Words that suggest a rotary joint.
 TURNS: Final = frozenset('angle q theta joint torque tau moment'.split())
 # Message types of which a preview is made; the columns of any other can be mapped too.
 PREVIEWED: Final = ('sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
                     'std_msgs/msg/Float64', 'std_msgs/msg/Float32',
                     'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/FluidPressure')
-# Of a joint that turns, and of a wrench: REP 103.
+# Units of a rotary joint and of a wrench, by REP 103.
 JOINT_UNITS: Final = {'position': 'rad', 'velocity': 'rad/s', 'effort': 'Nm'}
 WRENCH_UNITS: Final = {'force': 'N', 'torque': 'Nm'}
 # Times since 1970 in whole units of s, ms, us and ns are above these.
@@ -138,7 +138,7 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
 
 
 def _values(table: Table, path: Path, notes: list[str]) -> dict[str, Array]:
-    """Return the columns of numbers, dates as seconds; notes name the others."""
+    """Return the columns of numbers, dates as seconds; add a note on each other one."""
     found = {}
     for name, column in table.items():
         try:
@@ -156,7 +156,7 @@ def _words(name: str) -> list[str]:
 
 
 def _unit(name: str) -> str:
-    """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' if none is."""
+    """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' without one."""
     found = re.search(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$', name)
     candidates = [found[1]] if found else []
     head, _, last = name.replace(' ', '_').rpartition('_')
@@ -172,12 +172,12 @@ def _unit(name: str) -> str:
 
 
 def _guess(name: str) -> _Guess | None:
-    """Return the signal that the name of a column stands for; None if for none."""
+    """Return a guess of the signal in a column, from its name; None without one."""
     unit = _unit(name)
     if name.startswith('/'):
         name = re.sub('/[xyz]$', '', name)
         unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
-    words = _words(name.rpartition('/')[2] if _of_joint(name) else name)
+    words = _words(name.rpartition('/')[2] if _is_of_joint(name) else name)
     signals = [signal for signal, known in WORDS.items() if known & set(words)]
     if not signals and name.startswith(STATE):
         signals, words = ['position'], ['state', *words]
@@ -188,7 +188,7 @@ def _guess(name: str) -> _Guess | None:
         signals = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
     if unit and signals and not any(si in UNITS_OF[signal] for signal in signals):
-        # The m of tau_m is for measured, and u_in is an input.
+        # In tau_m the m means measured, in u_in the in means input.
         signals, unit = (signals, '') if unit in ('m', 'in') else ([], unit)
     if signals:
         signal = next(each for each in signals if not unit or si in UNITS_OF[each])
@@ -199,7 +199,7 @@ def _guess(name: str) -> _Guess | None:
     return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None
 
 
-def _of_joint(name: str) -> bool:
+def _is_of_joint(name: str) -> bool:
     return name.startswith('/') and name.rpartition('/')[2] in JOINT_UNITS
 
 
@@ -210,7 +210,7 @@ def _rises(column: Array) -> bool:
 
 def _time(values: dict[str, Array], dates: set[str], guesses: dict[str, _Guess | None],
           notes: list[str]) -> str | None:
-    """Return the column of the time, and complete its guess; None if none rises."""
+    """Return the name of the column of the time, and complete its guess; None without one."""
     named = [name for name, guess in guesses.items() if guess and guess.signal == 'time']
     for name in named:
         if not _rises(values[name]):
@@ -237,6 +237,7 @@ def _time(values: dict[str, Array], dates: set[str], guesses: dict[str, _Guess |
 
 def _seconds(values: dict[str, Array], name: str | None, guesses: dict[str, _Guess | None]
              ) -> Array | None:
+    """Return the time in seconds; None if no column is a time."""
     guess = guesses.get(name or '')
     if name is None or guess is None:
         return None
@@ -245,7 +246,7 @@ def _seconds(values: dict[str, Array], name: str | None, guesses: dict[str, _Gue
 
 def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | None
             ) -> dict[str, _Guess]:
-    """Return the first column of each signal with its unit; notes name the others."""
+    """Return the guess of the first column of each signal; add a note on the others."""
     chosen: dict[str, _Guess] = {}
     others: dict[str, list[str]] = {}
     for name, guess in guesses.items():
@@ -257,13 +258,13 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
             continue
         chosen[name] = guess
     notes += [f'{", ".join(names)} may be {what}' for what, names in others.items()]
-    if any(map(_of_joint, chosen)):
-        notes.append('a joint state has no units: those of a joint that turns are assumed')
+    if any(map(_is_of_joint, chosen)):
+        notes.append('a joint state has no units: those of a rotary joint are assumed')
     kinds = [(conversion(each.unit) or ('',))[0] for each in chosen.values() if each.unit]
     rotary = bool({'rad', 'rad/s', 'Nm'} & set(kinds)) or (
         not {'m', 'm/s', 'N'} & set(kinds) and any(
             TURNS & set(_words(name)) or name.startswith(STATE) for name in chosen))
-    # A reference has the unit of what it is of.
+    # A reference has the unit of the signal that it is for.
     for name, guess in sorted(chosen.items(), key=lambda each: each[1].signal == 'reference'):
         if guess.unit or guess.signal == 'time':
             continue

@@ -38,12 +38,12 @@ def opened(path: Path) -> Iterator[AnyReader]:
         reader.decompressors.update(unlimited)
 
 
-# Of a chunk, by the name of its compression: rosbags' own have no limit.
+# Decompressors of a chunk, by the name of its compression: those of rosbags have no limit.
 _DECOMPRESSORS = {'bz2': bz2.BZ2Decompressor, 'lz4': lz4.frame.LZ4FrameDecompressor}
 
 
 def _unpacked(new: Callable[[], Any], most_bytes: int, packed: bytes) -> bytes:
-    """Return what a chunk unpacks to. Raises ValueError if it is too much, or not whole."""
+    """Return an unpacked chunk. Raises ValueError if it is too large, or incomplete."""
     decompressor = new()
     found: bytes = decompressor.decompress(packed, max_length=most_bytes)
     if not decompressor.eof:

@@ -40,7 +40,7 @@ def read_several(tables: dict[Path, Table], mapping: Sequence[str]) -> Signals:
     """
     files = [_File(path, table, []) for path, table in tables.items()]
     if len({file.path.stem for file in files}) < len(files):
-        raise InputError('the files have one name: ' + ', '.join(str(f.path) for f in files))
+        raise InputError('the files have the same name: ' + ', '.join(str(f.path) for f in files))
     for text in mapping:
         _assign(text, files)
     times = _times(files)
@@ -59,7 +59,7 @@ def read_several(tables: dict[Path, Table], mapping: Sequence[str]) -> Signals:
 
 
 def _assign(text: str, files: list[_File]) -> None:
-    """Give a mapping to the file that has its column; that of the time to every such file."""
+    """Assign a mapping to the file that has its column; the mapping of time to every such file."""
     found = []
     for file in files:
         signal, _, term = text.partition('=')
@@ -81,7 +81,7 @@ def _assign(text: str, files: list[_File]) -> None:
 
 
 def _times(files: list[_File]) -> list[Array]:
-    """Return the times of each file, s of one clock."""
+    """Return the times of each file (s), on one clock."""
     mapped = []
     for file in files:
         own = [each for each in file.mappings if each.signal == 'time']
@@ -118,7 +118,7 @@ def _held(file: _File, time_s: Array, values: Array, base: Array) -> Array:
         return values
     known = np.isfinite(time_s)
     times, values = time_s[known], values[known]
-    # A difference far below the step of the first file is one of rounding.
+    # A difference far below the step of the first file is a rounding error.
     close = CLOSE * float(np.nanmedian(np.diff(base)))
     last = np.searchsorted(times, base + close, side='right') - 1
     steps = np.diff(times)

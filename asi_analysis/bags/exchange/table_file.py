@@ -115,7 +115,7 @@ def _read_npz(path: Path) -> Table:
     with zipfile.ZipFile(path) as archive:
         _refuse_large(path, sum(member.file_size for member in archive.infolist()))
     with np.load(path) as arrays:
-        # A member that is no array is bytes.
+        # A member of the archive that is no array comes as bytes.
         return _with_warnings(*_columns({name: values for name, values in arrays.items()
                                 if isinstance(values, np.ndarray)}), path)
 
@@ -128,7 +128,7 @@ def _with_warnings(table: Table, left_out: Iterable[str], path: Path) -> Table:
 
 
 def _columns(variables: Mapping[str, npt.NDArray]) -> tuple[Table, list[str]]:
-    """Return the columns of variables, and sentences on what of them is left out."""
+    """Return the columns of variables, and a sentence on each part that is left out."""
     table: Table = {}
     left_out = []
     for variable, values in variables.items():

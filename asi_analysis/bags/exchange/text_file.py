@@ -33,7 +33,7 @@ SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k'
                     'G': 1e9}
 _DECIMAL_COMMA: Final = re.compile(r'(?<=\d),(?=\d)')
 
-codecs.register_error('windows-1252', lambda error: (   # as older programs write it
+codecs.register_error('windows-1252', lambda error: (   # the encoding of older programs
     error.object[error.start:error.end].decode('cp1252', 'replace'), error.end)
     if isinstance(error, UnicodeDecodeError) else ('?', 0))
 
@@ -178,7 +178,7 @@ def _delimiter(line: str) -> str:
 
 
 def _first_of_data(rows: list[list[str]]) -> int:
-    """Return the index of the first row of data, which is like one in the middle of the file."""
+    """Return the index of the first row with the form of a row in the middle of the file."""
     usual = rows[len(rows) // 2]
     fewest = 0.5 * sum(map(is_number, usual))
     return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1

@@ -13,10 +13,11 @@ from collections import Counter, deque
 from collections.abc import Iterable, Set
 from typing import Final, NamedTuple
 
-# A tick waits this long (s) for a topic; a killed recorder loses this much and one chunk.
+# A tick is held back this long (s) for a topic without a message; a killed recorder loses this
+# much and one chunk.
 HOLD_S: Final = 0.3
-# It waits longer for a topic with messages in most ticks: one was lost, and DDS sends it again
-# after its heartbeat period (Fast DDS: 3 s, with our fastdds.xml 50 ms).
+# The same for a topic with messages in most ticks: one was lost, and DDS sends it again after its
+# heartbeat period (Fast DDS: 3 s, with our fastdds.xml 50 ms).
 PATIENCE_S: Final = 5.0
 FEW_TICKS: Final = 10
 # Number of written ticks that are kept, to recognise late repetitions.
@@ -72,16 +73,16 @@ class TickOrder:
     """
     Lock-step: messages tick by tick, without repetitions.
 
-    topics: their number; guide: index of the stamped topic that defines the ticks; not_awaited:
-    topics for which no tick waits, as their messages come before the tick. Messages
-    without a stamp belong to the tick of the guide's message with the same number: the actuator
-    publishes `force`, `valve_position` and `velocity` together, and sends none of them again.
+    topics: their number; time_base: index of the stamped topic that defines the ticks;
+    not_awaited: topics for which no tick waits, as their messages come before the tick. Messages
+    without a stamp belong to the tick of the message of `time_base` with the same number: the
+    actuator publishes `force`, `valve_position` and `velocity` together, and repeats none of them.
     """
 
-    def __init__(self, topics: int, guide: int, not_awaited: Set[int] = frozenset()) -> None:
-        self._guide = guide
+    def __init__(self, topics: int, time_base: int, not_awaited: Set[int] = frozenset()) -> None:
+        self._time_base = time_base
         self._not_awaited = not_awaited
-        self._stamps: dict[int, int] = {}       # of the guide's messages, by number
+        self._stamps: dict[int, int] = {}       # of the messages of time_base, by number
         self._newest = 0
         self._latest = dict.fromkeys(range(topics), -1)
         self._repeated: Counter[int] = Counter()
@@ -112,6 +113,7 @@ class TickOrder:
         return items
 
     def _forget(self) -> None:
+        """Delete the oldest written ticks."""
         while len(self._done) > REMEMBERED:
             stamp = self._done.popleft()
             del self._ticks[stamp]
@@ -140,11 +142,12 @@ class TickOrder:
             for topic in regular:
                 self._ticks_with[topic] = 0
             return True
-        # Before the second tick the loop waits for an answer that is still in flight.
+        # Until there is a second tick, the loop still waits for the answer to the first.
         begun = self._written or stamp < self._newest
         return not awaited or bool(begun and age_s > HOLD_S and not regular)
 
     def _release(self, stamp: int) -> list[Item]:
+        """Mark a tick as written, and return its messages in the order of the topics."""
         tick = self._ticks[stamp]
         self._ticks[stamp] = tick._replace(written=True)
         self._done.append(stamp)
@@ -154,11 +157,12 @@ class TickOrder:
         return items
 
     def _add(self, arrival: Arrival, arrived_s: float, now_s: float) -> None:
+        """Add a message to its tick, or keep it until its tick is known."""
         stamp = arrival.stamp_ns
         if stamp is None:
             self._add_unstamped(arrival, arrived_s, now_s)
             return
-        if arrival.topic == self._guide:
+        if arrival.topic == self._time_base:
             if stamp > self._end:
                 return
             self._stamps[arrival.number] = stamp
@@ -183,6 +187,7 @@ class TickOrder:
             self._place(arrival, stamp, now_s)
 
     def _place(self, arrival: Arrival, stamp: int, now_s: float) -> None:
+        """Add a message to the tick of a stamp, unless it is a repetition."""
         topic = arrival.topic
         if stamp > self._end and topic not in self._not_awaited:
             return

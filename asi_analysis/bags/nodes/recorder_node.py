@@ -109,7 +109,7 @@ class _Recorded:
         """Return the number of a message on its topic, and note a gap before it."""
         if number is None:      # this RMW has no sequence numbers: losses are not detected
             number = self.number + 1
-        # Each publisher has numbers of its own: those of two show no gap.
+        # Each publisher has its own numbers, so those of two publishers show no gap.
         gap = number - self.number - 1
         if gap < 0 or (gap and self.number and self._publishers(self.name) > 1):
             self.one_publisher = False
@@ -230,7 +230,7 @@ class Recorder(Node):
         now_s = time.monotonic()
         self._polled_s += min(now_s - self._last_poll_s, LONGEST_POLL_S)
         self._last_poll_s = now_s
-        # How far the wall clock was set since the start; log times follow the steady clock.
+        # By how much the wall clock was set since the start; log times follow the steady clock.
         set_ns = time.time_ns() - self._steady_clock.now_ns()
         for index, topic in enumerate(self._topics):
             with topic.subscription.handle:
@@ -240,7 +240,7 @@ class Recorder(Node):
                     self._arrived.append(Arrival(
                         index, topic.count(info['publication_sequence_number']),
                         topic.stamp(data),
-                        # Received just before the clock was set back: not in the future.
+                        # Received just before the clock was set back: limited to the present.
                         min((info['received_timestamp'] or time.time_ns()) - set_ns,
                             self._steady_clock.now_ns()),
                         published_ns, data))
@@ -333,8 +333,8 @@ class Recorder(Node):
     def _fail(self, error: OSError) -> None:
         self.failed = True
         self._writer.abandon()
-        self.get_logger().error(f'the bag cannot be written any more: {error.strerror}; what is '
-                                'there can be read')
+        self.get_logger().error(f'the bag cannot be written any more: {error.strerror}; the part '
+                                'that is written can be read')
 
     def _report(self) -> None:
         """Log the numbers of recorded and lost messages."""

@@ -10,6 +10,7 @@ import numpy as np
 from asi_actuator.driver import Health
 from asi_actuator.model.actuator import Measurement
 from asi_analysis.bags.bag import read_bag
+from asi_analysis.bags.run import hold_last
 from asi_analysis.errors import InputError
 from asi_common.parameter import ParameterError, Value
 
@@ -41,7 +42,7 @@ class ReplayedActuator:
                                  f'{path!r}: it takes {1.0 / recorded_s:.6g}, as recorded')
         zero = np.zeros(run.time_s.size)
         signals = (run.force_n, run.valve_position_m, run.position_m, run.velocity_m_s)
-        self._states = np.column_stack([zero if s is None else _filled(s) for s in signals])
+        self._states = np.column_stack([zero if s is None else hold_last(s) for s in signals])
         self.last_tick = len(self._states)
         self._place = 0
 
@@ -65,7 +66,3 @@ class ReplayedActuator:
         pass
 
 
-def _filled(signal: np.ndarray) -> np.ndarray:
-    """Return a signal with missing samples (nan) replaced by the last one before them."""
-    present = np.where(np.isnan(signal), 0, np.arange(signal.size))
-    return np.nan_to_num(signal[np.maximum.accumulate(present)])

@@ -36,8 +36,8 @@ REPLAY_PARAMETERS: tuple[Parameter, ...] = (
               0.0, 3600.0, read_only=True),
     Parameter('await_recorder', False, '', 'Begin when a recorder has every topic',
               read_only=True),
-    Parameter('clock', False, '', 'Publish /clock, the time of the bag, instead of what the bag '
-              'holds of it', read_only=True),
+    Parameter('clock', False, '', 'Publish the time of the bag as /clock, instead of the '
+              'recorded /clock', read_only=True),
 )
 PERIOD_S: Final = 0.001
 PROGRESS_PERIOD_S: Final = 5.0

@@ -60,7 +60,7 @@ def _all_subsets() -> list[tuple[str, ...]]:
 
 
 def _weight(before: int, count: int) -> float:
-    """Return the share of the orders of `count` in which `before` given ones precede a given."""
+    """Return the weight of a coalition of `before` of `count` players in Shapley's average."""
     return (math.factorial(before) * math.factorial(count - before - 1)
             / math.factorial(count))
 

@@ -18,7 +18,7 @@ CAUSES: Final = ('stiction', 'backlash', 'hysteresis', 'saturation', 'tight_tuni
 # Faults of the valve.
 VALVE_FAULTS: Final = CAUSES[:3]
 # Least probability at which the most probable cause is named as the cause.
-SURE: Final = 0.8
+LEAST_PROBABILITY: Final = 0.8
 
 
 def expanded(features: Array, centre: Array, scale: Array) -> Array:

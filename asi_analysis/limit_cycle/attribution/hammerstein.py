@@ -19,7 +19,7 @@ from asi_analysis.limit_cycle.attribution import valves
 
 WIDTHS: Final = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
 # Stiction: slip jump as a share of the stick band; stick band as a share of the command's range.
-LEAPS: Final = (0.15, 0.4, 0.7, 1.0)
+SLIP_JUMPS: Final = (0.15, 0.4, 0.7, 1.0)
 BANDS: Final = (0.25, 0.45, 0.65, 0.82, 0.95)
 # Cycles at the start that are left out: the valve's position there is unknown.
 SKIPPED: Final = 1.3
@@ -38,14 +38,14 @@ class Explanation(NamedTuple):
     """
     The best fit of one kind of valve.
 
-    unexplained: residual power over power of the output; width: in the unit of the command; leap:
-    slip jump, as a share of the width; lag and delay in cycles; residual: from sample `start` on.
+    unexplained: residual power over power of the output; width: in the unit of the command;
+    slip_jump: as a share of the width; lag and delay in cycles; residual: from sample `start` on.
     """
 
     kind: str
     unexplained: float
     width: float
-    leap: float
+    slip_jump: float
     lag: float
     delay: float
     gain: float
@@ -65,14 +65,14 @@ class _Candidate(NamedTuple):
 
     kind: str
     width: float
-    leap: float
+    slip_jump: float
 
 
 def _grid(half: float) -> list[_Candidate]:
     """Return the first candidates for a command of amplitude `half`."""
     return [_Candidate('linear', 0.0, 0.0),
-            *[_Candidate('stiction', 2.0 * share * half, leap)
-              for leap in LEAPS for share in BANDS],
+            *[_Candidate('stiction', 2.0 * share * half, slip_jump)
+              for slip_jump in SLIP_JUMPS for share in BANDS],
             *[_Candidate(kind, share * half, 0.0)
               for share in WIDTHS for kind in ('backlash', 'hysteresis')],
             *[_Candidate('saturation', share * half, 0.0) for share in CLIPS]]
@@ -81,21 +81,22 @@ def _grid(half: float) -> list[_Candidate]:
 def _neighbours(found: dict[str, Explanation], step: float) -> list[_Candidate]:
     """Return candidates close to the best of each kind; step: relative change."""
     near = []
-    for kind, width, leap in ((each.kind, each.width, each.leap) for each in found.values()):
+    for each in found.values():
+        kind, width, slip_jump = each.kind, each.width, each.slip_jump
         if kind == 'linear':
             continue
-        leaps = (leap,) if kind != 'stiction' else (
-            max(leap - 2.0 * step, 0.0), leap, min(leap + 2.0 * step, 1.0))
+        jumps = (slip_jump,) if kind != 'stiction' else (
+            max(slip_jump - 2.0 * step, 0.0), slip_jump, min(slip_jump + 2.0 * step, 1.0))
         near += [_Candidate(kind, width * (1.0 + change), other)
-                 for change in (-step, 0.0, step) for other in leaps
-                 if (change, other) != (0.0, leap)]
+                 for change in (-step, 0.0, step) for other in jumps
+                 if (change, other) != (0.0, slip_jump)]
     return near
 
 
 def _position(command: Array, candidate: _Candidate, first: int) -> Array:
-    kind, width, leap = candidate
+    kind, width, slip_jump = candidate
     if kind == 'stiction':
-        return valves.stick(command, width, leap * width, first)
+        return valves.stick(command, width, slip_jump * width, first)
     if kind == 'backlash':
         return valves.play(command, width, first)
     if kind == 'hysteresis':
@@ -104,7 +105,7 @@ def _position(command: Array, candidate: _Candidate, first: int) -> Array:
 
 
 class _Fit:
-    """Fits valves, with lag, delay and gain, to one output and stores the best of each kind."""
+    """Fits valves, with lag, delay and gain, to one output; keeps the best of each kind."""
 
     def __init__(self, command: Array, output: Array, cycle: float) -> None:
         self.command, self.cycle = command, cycle
@@ -112,7 +113,7 @@ class _Fit:
         self.shifts = np.unique(np.round(
             np.linspace(0.0, LONGEST_DELAY * cycle, DELAYS)).astype(int))
         target = without_drift(output, cycle)
-        # A delay compares the same samples of the valve with later samples of the output.
+        # For each delay the same samples of the valve are compared with later ones of the output.
         self.length = len(target) - self.skip - int(self.shifts[-1])
         self.shifted = np.array([target[self.skip + shift:self.skip + shift + self.length]
                               for shift in self.shifts])
@@ -123,7 +124,7 @@ class _Fit:
         """Fit candidates; store those that are better than the best so far of their kind."""
         positions = [_position(self.command, each, self.skip) for each in candidates]
         moving = [k for k, each in enumerate(positions) if np.ptp(each[self.skip:]) > 0.0]
-        if not moving:      # a command that rests moves no valve
+        if not moving:      # a constant command moves no valve
             return
         # The drift is removed before the lag, which would amplify it relative to the cycle.
         filtered = without_drift(np.array([positions[k] for k in moving]), self.cycle)
@@ -152,7 +153,7 @@ class _Fit:
         The process is a non-negative sum of all lags and delays. With a single lag and delay from
         a grid, a valve could be preferred only because it compensates the coarse grid.
         """
-        candidate = _Candidate(best.kind, best.width, best.leap)
+        candidate = _Candidate(best.kind, best.width, best.slip_jump)
         position = without_drift(_position(self.command, candidate, self.skip), self.cycle)
         last, target = int(self.shifts[-1]), self.shifted[-1]
         columns = []

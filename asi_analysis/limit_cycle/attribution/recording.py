@@ -12,7 +12,7 @@ from asi_analysis.experiments.experiment import CONTROLLER_PARAMETERS
 from asi_analysis.limit_cycle.attribution.ablation import attribute_model
 from asi_analysis.limit_cycle.attribution.answer import Attribution
 from asi_analysis.limit_cycle.attribution.classifier import (
-    SURE,
+    LEAST_PROBABILITY,
     VALVE_FAULTS,
     WEIGHTS,
     probabilities,
@@ -31,8 +31,8 @@ EMPTY: Final[dict[str, Any]] = dict.fromkeys(
         'onset_gain')] + ['unexplained', 'frequency_error', 'amplitude_error'])
 # Error of a predicted cycle: standard deviation of the logarithm of frequency, amplitude.
 SPREAD: Final = (0.03, 0.15)
-# Cycles that a record must have beyond FEWEST_CYCLES: its slowest peak may be a slow drift.
-EDGE: Final = 0.25
+# Cycles that a record must have beyond FEWEST_CYCLES: with fewer it may be a slow drift.
+EXTRA_CYCLES: Final = 0.25
 # Overlapping parts of the oscillation that are classified beside the whole, and their length: a
 # share of it, of at most MOST_CYCLES.
 PARTS: Final = 5
@@ -65,8 +65,8 @@ def _segment_of(run: Run, signal: str | None) -> Segment:
     """
     Return the longest segment in which the signal moves.
 
-    It covers the whole record if all segments are short: an intermittent oscillation is judged by
-    its shape over the whole record.
+    If all segments are short, it covers the whole record: an intermittent oscillation is judged by
+    its shape over all of it.
     """
     segments = judge_run(run, signal)
     moving = [s for s in segments if s.why != 'the signal does not move'] or segments
@@ -82,8 +82,8 @@ def shape_of(run: Run, document: dict[str, Any], signal: str | None = None) -> S
     part = _part_of(run, document)
     name, _ = response_of(part, signal)
     if part.command_n is None or name == 'command':
-        raise InputError(f'{run.source or "the run"}: the shape of an oscillation needs command '
-                         'and output of the loop')
+        raise InputError(f'{run.source or "the run"}: to judge the shape of an oscillation takes '
+                         'command and output of the loop')
     try:
         return _shape(part, name)
     except InputError as error:
@@ -97,7 +97,7 @@ def _part_of(run: Run, document: dict[str, Any]) -> Run:
 def _shape(part: Run, name: str) -> Shape:
     assert part.command_n is not None
     found = shape(part.time_s, part.command_n, part.signal(name))
-    if found.cycles < FEWEST_CYCLES + EDGE:
+    if found.cycles < FEWEST_CYCLES + EXTRA_CYCLES:
         raise InputError('a slow drift, no oscillation: no peak of the spectrum has '
                          f'{FEWEST_CYCLES:g} cycles or more')
     return found
@@ -186,7 +186,7 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
 
 
 def _marked(document: dict[str, Any], samples: Trust, run: Run, signal: str | None) -> Attribution:
-    """Return the answer; one that rests on doubtful samples says so."""
+    """Return the answer; if it rests on doubtful samples, its verdict says so."""
     if not samples.reliable:
         document['verdict'] += f'; doubtful, because {samples.reason}'
     return Attribution(document, run=run, signal=signal)
@@ -201,17 +201,17 @@ def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) ->
     (first, most), (second, next_) = list(chances.items())[:2]
     what = (f'{found.frequency_hz:.4g} Hz, {found.cycles:.3g} cycles ({segment.verdict}), '
             'by shape')
-    if most >= SURE:
+    if most >= LEAST_PROBABILITY:
         return f'{what}: {_words(first)} ({100 * most:.0f} %)'
     valve = sum(chances[name] for name in VALVE_FAULTS)
-    if valve >= SURE:
+    if valve >= LEAST_PROBABILITY:
         kinds = ', '.join(f'{_words(name)} {100 * chance:.0f} %'
                           for name, chance in chances.items() if name in VALVE_FAULTS)
         return f'{what}: the valve ({100 * valve:.0f} %), its fault is ambiguous: {kinds}'
     test = SEPARATE.get(frozenset({first, second}),
                         'a step of the command in manual, and a run at half the gain')
     return (f'{what}: cannot distinguish {_words(first)} ({100 * most:.0f} %) from '
-            f'{_words(second)} ({100 * next_:.0f} %); experiment that would: {test}')
+            f'{_words(second)} ({100 * next_:.0f} %); this would distinguish them: {test}')
 
 
 def _words(cause: str) -> str:

@@ -25,8 +25,8 @@ PARTS: Final = ((0.0, 0.9), (0.1, 1.0), (0.0, 0.8), (0.2, 1.0), (0.05, 0.95), (0
 AGREED: Final = 0.5
 # Least share of the command's innovation that the output explains in a closed loop.
 CLOSED: Final = 0.3
-# Largest confidence in a limit cycle without a recorded reference, which may drive it: if the
-# command answers the output, and if no command is recorded either.
+# Largest confidence in a limit cycle if no reference is recorded, which could drive the motion: if
+# the command responds to the output, and if no command is recorded either.
 UNDRIVEN: Final = {True: 0.8, False: 0.5}
 
 
@@ -42,7 +42,7 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
     for part in _parts(run):
         with suppress(InputError):   # too few samples
             passes.append(judge_once(part, name))
-    found = [_and_beside(run, segment) if segment.verdict == 'forced' else segment
+    found = [_with_unforced(run, segment) if segment.verdict == 'forced' else segment
              for segment in merged([_agreed(segment, passes) for segment in found])]
     if run.reference_n is not None or undriven:
         return found
@@ -50,6 +50,7 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
 
 
 def _parts(run: Run) -> Iterator[Run]:
+    """Yield the overlapping parts of a run, and every second sample of it."""
     count = len(run)
     for start, end in PARTS:
         yield run[int(start * count):int(np.ceil(end * count))]
@@ -57,7 +58,7 @@ def _parts(run: Run) -> Iterator[Run]:
 
 
 def _agreed(segment: Segment, passes: list[list[Segment]]) -> Segment:
-    """Return a segment with the confidence that all passes agree on."""
+    """Return a segment with the mean confidence of all passes; below AGREED it is unsteady."""
     if segment.why == 'the signal does not move':
         return segment
     votes = [each for each in (_votes(segment, judged) for judged in passes) if each]
@@ -74,7 +75,7 @@ def _agreed(segment: Segment, passes: list[list[Segment]]) -> Segment:
 
 
 def _votes(segment: Segment, judged: list[Segment]) -> dict[str, float]:
-    """Return the probability of each verdict on a segment's time; empty if none of it is there."""
+    """Return the probability of each verdict, averaged over a segment; empty without overlap."""
     votes: dict[str, float] = {}
     covered = 0.0
     for other in judged:
@@ -85,15 +86,15 @@ def _votes(segment: Segment, judged: list[Segment]) -> dict[str, float]:
     return {word: vote / covered for word, vote in votes.items()}
 
 
-def _and_beside(run: Run, segment: Segment) -> Segment:
-    """Return a forced segment with the oscillation, if any, that no drive explains."""
-    beside = oscillation(run.between(segment.start_s, segment.end_s), segment.signal)
-    if beside.sustained is False or not np.isfinite(beside.frequency_hz):
+def _with_unforced(run: Run, segment: Segment) -> Segment:
+    """Return a forced segment whose reason names an oscillation that no drive explains, if any."""
+    other = oscillation(run.between(segment.start_s, segment.end_s), segment.signal)
+    if other.sustained is False or not np.isfinite(other.frequency_hz):
         return segment
-    course = 'sustained' if beside.sustained else beside.reason
+    course = 'sustained' if other.sustained else other.reason
     return segment._replace(why=(
-        f'{segment.why}; in addition an oscillation of {beside.frequency_hz:.4g} Hz and '
-        f'{beside.amplitude_n:.3g} {segment.unit}, {course}'))
+        f'{segment.why}; in addition an oscillation of {other.frequency_hz:.4g} Hz and '
+        f'{other.amplitude_n:.3g} {segment.unit}, {course}'))
 
 
 def _unless_driven(run: Run, segment: Segment) -> Segment:

@@ -27,7 +27,7 @@ AT_LIMIT: Final = 0.25
 # Past samples from which the command is predicted, and most samples that are used.
 LAGS: Final = 6
 MOST_SAMPLES: Final = 20_000
-# Share of the command's variance below which its innovation is rounding.
+# Share of the command's variance below which its innovation is a rounding error.
 NO_INNOVATION: Final = 1e-12
 
 

@@ -22,9 +22,9 @@ WINDOWS: Final = 4
 
 def steadiness(t: Array, y: Array, frequency: float) -> float:
     """
-    Return how much steadier the envelope is than that of the surrogates.
+    Return how much steadier the envelope is than those of the surrogates.
 
-    In standard deviations of the surrogates. FIRST of them decide where it is clearly noise.
+    In standard deviations of the surrogates. FIRST of them suffice where it is clearly noise.
     """
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
@@ -33,7 +33,7 @@ def steadiness(t: Array, y: Array, frequency: float) -> float:
     own = _evenness(windows, period, frequency, skip)
     others: list[float] = []
     for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
-        # Each at its own highest peak, as the record, where a random burst can be the peak.
+        # Each at its own highest peak, like the record, whose peak can be a random burst.
         others.append(_evenness(rows, period, _highest_peak(rows, period), skip))
         if len(others) == FIRST and _deviation(own, others) < CLEARLY_NOISE:
             break
@@ -41,6 +41,7 @@ def steadiness(t: Array, y: Array, frequency: float) -> float:
 
 
 def _deviation(own: float, others: list[float]) -> float:
+    """Return the distance from the mean of the others, in their standard deviations."""
     return (own - float(np.mean(others))) / max(float(np.std(others)), 1e-12)
 
 

@@ -36,19 +36,19 @@ FEWEST_CYCLES: Final = 3.0
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
 # Gain in description length (-2 ln likelihood) that an oscillation needs: prior odds of 1 to 20.
-MARGIN: Final = 6.0
+DESCRIPTION_MARGIN: Final = 6.0
 # Noise floor relative to the signal, assumed for cleaner recordings (50 dB).
-CLEANEST: Final = 10.0 ** (-2.5)
+NOISE_FLOOR_SHARE: Final = 10.0 ** (-2.5)
 # Range of the damping ratio of an oscillating linear loop; the prior is uniform in its logarithm.
 # So a pure sine without visible decay is not yet a limit cycle.
 LEAST_DAMPING: Final = 1e-8
 MOST_DAMPING: Final = 0.1
 # Prior odds of a linear loop against a limit cycle, given evidence of a nonlinearity.
-LINEAR_AFTER_ALL: Final = 0.02
+LINEAR_ODDS: Final = 0.02
 # Relative change of the amplitude over a nonlinear record that does not count as decay.
 STEADY_CHANGE: Final = 0.03
 # Least probability of a verdict.
-CLAIM: Final = 0.9
+LEAST_PROBABILITY: Final = 0.9
 # Harmonics must be larger than this share of the quantisation step. The quantisation error has
 # 0.29 steps rms, as a sine of amplitude 0.41; not all of it is harmonic.
 QUANTISED: Final = 0.41
@@ -57,7 +57,7 @@ SETTLED_CYCLES: Final = 8.0
 # Above this THD the oscillation is at another frequency.
 MOST_THD: Final = 3.0
 # Least steadiness of an envelope, in standard deviations of the surrogates.
-STEADIER: Final = 4.0
+LEAST_STEADINESS: Final = 4.0
 # Least change of the logarithm of the swing that is a decay, and its confidence.
 LEAST_DECAY: Final = 0.2
 SURE_DECAY: Final = 0.97
@@ -149,7 +149,7 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
 
 
 def merged(found: list[Segment]) -> list[Segment]:
-    """Return the segments with neighbours of one kind joined, under the figures of the longer."""
+    """Return the segments; neighbours of one kind are joined, with the figures of the longer."""
     joined: list[Segment] = []
     for segment in found:
         before = joined[-1] if joined else None
@@ -163,7 +163,7 @@ def merged(found: list[Segment]) -> list[Segment]:
 
 
 def _one_kind(a: Segment, b: Segment) -> bool:
-    """Return whether two neighbours are one motion; a limit cycle keeps its size within 5 %."""
+    """Return whether two neighbours are one motion: the same verdict, cycles also within 5 %."""
     if a.verdict != b.verdict or a.verdict in ('forced', 'saturating'):
         return False
     return a.verdict != 'limit_cycle' or abs(a.amplitude - b.amplitude) < 0.05 * b.amplitude
@@ -171,6 +171,7 @@ def _one_kind(a: Segment, b: Segment) -> bool:
 
 def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, part: slice,
                    frequency: float | None) -> list[Segment]:
+    """Return the segments of a part of the record; frequency: initial guess (Hz), if known."""
     time_s, values = all_times[part], all_values[part]
 
     def segment(start: float, end: float, verdict: str, confidence: float, why: str,
@@ -198,7 +199,7 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
         end = time_s[-1] if index == len(pieces) - 1 else pieces[index + 1].time_s[0]
         if piece.kind == 'noise':
             part = slice(*np.searchsorted(time_s, [start, end]))
-            piece = _elsewhere(time_s[part], values[part], piece)
+            piece = _at_own_frequency(time_s[part], values[part], piece)
         if piece.kind == 'noise':
             verdict, confidence, why, more = (
                 _forced(run, piece.time_s, piece.values, piece.frequency_hz)
@@ -214,19 +215,20 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
 
 
 def _noise_or_short(piece: _Piece) -> tuple[str, float, str, dict[str, Any]]:
+    """Return the verdict on a piece that is no oscillation: noise, or too short to tell."""
     if (piece.time_s[-1] - piece.time_s[0]) * piece.frequency_hz < 0.9 * FEWEST_CYCLES:
         return *TOO_SHORT, {}
     return 'noise', 0.9, 'coloured noise has the shorter description', {}
 
 
-def _elsewhere(time_s: Array, values: Array, piece: _Piece) -> _Piece:
-    """Return a piece that is noise at the first guess, or its oscillation at another frequency."""
+def _at_own_frequency(time_s: Array, values: Array, piece: _Piece) -> _Piece:
+    """Return the oscillation of a piece at its own dominant frequency, or the piece as noise."""
     frequency = dominant_frequency(time_s, values)
     cycles = frequency * (time_s[-1] - time_s[0])
     if not cycles >= FEWEST_CYCLES or np.ptp(values) == 0.0:
         return piece
     t, y = reduce(time_s, values, frequency)
-    own = _describe(t, y, frequency, CLEANEST * float(np.std(y)))
+    own = _describe(t, y, frequency, NOISE_FLOOR_SHARE * float(np.std(y)))
     return own if own.steady and own.steady.amplitude > own.steady.noise else piece
 
 
@@ -243,7 +245,7 @@ def _forced(run: Run, t: Array, y: Array, frequency: float
 
 def _pieces(t: Array, y: Array, frequency: float) -> list[_Piece]:
     """Return the shortest description of a signal: noise, one oscillation, or pieces."""
-    noise_floor = CLEANEST * float(np.std(y))
+    noise_floor = NOISE_FLOOR_SHARE * float(np.std(y))
     whole = _describe(t, y, frequency, noise_floor)
     cuts = seg.envelope_cuts(env.envelope(t, y, frequency))
     if not cuts:
@@ -273,10 +275,10 @@ def _describe(t: Array, y: Array, frequency: float, noise_floor: float) -> _Piec
             continue
         if oscillation.thd > MOST_THD:
             continue
-        # One more for the search of the frequency among as many as there are samples.
+        # One parameter more, as the frequency was searched among as many as there are samples.
         parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1
         noise = describe(y - oscillation.at(t), parameters)
-        if noise.description < best.description - (MARGIN if kind == 'noise' else 0.0):
+        if noise.description < best.description - (DESCRIPTION_MARGIN if kind == 'noise' else 0.0):
             kind, best = 'line', noise
     if steady and moving and steady.cycles < 0.8 * FEWEST_CYCLES:
         steady = moving   # fast decay: the fit of constant amplitude is at a wrong frequency
@@ -343,11 +345,11 @@ def _judge_line(run: Run, name: str, piece: _Piece, came_from: str) -> tuple[str
     settled = came_from and steady.cycles >= SETTLED_CYCLES
     evidence = _harmonics(run, name, piece) or ('an amplitude that settles' if settled else '')
     limit_cycle, decaying, growing = _decay_probabilities(piece, bool(evidence))
-    if decaying >= CLAIM:
+    if decaying >= LEAST_PROBABILITY:
         return 'decaying', decaying, f'the envelope decays at {-moving.rate:.3g} 1/s'
-    if growing >= CLAIM:
+    if growing >= LEAST_PROBABILITY:
         return 'growing', growing, f'the envelope grows at {moving.rate:.3g} 1/s'
-    if limit_cycle >= CLAIM and evidence:
+    if limit_cycle >= LEAST_PROBABILITY and evidence:
         return 'limit_cycle', limit_cycle, (
             f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
             + evidence)
@@ -409,7 +411,7 @@ def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, 
     tolerance, prior = 0.0, 1.0
     if nonlinear:
         tolerance = STEADY_CHANGE / (pulsation * (piece.time_s[-1] - piece.time_s[0]))
-        prior = LINEAR_AFTER_ALL
+        prior = LINEAR_ODDS
     distribution = stats.t(max(moving.freedom, 3), scale=deviation)
     beyond = max(abs(measured) - tolerance, 0.0)
     most = max(MOST_DAMPING, 2.0 * abs(measured))
@@ -440,10 +442,10 @@ def _judge_noise(t: Array, y: Array, frequency: float
     if decay := _steady_decay(t, y, frequency):
         return *decay, _figures(_describe(t, y, frequency, 0.0))
     steadier = steadiness(t, y, frequency)
-    if steadier > STEADIER:
+    if steadier > LEAST_STEADINESS:
         piece = _describe(t, y, frequency, 0.0)
         confidence = float(np.clip(stats.norm.cdf(steadier - 2.0), 0.5, 0.99))
-        verdict = 'limit_cycle' if confidence >= CLAIM else 'unsteady'
+        verdict = 'limit_cycle' if confidence >= LEAST_PROBABILITY else 'unsteady'
         figures = _figures(piece) | _cycle_figures(piece, frequency)
         return verdict, confidence, (
             f'irregular phase, but its envelope is {steadier:.1f} standard '

@@ -118,7 +118,7 @@ def _choice(options: tuple, number: float) -> Any:
 
 
 def run_trials(conditions: Sequence[Condition], actuator: Values, controller: Values,
-             rates_hz: tuple[float, ...]) -> list[Trial]:
+               rates_hz: tuple[float, ...]) -> list[Trial]:
     """Return a trial of each condition; those of one rate run in parallel."""
     settings = [condition.settings(rates_hz, actuator) for condition in conditions]
     found: dict[int, Trial] = {}
@@ -141,7 +141,7 @@ def _measured(settings: Sequence[dict[str, Any]], actuator: Values, controller: 
     growth = [_growth(of_samples(force[:watched], rate)) for force in forces]
     # The time of the next run starts at 0: without this the reference would be repeated.
     loops.references['reference_amplitude'] = 0.0
-    # In so short a time a slow decay can look sustained: simulated until it has settled.
+    # In so short a time a slow decay can look sustained: these are simulated until settled.
     candidates = np.array([k for k, each in enumerate(found)
                          if each.sustained and math.isfinite(each.amplitude_n)], np.intp)
     for k, run in zip(candidates, run_until_settled(loops.subset(candidates)), strict=True):

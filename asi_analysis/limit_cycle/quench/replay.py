@@ -35,7 +35,7 @@ def replay(trials: Sequence[Trial], controller: Values, actuator: Values,
         try:
             bag = run_experiment(experiment, name, report)
         except RunFailedError as error:
-            # Such as a free piston, pushed beyond the velocity limit of the nodes.
+            # The nodes detected a fault, such as a free piston above their velocity limit.
             rows.append({'bag': str(name / 'bag'), 'verdict': 'fault', 'confidence': 1.0,
                          'why': str(error), 'amplitude_n': None, 'frequency_hz': None})
             continue

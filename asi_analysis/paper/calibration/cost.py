@@ -18,7 +18,7 @@ INNER: Final = 0.85
 # A miss of more than FAR half widths grows with FAR_SHARE of its slope, as in a Huber loss.
 FAR: Final = 1.0
 FAR_SHARE: Final = 0.3
-# Half widths of a row without a value: the force does not settle, or there is no cycle.
+# Deviation, in half widths, of a row without a value: the force does not settle, or no cycle.
 WORST: Final = 9.0
 # Cost of a waveform that is not a single rise.
 WRONG_SHAPE: Final = 1.5

@@ -119,7 +119,8 @@ def members(problem: Problem, found: Array, count: int, seed: int, most: int,
     spread, tried = FIRST_SPREAD, 0
     while len(accepted) < count and tried < most:
         report(f'{len(accepted)} of {count} members', tried / most)
-        # A direction of stiffness s moves some row by s; the box limits those with a small s.
+        # A unit step along a direction of stiffness s moves the rows by s; so insensitive
+        # directions get large steps, up to the bounds.
         along = (random.normal(size=(DRAWS, point.size))
                  / np.hypot(stiffness / spread, 1.0 / 0.3))
         drawn = np.clip(point + along @ directions, 0.0, 1.0)

@@ -37,8 +37,8 @@ from asi_analysis.parallel import each
 from asi_analysis.terminal import Progress, silent
 from asi_common.files import replacing
 
-# For the search only: coarser, but near the aims every row changes by less than a tenth of its
-# limits.
+# For the search only: a coarser model, which near the goals changes every row by less than a tenth
+# of its limits.
 SEARCH: Final = {'maximum_substep': 1e-4}
 SEARCH_STEPS_N: Final = (0.0, 100.0, 200.0, 300.0, 600.0)
 SEARCH_ACCURACY: Final = 0.0015
@@ -46,21 +46,21 @@ SEARCH_RATIO_ACCURACY: Final = 0.004
 SEARCH_WATCHED_S: Final = 16.0
 SEARCH_FIRST_WATCHED_S: Final = 0.6
 SEARCH_ONSET_CYCLE_S: Final = 3.0
-# Without a cycle up to this gain, there is none.
+# Highest gain at which a cycle is searched.
 SEARCH_HIGHEST_GAIN: Final = 24.0
 SEARCH_SAMPLES: Final = 360
 # Number of points of a generation that are measured in each stage: the best of the stage before.
 RACE: Final = (64, 16, 8, 6, 4)
 # Ranks a point that was dropped in a stage behind all points that were measured further.
-BEHIND: Final = 1e3
+DROPPED_COST: Final = 1e3
 # Trust region of the polish: initial radius, limits, and multiples of it that are tried.
-REACH: Final = 0.08
-LEAST_REACH: Final = 0.003
-MOST_REACH: Final = 0.25
+TRUST_RADIUS: Final = 0.08
+LEAST_RADIUS: Final = 0.003
+MOST_RADIUS: Final = 0.25
 SHARES: Final = (2.0, 1.0, 0.4, 0.15)
 STEEPEST: Final = 80.0
-# A row that is demanded at a value may deviate by this share of its half width; its miss counts
-# so many times.
+# A row that is held at a value (--front) may deviate by this share of its half width; weight of
+# its miss.
 DEMANDED: Final = 0.2
 WEIGHT: Final = 5.0
 # CMA-ES takes no standard deviation near the resolution of a float.
@@ -169,7 +169,7 @@ class Search:
             for k, new in zip(racing, found, strict=True):
                 measured[k].update(new)
                 ranks[k] = (self.problem.cost(points[k], measured[k]) + _outside(points[k])
-                            + BEHIND * (len(stages) - 1 - done))
+                            + DROPPED_COST * (len(stages) - 1 - done))
             racing = sorted(racing, key=lambda k: ranks[k])[:places]
         self.strategy.tell(points, ranks)
         self._keep(points[int(np.argmin(ranks))], float(ranks.min()))
@@ -186,16 +186,16 @@ class Search:
         misses is a linear program (Griffith and Stewart, Management Science 7, 1961). It accounts
         for the limits of rows that are met, which least squares do not.
         """
-        point, reach = self.best.copy(), REACH
+        point, reach = self.best.copy(), TRUST_RADIUS
         measured = self._measured([point])[0]
         for done in range(rounds):
             now = self.problem.cost(point, measured)
             self._keep(point, now)
             report(f'polishing, cost {now:.3f}', done / rounds)
-            if now == 0.0 or reach < LEAST_REACH:
+            if now == 0.0 or reach < LEAST_RADIUS:
                 return
             slopes, side = self._slopes(point, measured, reach, done)
-            reaches = [min(share * reach, MOST_REACH) for share in SHARES]
+            reaches = [min(share * reach, MOST_RADIUS) for share in SHARES]
             lines = self.problem.lines()
             tried = [_step(point, _bounds(measured, lines), slopes, one, lines,
                            self.problem.weights()) for one in reaches]
@@ -246,7 +246,7 @@ LINES: Final = tuple(row for row in FITTED_ROWS if row.low != row.high)
 
 
 def _bounds(measured: Measured, lines: Sequence[Row]) -> Array:
-    """Return the bounded position of each row with limits, in half widths; 0 of one left out."""
+    """Return the bounded position of each row, in half widths; 0 for a row that is left out."""
     return np.array([bounded(row, measured[row.name]) if row.name in measured else 0.0
                      for row in lines])
 
@@ -268,7 +268,7 @@ def _step(point: Array, here: Array, slopes: Array, reach: float,
 
 
 def at_value(name: str, value: float) -> Row | None:
-    """Return a fitted row that is met near a value only; None if none has this name."""
+    """Return a fitted row with narrow limits about a value; None if no row has this name."""
     for row in FITTED_ROWS:
         if row.name == name and math.isfinite(row.high) and row.low != row.high:
             near = 0.5 * DEMANDED * (row.high - row.low)

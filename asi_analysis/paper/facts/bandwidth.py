@@ -8,6 +8,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.loop.bench import RATE_HZ, Bench, Values, open_loop
+from asi_analysis.measures.oscillation import amplitude_at
 
 # A sine is projected over whole periods, after at least this long.
 SETTLING_S: Final = 0.1
@@ -23,9 +24,8 @@ def _periods(frequency_hz: float, refinement: int) -> tuple[int, int]:
 
 def _amplitude(force: Array, frequency_hz: float, samples: int) -> float:
     """Return the amplitude of the last `samples` of a force at a frequency."""
-    first = force.size - samples
-    carrier = np.exp(-2j * np.pi * frequency_hz / RATE_HZ * np.arange(first, force.size))
-    return float(2.0 / samples * abs(np.sum((force[first:] - force[first:].mean()) * carrier)))
+    last = force[-samples:]
+    return abs(amplitude_at(last - last.mean(), frequency_hz, RATE_HZ))
 
 
 def open_loop_gain(plant: np.void, amplitude_n: float, frequency_hz: float, refinement: int = 1

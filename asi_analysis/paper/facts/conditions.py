@@ -14,7 +14,7 @@ from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
 __all__ = ['LOCKED', 'PROPORTIONAL_GAIN', 'SPRING', 'Conditions', 'StepTest']
 
-# Of Table 1 and of the closed-loop bandwidth.
+# Gain of the proportional controller in Table 1 and for the closed-loop bandwidth.
 PROPORTIONAL_GAIN: Final = 3.0
 # The one load and the one step (N) of Table 1, all three columns: doc/explanation/reproduction.md.
 LOAD: Final = {**SPRING, 'load.mass': 0.2579, 'load.stiffness': 3.274e6, 'load.damping': 30.28}
@@ -36,15 +36,15 @@ class Conditions(NamedTuple):
     start_n: float = 100.0
     onset_steps_n: tuple[float, ...] = (0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
     onset_accuracy: float = 0.0005
-    # Of the ratio of an onset without one of the nonlinearities to the onset with all of them.
+    # Relative accuracy of the ratio of an onset without one nonlinearity to that with all.
     ratio_accuracy: float = 0.01
     # Longest simulation to decide whether an oscillation is sustained.
     onset_watched_s: float = 32.0
-    # After which it is looked at first.
+    # First duration of the simulation, before it is decided whether to continue.
     first_watched_s: float = FIRST_WATCHED_S
     # Highest gain at which an onset is looked for.
     highest_gain: float = 80.0
-    # Simulated at an onset: a cycle settles slowly close to it.
+    # Simulated time at an onset, where a cycle settles slowly, s.
     onset_cycle_s: float = 8.0
     # Samples a period, of the describing function of the hysteresis.
     describing_samples: int = SAMPLES

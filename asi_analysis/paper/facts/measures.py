@@ -58,7 +58,7 @@ def onset_gains(setup: Setup, steps_n: tuple[float, ...]) -> Measured:
     for step in steps_n:
         name = onset_name(step, 'gain')
         if name not in measured:
-            # The next onset is near the last one.
+            # The onset of the next step is near this one.
             start = 0.95 * last if last else FIRST_GAIN
             found = onset({**setup.actuator, **LOCKED}, step_settings(setup, start, step),
                           RATE_HZ, start, conditions.onset_accuracy, conditions.onset_watched_s,
@@ -204,7 +204,7 @@ def predict_cycle(setup: Setup) -> Measured:
     return {
         'predicted_onset_gain': first.gain,
         'predicted_onset_frequency_hz': first.frequency_hz,
-        # The root is that gain but for its last digits.
+        # Exactly, not with the rounding error of the root.
         'predicted_highest_gain': PAPER_GAIN if reached else last.gain,
         'predicted_frequency_fall_percent': 100.0 * (1.0 - last.frequency_hz
                                                      / first.frequency_hz),

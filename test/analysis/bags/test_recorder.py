@@ -167,7 +167,7 @@ def test_a_full_disk_ends_the_recording_but_keeps_what_is_there(
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
     replay = start_node(REPLAY, bag=tmp_path / 'played')
     assert recorder.exit_status() == 1
-    assert 'cannot be written any more: File too large; what is there can be read' in recorder.text
+    assert 'cannot be written any more: File too large; the part that is' in recorder.text
     assert 'Traceback' not in recorder.text
     replay.stop()
     with pytest.warns(InputWarning):

@@ -15,7 +15,7 @@ from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.loop.closed_loop import records, simulate_loop
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
-from asi_analysis.measures.answer import answer
+from asi_analysis.measures.control_law import ControlLaw, control_law
 from asi_analysis.measures.quality import findings
 from asi_analysis.measures.recomputed import recomputed
 from asi_controller.compensator import commands, compensate, compensator
@@ -32,6 +32,11 @@ def a_loop(shape: str = 'step', load: str = 'spring', rate_hz: float = RATE_HZ,
     return Run(*simulate_loop(
         {'load.type': load, **NOISY}, {'compensator': 'lead4', 'reference.shape': shape,
                                        'reference.amplitude': 100.0, **controller}, 1.0, rate_hz))
+
+
+def law_of(run: Run) -> ControlLaw | None:
+    return control_law(run.time_s, run.signal('command'), run.signal('reference'),
+                       run.signal('force'))
 
 
 def of_rows(run: Run, rows: np.ndarray, time_s: np.ndarray | None = None) -> Run:
@@ -182,7 +187,7 @@ def test_a_gain_that_is_changed_for_a_while_is_not_accused(shape: str, ticks: in
 
 def test_the_answer_of_a_proportional_controller() -> None:
     run = a_loop('multisine', compensator='proportional', gain=4.0, feedforward=1.0)
-    found = answer(run.time_s, run.signal('command'), run.signal('reference'), run.signal('force'))
+    found = law_of(run)
     assert found is not None
     assert (found.reference, found.signal) == pytest.approx((5.0, -4.0))
     assert found.factor == 1.0 and found.breaks == ()
@@ -191,7 +196,7 @@ def test_the_answer_of_a_proportional_controller() -> None:
 def test_a_command_that_answers_nothing_tells_nothing() -> None:
     run = a_loop()
     noise = np.random.default_rng(1).normal(size=len(run))
-    assert answer(run.time_s, noise, run.signal('reference'), run.signal('force')) is None
+    assert law_of(replace(run, command_n=noise)) is None
     assert findings(replace(run, command_n=np.zeros(len(run)))) == []
     assert findings(replace(run, command_n=run.reference_n)) == []      # open loop
 
@@ -442,19 +447,15 @@ def test_an_actuator_that_is_none_tells_nothing(actuator: dict[str, float | str]
 
 @pytest.mark.parametrize('how', ['drifting clock', 'of another run', 'median filter', 'sign lost'])
 def test_what_is_altered_all_the_time_looks_as_a_controller_that_is_not_linear(how: str) -> None:
-    def relation(run: Run) -> object:
-        return answer(run.time_s, run.signal('command'), run.signal('reference'),
-                      run.signal('force'))
-
     scheduled = a_loop('multisine', **{'gain_schedule.velocity': 0.1})
-    assert relation(scheduled) is None and findings(scheduled) == []
+    assert law_of(scheduled) is None and findings(scheduled) == []
     run = a_loop('multisine')
-    assert relation(run) is not None and relation(REPLACED[how](run)) is None
+    assert law_of(run) is not None and law_of(REPLACED[how](run)) is None
 
 
 def test_a_filtered_force_is_that_of_a_controller_with_the_inverse_filter() -> None:
     run = with_force(a_loop('multisine'), low_pass)
-    found = answer(run.time_s, run.signal('command'), run.signal('reference'), run.signal('force'))
+    found = law_of(run)
     assert found is not None and found.everywhere and found.breaks == ()
 
 
@@ -509,9 +510,8 @@ def test_milliseconds_that_are_read_as_seconds_are_a_slower_loop() -> None:
     run = a_loop()
     slow = replace(run, time_s=1e3 * run.time_s, position_m=None, velocity_m_s=None)
     assert findings(slow) == []
-    relations = [answer(each.time_s, each.signal('command'), each.signal('reference'),
-                        each.signal('force')) for each in (run, slow)]
-    fast, slower = ((each.reference, each.signal) for each in relations if each is not None)
+    fast, slower = ((each.reference, each.signal) for each in map(law_of, (run, slow))
+                    if each is not None)
     assert fast == pytest.approx(slower)
 
 

@@ -19,7 +19,7 @@ def _exponent(speeds: Array, force: Array) -> float:
 def measure(setup: Setup) -> Measured:
     speeds = np.geomspace(0.01, FASTEST_M_S, POINTS * setup.refinement)
     if setup.fitted_only:
-        # From the block alone: the same figure, faster.
+        # Computed by the block alone: the same result, faster.
         p = setup.record()
         curve = damping_curve(0.0, p)
         return {'damping_exponent': _exponent(

@@ -1,11 +1,12 @@
 """
-Whether the command is the answer of one linear controller to reference and controlled signal.
+Whether the recorded command is that of one linear controller, identified from the recording.
 
-A digital controller computes each command from the samples of reference and signal that it has
-received, and from its own earlier commands. Where a recording holds these samples, the relation is
-exact to rounding errors, whatever the plant does and however large the noise is; a sample that was
-altered later breaks it. A recording without such a relation (a nonlinear controller, some of its
-samples, one that is not synchronised) tells nothing.
+A linear digital controller computes each command from the samples of reference and controlled
+signal that it has received, and from its own earlier commands: a linear difference equation, its
+control law. Where a recording holds these samples, the equation is exact to rounding errors,
+whatever the plant does and however large the noise is; a sample that was altered later violates
+it. A recording without such an equation (a nonlinear controller, a part of its samples, signals
+that are not synchronised) allows no conclusion.
 """
 
 from typing import Final, NamedTuple
@@ -16,86 +17,86 @@ from scipy import linalg
 
 from asi_analysis.arrays import Array, Mask
 
-# Earlier samples that a command is computed from: the poles of the compensators of this package.
+# Order of the difference equation: earlier samples in it, as many as a compensator of this package
+# has poles.
 ORDER: Final = 8
-LEAST_ROWS: Final = 20 * ORDER      # of commands that a relation is fitted to
-# Rows that the relation is fitted to at most; parts of the recording from which a fit begins.
-MOST: Final = 5000
-PARTS: Final = 8
+LEAST_ROWS: Final = 20 * ORDER      # commands to which the equation is fitted
+MOST_FITTED: Final = 5000           # the same, at most
+PARTS: Final = 8                    # of the recording; the fit is begun with each
 REFITS: Final = 5
-# Largest residual of an exact relation, as a share of the range of the command; share of the rows
-# that must obey, and of those that do not, which makes it the relation of another controller.
+# Largest residual of an exact equation, as a share of the range of the command; least share of the
+# rows that must satisfy it: of fewer, it is a coincidence or another controller.
 EXACT: Final = 1e-6
-OBEY: Final = 0.5
-# A residual that is a break, as a share of the range of the command.
+LEAST_SATISFIED: Final = 0.5
+# Least residual, as a share of the range of the command, that violates the equation.
 BREAK: Final = 1e-3
-# Least share of the signal in the range of the command that is an answer.
-LEAST: Final = 1e-3
-# Rows between two breaks, at least.
-APART: Final = ORDER
-# Breaks at most, more are another controller; altered samples of one break at most.
-MOST_BREAKS: Final = 20
-LONGEST: Final = 400
-LEAST_MEMORY: Final = 3     # samples of a signal in a relation that tell altered ones
-MOST_ROWS: Final = 0.9      # share of the samples that are compared: nearly all
-MOST_LOST: Final = 2    # places with lost rows, more are what a nonlinear controller does
+# Least effect of the signal on the command, as a share of its range, for a feedback.
+LEAST_FEEDBACK: Final = 1e-3
+LEAST_DISTANCE: Final = ORDER       # of two breaks, in rows
+MOST_BREAKS: Final = 20             # with more, the controller is not linear
+MOST_ALTERED: Final = 400           # samples in one break
+LEAST_MEMORY: Final = 3     # samples of a signal in an equation that can show altered ones
+NEARLY_ALL: Final = 0.9     # share of the samples that are compared
+MOST_LOST: Final = 2        # places with lost rows; with more, the controller is not linear
 # Singular values below this share of the largest are rounding errors.
-SMALL: Final = 1e-10
-# Share of a row that the rows of the fit may not hold.
+RANK_TOLERANCE: Final = 1e-10
+# Largest share of a row outside the space of the fitted rows for which the fit is valid.
 DETERMINED: Final = 1e-6
-# Factors of a wrong sign or unit of force: N in mN, kN, lbf, kgf; shares of the reference that
-# controllers pass on beside the answer to the error; rows that tell them apart.
+# Factors of a wrong sign or unit of force: N in mN, kN, lbf, kgf; feed-forwards of the reference
+# that controllers have; rows with which each is tried.
 FACTORS: Final = (1.0, -1.0, 1e3, 1e-3, 4.4482216, 1.0 / 4.4482216, 9.80665, 1.0 / 9.80665)
 FEEDFORWARD: Final = (1.0, 0.0)
-FEW: Final = 500
-# Least difference of a factor from 1 that is another scale (a disturbance observer has one too),
-# and largest condition of its fit.
+TRIAL_ROWS: Final = 500
+# Least difference of a factor from 1 that shows another scale (a disturbance observer has a
+# smaller one), and largest condition number of its fit.
 OTHER_SCALE: Final = 0.3
 CONDITION: Final = 1e4
-# Largest condition of the samples themselves: of few sines without noise any relation is exact.
-EXCITED: Final = 1e5
-# Samples by which a signal may be recorded late; lags that are tried.
-LATEST: Final = 400
-TRIED: Final = 4
+# Largest condition number of the samples: a few sines without noise satisfy any equation.
+SAMPLES_CONDITION: Final = 1e5
+# Longest delay of a signal in the recording, in samples; number of delays that are tried.
+LONGEST_DELAY: Final = 400
+DELAYS_TRIED: Final = 4
 
 
 class Break(NamedTuple):
-    """First and last sample of a part in which the command answers something else."""
+    """First and last sample of a part of the recording that violates the control law."""
 
     first: int
     last: int
-    # If the rest of the relation holds there: measured signal = factor * recorded + offset.
+    # If the controller had factor * recorded + offset there; None if nothing of that form.
     factor: float | None
     offset: float | None
-    lost: bool      # it may be rows that are lost or repeated: so many commands lack their past
+    lost: bool      # rows may be lost or repeated here: as many commands as the order violate it
 
 
-class Answer(NamedTuple):
+class ControlLaw(NamedTuple):
     """
-    The relation of the command to the samples of reference and signal.
+    The control law of a recording.
 
-    reference, signal: change of the command with that of the same sample, NaN where the recording
-    does not tell, or the command hardly answers the signal; factor: by which the signal is larger
-    than what the controller has compared with the reference, None where the recording does not
-    tell; breaks: where the relation does not hold.
+    reference, signal: gain from the same sample to the command, NaN if it is not identifiable, or
+    if the signal hardly has an effect; factor: recorded signal over the one that the controller
+    compared with the reference, None if it is not identifiable; breaks: the parts that violate
+    the law.
     """
 
     reference: float
     signal: float
     factor: float | None
     breaks: tuple[Break, ...]
-    everywhere: bool    # it holds for all samples that were compared
-    of_all: bool        # these are nearly all of the recording
+    everywhere: bool    # all compared samples satisfy it
+    of_all: bool        # nearly all samples of the recording were compared
 
 
 class _Rows(NamedTuple):
-    samples: npt.NDArray[np.intp]   # sample of the command of each row
+    """The equations of the fit, one row a command."""
+
+    samples: npt.NDArray[np.intp]   # index of the command
     known: Array                    # n x columns: earlier commands, references, signals
     command: Array
-    order: int                      # earlier samples of each
+    order: int                      # earlier samples of each signal
 
     def of_order(self, order: int) -> '_Rows':
-        """Return the rows with fewer earlier samples."""
+        """Return the rows for an equation of a lower order."""
         commands, references, signals = self.groups()
         return _Rows(self.samples, np.hstack([commands[:, :order], references[:, :order + 1],
                                               signals[:, :order + 1]]), self.command, order)
@@ -105,33 +106,34 @@ class _Rows(NamedTuple):
         return np.split(self.known, [self.order, 2 * self.order + 1], axis=1)
 
 
-def answer(time: Array, command: Array, reference: Array, signal: Array) -> Answer | None:
-    """Return the relation of n samples at one rate; None if there is none that is exact."""
+def control_law(time: Array, command: Array, reference: Array, signal: Array
+                ) -> ControlLaw | None:
+    """Return the control law of n samples at one rate; None if no equation is exact."""
     rows = _rows(time, command, reference, signal)
     if len(rows.samples) < LEAST_ROWS:
         return None
     span = float(np.ptp(rows.command))
     if not span > 0.0:
         return None
-    obeys = _obeying(rows, span)
-    if obeys is None:
+    valid = _satisfied(rows, span)
+    if valid is None:
         return None
-    rows, factors = _shortest(rows, obeys, span)
-    space = _Space(rows.known[obeys])
+    rows, factors = _lowest_order(rows, valid, span)
+    space = _Space(rows.known[valid])
     residual = np.where(space.holds(rows.known), rows.command - rows.known @ factors, 0.0)
     known = space.holds(np.eye(len(factors)))
     direct = [float(factors[k]) if known[k] else np.nan for k in (rows.order, 2 * rows.order + 1)]
-    if not abs(direct[1]) * float(np.nanstd(signal)) > LEAST * span:
+    if not abs(direct[1]) * float(np.nanstd(signal)) > LEAST_FEEDBACK * span:
         direct = [np.nan, np.nan]
-    factor = _factor(rows, obeys, span)
+    factor = _factor(rows, valid, span)
     if factor is None:
-        factor = _scale(rows, obeys, span, factors, known)
-    breaks = _breaks(rows, factors, residual, span, _remembers(rows, obeys, span))
-    if factor is None or len(_lost(breaks)) > MOST_LOST:    # of few sines any relation is exact
+        factor = _scale(rows, valid, span, factors, known)
+    breaks = _breaks(rows, factors, residual, span, _has_memory(rows, valid, span))
+    if factor is None or len(_lost(breaks)) > MOST_LOST:    # a few sines satisfy any equation
         breaks = [each for each in breaks if each not in _lost(breaks)]
-    return Answer(direct[0], direct[1], factor, tuple(breaks),
-                  bool(np.abs(residual).max() < BREAK * span),
-                  len(rows.samples) > MOST_ROWS * len(time))
+    return ControlLaw(direct[0], direct[1], factor, tuple(breaks),
+                      bool(np.abs(residual).max() < BREAK * span),
+                      len(rows.samples) > NEARLY_ALL * len(time))
 
 
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
@@ -139,25 +141,25 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
     """
     Return which of 'reference' and 'signal' was recorded late, and by how many samples.
 
-    '', 0 unless the command answers exactly to samples that come later.
+    '', 0 unless the control law is exact for samples that the recording has later.
     """
     change = np.diff(np.nan_to_num(command), 2, prepend=[0.0, 0.0])
-    # A part with the largest change tells most lags that are none, in less time.
+    # The part with the largest change rules out most delays, in less time than the whole.
     begin = max(int(np.argmax(np.abs(change[2:]))) - ORDER, 0)
     part = slice(begin, begin + LEAST_ROWS + 4 * ORDER)
     for name, values in (('signal', signal), ('reference', reference)):
         other = np.diff(np.nan_to_num(values), 2, prepend=[0.0, 0.0])
         size = 2 ** int(np.ceil(np.log2(2 * len(change))))
         product = np.fft.irfft(np.fft.rfft(other, size) * np.conj(np.fft.rfft(change, size)))
-        most = min(LATEST, len(change) // 4)
-        likely = np.argsort(-np.abs(product[1:most]))[:TRIED] + 1
+        most = min(LONGEST_DELAY, len(change) // 4)
+        likely = np.argsort(-np.abs(product[1:most]))[:DELAYS_TRIED] + 1
         for lag in (*likely, *range(1, min(ORDER, most) + 1)):
             moved = np.append(values[lag:], np.full(lag, np.nan))
             pair = (reference, moved) if name == 'signal' else (moved, signal)
-            first = answer(time[part], command[part], *(each[part] for each in pair))
+            first = control_law(time[part], command[part], *(each[part] for each in pair))
             if first is None or not first.everywhere:
                 continue
-            found = answer(time, command, *pair)
+            found = control_law(time, command, *pair)
             sure = found is not None and found.everywhere and (
                 name == 'signal' or found.factor == 1.0)
             if found and sure and abs(getattr(found, name)) > 0.0:
@@ -166,11 +168,11 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
 
 
 def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows:
-    """Return the rows whose samples are all there, and whose commands are not limited or held."""
+    """Return the rows without missing samples, and without a limited or held command."""
     count = len(time)
     free = np.isfinite(command)
     for extreme in (np.nanmax(command), np.nanmin(command)) if free.any() else ():
-        if float(f'{extreme:.6g}') == extreme:      # a limit that someone has set
+        if float(f'{extreme:.6g}') == extreme:      # a round number: a limit
             free &= command != extreme
     free[1:] &= command[1:] != command[:-1]
     free[:-1] &= command[1:] != command[:-1]
@@ -186,76 +188,78 @@ def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows
 
 
 def _sizes(known: Array) -> Array:
-    """Return the largest number of each column, 1 for one of zeros."""
+    """Return the largest absolute value of each column, 1 for a column of zeros."""
     sizes = np.abs(known).max(axis=0)
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
 def _fit(known: Array, command: Array) -> Array:
+    """Return the coefficients of the columns by least squares."""
     scale = _sizes(known)
-    return np.asarray(np.linalg.lstsq(known / scale, command, rcond=SMALL)[0] / scale)
+    return np.asarray(np.linalg.lstsq(known / scale, command, rcond=RANK_TOLERANCE)[0] / scale)
 
 
-def _obeying(rows: _Rows, span: float) -> Mask | None:
-    """Return the rows that obey the relation that most obey; None if too few obey any."""
-    step = 1 + len(rows.samples) // MOST
+def _satisfied(rows: _Rows, span: float) -> Mask | None:
+    """Return which rows satisfy the equation that most rows satisfy; None if these are too few."""
+    step = 1 + len(rows.samples) // MOST_FITTED
     known, command = rows.known[::step], rows.command[::step]
     best: Mask = np.zeros(len(command), bool)
     length = max(len(command) // PARTS, 4 * ORDER)
     begins = (slice(None), *(slice(begin, begin + length)
                              for begin in range(0, len(command) - length + 1, length)))
     for begin in begins:
-        obeys = np.zeros(len(command), bool)
-        obeys[begin] = True
+        valid = np.zeros(len(command), bool)
+        valid[begin] = True
         for _ in range(REFITS):
-            factors = _fit(known[obeys], command[obeys])
+            factors = _fit(known[valid], command[valid])
             now = np.abs(command - known @ factors) < EXACT * span
-            if now.sum() <= 4 * ORDER or (now == obeys).all():
+            if now.sum() <= 4 * ORDER or (now == valid).all():
                 break
-            obeys = now
+            valid = now
         if now.sum() > best.sum():
             best = now
-        if best.mean() > 1.0 - OBEY / PARTS:
+        if best.mean() > 1.0 - LEAST_SATISFIED / PARTS:
             break
-    if best.mean() < OBEY:
+    if best.mean() < LEAST_SATISFIED:
         return None
     factors = _fit(known[best], command[best])
-    return _with_steps(rows, np.abs(rows.command - rows.known @ factors) < EXACT * span, span)
+    residual = np.abs(rows.command - rows.known @ factors)
+    return _with_rare_events(rows, residual < EXACT * span, span)
 
 
-def _with_steps(rows: _Rows, obeys: Mask, span: float) -> Mask:
-    """Return the rows with those that obey once the fit knows them, as those of the only step."""
-    others = np.flatnonzero(~obeys)
+def _with_rare_events(rows: _Rows, valid: Mask, span: float) -> Mask:
+    """Return the rows with those that only a refit with them satisfies, as of the only step."""
+    others = np.flatnonzero(~valid)
     groups = np.split(others, np.flatnonzero(np.diff(others) > 1) + 1)
     for group in groups if len(groups) <= MOST_BREAKS else ():
-        both = obeys.copy()
+        both = valid.copy()
         both[group] = True
-        chosen = np.union1d(group, np.flatnonzero(obeys)[::1 + int(obeys.sum()) // MOST])
+        chosen = np.union1d(group, np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED])
         factors = _fit(rows.known[chosen], rows.command[chosen])
         if np.abs(rows.command[both] - rows.known[both] @ factors).max() < EXACT * span:
-            obeys = both
-    return obeys
+            valid = both
+    return valid
 
 
-def _shortest(rows: _Rows, obeys: Mask, span: float) -> tuple[_Rows, Array]:
-    """Return rows with as few earlier samples as the relation takes, and its factors."""
-    chosen = np.flatnonzero(obeys)[::1 + int(obeys.sum()) // MOST]
+def _lowest_order(rows: _Rows, valid: Mask, span: float) -> tuple[_Rows, Array]:
+    """Return the rows for the lowest order with an exact equation, and its coefficients."""
+    chosen = np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED]
     for order in range(ORDER + 1):
         shorter = rows.of_order(order)
         factors = _fit(shorter.known[chosen], rows.command[chosen])
-        error = np.abs(rows.command[obeys] - shorter.known[obeys] @ factors)
+        error = np.abs(rows.command[valid] - shorter.known[valid] @ factors)
         if error.max() < EXACT * span:
             break
     return shorter, factors
 
 
 class _Space:
-    """The linear combinations of the columns of a fit that its rows determine."""
+    """The space spanned by the rows of a fit: outside it the fit determines no command."""
 
     def __init__(self, known: Array) -> None:
         self.scale = _sizes(known)
         _, values, vectors = np.linalg.svd(known / self.scale, full_matrices=False)
-        self.vectors = vectors[values > SMALL * values[0]]
+        self.vectors = vectors[values > RANK_TOLERANCE * values[0]]
 
     def holds(self, rows: Array) -> Mask:
         """Return for which rows the fit determines the command."""
@@ -265,13 +269,13 @@ class _Space:
                           <= DETERMINED * np.linalg.norm(rows, axis=1))
 
 
-def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
-    """Return the one of FACTORS with which the command is a controller's answer to the error."""
-    step = 1 + int(obeys.sum()) // FEW
-    bend = np.abs(np.diff(rows.command[obeys], 2, prepend=[0.0, 0.0]))
-    chosen = np.union1d(np.arange(0, len(bend), step), np.argsort(-bend)[:FEW])
-    command = rows.command[obeys][chosen]
-    earlier, references, signals = (each[obeys][chosen] for each in rows.groups())
+def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
+    """Return the one of FACTORS by which the signal is scaled; None if none or several fit."""
+    step = 1 + int(valid.sum()) // TRIAL_ROWS
+    bend = np.abs(np.diff(rows.command[valid], 2, prepend=[0.0, 0.0]))
+    chosen = np.union1d(np.arange(0, len(bend), step), np.argsort(-bend)[:TRIAL_ROWS])
+    command = rows.command[valid][chosen]
+    earlier, references, signals = (each[valid][chosen] for each in rows.groups())
     possible, as_recorded = [], np.inf
     for feedforward in FEEDFORWARD:
         beyond = command - feedforward * references[:, 0]
@@ -283,26 +287,26 @@ def _factor(rows: _Rows, obeys: Mask, span: float) -> float | None:
                 possible.append(factor)
             if factor == 1.0:
                 as_recorded = min(as_recorded, float(np.abs(error).max()))
-    # Of a signal that is small beside the reference another factor may only fit a little better.
+    # If the signal is small beside the reference, another factor may fit only a little better.
     sure = possible[:1] == [1.0] or as_recorded > BREAK * span
     return possible[0] if len(set(possible)) == 1 and sure else None
 
 
-def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -> float | None:
+def _scale(rows: _Rows, valid: Mask, span: float, factors: Array, known: Mask) -> float | None:
     """
-    Return the factor of another scale of signal or reference, 1 if they have the same.
+    Return the ratio of the scales of signal and reference, whatever it is; None if unknown.
 
-    The relation of a controller that answers factor * reference - signal, and passes on any share
-    of the reference beside that, tells both if the controller has a memory.
+    The control law u = C (factor * reference - signal) + feedforward * reference determines both
+    numbers if the controller has a memory.
     """
     before, _, own = np.split(factors, [rows.order, 2 * rows.order + 1])
     if not (known[:rows.order].all() and known[2 * rows.order + 1:].all()):
         return None
-    earlier, references, signals = (each[obeys] for each in rows.groups())
+    earlier, references, signals = (each[valid] for each in rows.groups())
     excited = np.hstack([earlier, signals])
-    if np.linalg.cond(excited / _sizes(excited)) > EXCITED:
+    if np.linalg.cond(excited / _sizes(excited)) > SAMPLES_CONDITION:
         return None
-    beyond = rows.command[obeys] - earlier @ before - signals @ own
+    beyond = rows.command[valid] - earlier @ before - signals @ own
     table = np.stack([-references @ own, references @ np.append(1.0, -before)], axis=1)
     sizes = np.linalg.norm(table, axis=0)
     if not sizes.all() or np.linalg.cond(table / sizes) > CONDITION:
@@ -312,30 +316,30 @@ def _scale(rows: _Rows, obeys: Mask, span: float, factors: Array, known: Mask) -
         return None
     if abs(found[0] - 1.0) < BREAK:
         return 1.0
-    # Nearer to 1 it may be what is left of poles and of a controller that is not linear.
+    # Nearer to 1 it may come from neglected poles or a small nonlinearity of the controller.
     return float(found[0]) if abs(found[0] - 1.0) > OTHER_SCALE else None
 
 
-def _remembers(rows: _Rows, obeys: Mask, span: float) -> bool:
-    """Return whether the command takes earlier samples: else any residuals may be altered ones."""
-    chosen = np.flatnonzero(obeys)[::1 + int(obeys.sum()) // MOST]
+def _has_memory(rows: _Rows, valid: Mask, span: float) -> bool:
+    """Return whether the command depends on earlier samples; else any residual may be altered."""
+    chosen = np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED]
     shorter = rows.of_order(0)
     factors = _fit(shorter.known[chosen], rows.command[chosen])
-    error = np.abs(rows.command[obeys] - shorter.known[obeys] @ factors)
+    error = np.abs(rows.command[valid] - shorter.known[valid] @ factors)
     return bool(error.max() > BREAK * span)
 
 
-def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, remembers: bool
+def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, has_memory: bool
             ) -> list[Break]:
     """
-    Return the parts that break a relation because samples were altered, lost or repeated.
+    Return the parts that violate the law because samples were altered, lost or repeated.
 
-    remembers: whether the command depends on earlier samples.
+    has_memory: whether the command depends on earlier samples.
     """
     broken = np.flatnonzero(np.abs(residual) > 10.0 * EXACT * span)
     if not len(broken):
         return []
-    groups = np.split(broken, np.flatnonzero(np.diff(broken) > APART) + 1)
+    groups = np.split(broken, np.flatnonzero(np.diff(broken) > LEAST_DISTANCE) + 1)
     groups = [group for group in groups if np.abs(residual[group]).max() > BREAK * span]
     if len(groups) > MOST_BREAKS:
         return []
@@ -344,12 +348,12 @@ def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, remembers
     for group in groups:
         part = slice(group[0], group[-1] + 1)
         samples, rest = rows.samples[part], residual[part]
-        # Else it is not known what comes between, or follows.
+        # Otherwise rows are missing within or just after the part.
         inside = samples[-1] - samples[0] < len(samples) and part.stop <= len(
-            rows.samples) - APART
+            rows.samples) - LEAST_DISTANCE
         factor, offset = _altered(rows, part, rest, of_signal, span)
         lost = 0 < len(rest) == rows.order and np.abs(rest).min() > 10.0 * EXACT * span
-        if factor is not None or inside and remembers and (lost or _explained(rest, of_signal)
+        if factor is not None or inside and has_memory and (lost or _explained(rest, of_signal)
                                              or _explained(rest, of_reference)):
             found.append(Break(int(samples[0]), int(samples[-1]), factor, offset, bool(lost)))
     return found
@@ -361,20 +365,20 @@ def _lost(breaks: list[Break]) -> list[Break]:
 
 def _altered(rows: _Rows, part: slice, residual: Array, own: Array, span: float
              ) -> tuple[float | None, float | None]:
-    """Return by which factor and offset of the signal the residuals arise; None if by none."""
+    """Return the factor and offset of the signal that explain the residuals; None without one."""
     answered = rows.groups()[2][part] @ own
     table = np.stack([answered, np.full(len(answered), own.sum())], axis=1)
     rest = slice(2 * ORDER, None)      # samples before the part are still as recorded
     if len(answered) < 6 * ORDER:
         return None, None
-    found = np.linalg.lstsq(table[rest], residual[rest], rcond=SMALL)[0]
+    found = np.linalg.lstsq(table[rest], residual[rest], rcond=RANK_TOLERANCE)[0]
     if np.abs(residual[rest] - table[rest] @ found).max() > 10.0 * EXACT * span:
         return None, None
     factor, offset = 1.0 + float(found[0]), float(found[1])
     references = rows.groups()[1][part, 0]
     changing = np.ptp(references) > BREAK * np.ptp(rows.groups()[1][:, 0])
     other_sign = abs(factor + 1.0) < BREAK and abs(offset) < BREAK * np.ptp(answered)
-    # While the reference rests, another gain of the controller does the same.
+    # While the reference is constant, another gain of the controller has the same effect.
     return (factor, offset) if changing or other_sign else (None, None)
 
 
@@ -382,14 +386,14 @@ def _explained(residual: Array, own: Array) -> bool:
     """
     Return whether altered samples of one signal explain consecutive residuals.
 
-    own: factors of that signal. There are as many more residuals than altered samples as there
-    are earlier samples in the relation. What a nonlinear controller does has not that form.
+    own: coefficients of that signal. The residuals are then the altered samples, convolved with
+    these; those of a nonlinear controller do not have that form.
     """
     altered = len(residual) - len(own) + 1
     # With a short memory almost any residuals have that form.
-    if len(own) < LEAST_MEMORY or not 0 < altered <= LONGEST:
+    if len(own) < LEAST_MEMORY or not 0 < altered <= MOST_ALTERED:
         return False
     table = linalg.toeplitz(np.append(own, np.zeros(altered - 1)),
                             np.append(own[0], np.zeros(altered - 1)))
-    found = np.linalg.lstsq(table, residual, rcond=SMALL)[0]
+    found = np.linalg.lstsq(table, residual, rcond=RANK_TOLERANCE)[0]
     return bool(np.abs(residual - table @ found).max() < BREAK * np.abs(residual).max())
