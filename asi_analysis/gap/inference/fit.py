@@ -185,7 +185,7 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     """
     problem = Problem(group, tuple(free), tuple(fixed))
     if {*LINE} & {each.field for each in free}:
-        starts = [_levelled(problem, theta) for theta in starts]
+        starts = [_with_line_fitted(problem, theta) for theta in starts]
     ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
     best_cost, best_theta = math.inf, ranked[0]
     for start in ranked[:followed if len(starts) > 3 else 1]:
@@ -252,7 +252,7 @@ class Problem:
         return columns
 
 
-def _levelled(problem: Problem, theta: Array) -> Array:
+def _with_line_fitted(problem: Problem, theta: Array) -> Array:
     """
     Return a start whose nominal line is fitted, by linear least squares, where that is better.
 

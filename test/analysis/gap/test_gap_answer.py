@@ -132,7 +132,7 @@ def test_model_is_what_the_bag_tells_unless_another_is_given():
     run = dataclasses.replace(recorded(), information={'actuator': recorded_values})
     assert recorded_model([run]) == recorded_values
     with pytest.warns(InputWarning, match='recorded with the load spring, .* has the load locked'):
-        with pytest.raises(InputError, match='check the unit|nothing in common'):
+        with pytest.raises(InputError, match='check the unit|not correlated'):
             asi_diagnose([run], {**TEXTBOOK, 'load.type': 'locked'})
     spoilt = dataclasses.replace(run, information={'actuator': {'load.type': 'cloud'}})
     with pytest.raises(InputError, match='real: metadata of the run: load.type'):
