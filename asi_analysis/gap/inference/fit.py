@@ -182,7 +182,7 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     Return the best fit of the free parameters, from the best of the starts.
 
     starts: parameter vectors, as shares of the ranges; the best `followed` of them are fitted;
-    known: derivatives by field, which are not computed repeated.
+    known: columns of the Jacobian by field, which are not computed again.
     """
     problem = Problem(group, tuple(free), tuple(fixed))
     if {*LINE} & {each.field for each in free}:
@@ -232,9 +232,9 @@ class Problem:
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({})) -> Array:
         """
-        Return its derivatives by finite differences, for the channels that a parameter acts on.
+        Return the Jacobian by finite differences, for the channels that a parameter acts on.
 
-        known: derivatives by field, which are not computed repeated.
+        known: columns of the Jacobian by field, which are not computed again.
         """
         base = self._by_channel(theta)
         columns = np.zeros((sum(part.size for part in base), theta.size))
