@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, weigh_groups
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model.effects import UNKNOWN
-from asi_analysis.gap.model.gravity import LEFT_WITHOUT
+from asi_analysis.gap.model.gravity import ACCEPTED_RESIDUAL
 from asi_analysis.gap.model.group import Group, with_tolerances
 
 
@@ -16,7 +16,7 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
     Return the groups of a joint, with gravity or a spring in every fit if needed; and notes.
 
     It is needed if no effect explains the gap without it, one does with it, and the residual
-    power is then less than LEFT_WITHOUT of that before. weighed: without it; groups: returns
+    power is then below ACCEPTED_RESIDUAL of that before. weighed: without it; groups: returns
     those with it; tolerances: by field.
     """
     without = weighed[-1]
@@ -32,7 +32,7 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
     best = _best(refitted)
     share = best.fitted.held_out['load'] / left
     unknown = marginals(refitted.probability)[UNKNOWN] > 0.5
-    if not best.names or share > LEFT_WITHOUT or unknown:
+    if not best.names or share > ACCEPTED_RESIDUAL or unknown:
         return weighed, []
     turns = 'gravity_sine' in best.fitted.values
     return [*weighed[:-1], refitted], [
