@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from asi_actuator.model.effects import BLOCKS
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.blocks import impedance, load_constants
-from asi_analysis.gap.model.effects import BLOCKS, MOTIONS, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import MOTIONS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.motion import low_pass

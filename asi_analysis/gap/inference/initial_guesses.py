@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
 
+from asi_actuator.model.valve_flexure import dead_zone
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks, simulator
-from asi_analysis.gap.model.blocks import dead_zone, in_steps
+from asi_analysis.gap.model.blocks import in_steps
 from asi_analysis.gap.model.effects import MOTIONS, of_recording
 from asi_analysis.gap.model.group import Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict

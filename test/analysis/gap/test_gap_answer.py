@@ -8,6 +8,7 @@ import pytest
 from documented import problems
 from test_gap import TEXTBOOK, recorded
 
+from asi_actuator.model.effects import BLOCKS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.command import diagnose as asi_diagnose
@@ -22,7 +23,7 @@ from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.findings.localisation import by_block, explained
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
-from asi_analysis.gap.model.effects import BLOCKS, BY_NAME
+from asi_analysis.gap.model.effects import BY_NAME
 from asi_analysis.gap.words import between, in_words, sentences, unit_of, with_id
 
 

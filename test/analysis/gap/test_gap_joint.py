@@ -389,7 +389,7 @@ def test_what_one_way_and_no_position_cannot_tell_is_said(missing):
         diagnose([run], {}, 'joint')
     said = ' '.join(str(each.message) for each in remarks)
     assert ('neither gravity nor a spring is looked for' in said) == missing
-    assert ('cannot be told from a constant load' in said) != missing
+    assert ('cannot be distinguished from a constant load' in said) != missing
 
 
 @pytest.mark.parametrize(('gain', 'offset', 'verdict'), [
