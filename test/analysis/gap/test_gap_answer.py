@@ -118,7 +118,7 @@ def test_a_size_has_three_digits_and_its_interval(value, low, high, text):
 
 @pytest.mark.parametrize(('separation', 'missing', 'words', 'command'), [
     (8.0, [], 'record this: chirp (asi run)', True),
-    (3e-6, [], 'no recording of these signals tells them apart: measure the pressure', False),
+    (3e-6, [], 'no recording of these signals separates them: measure the pressure', False),
     (3e-6, ['position'], 'record the position too', False),
     (8.0, ['position'], 'record the position too; record this: chirp (asi run)', True)])
 def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, words, command):
