@@ -69,7 +69,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('valve_hysteresis.rate_filter', 143.1, 'Hz',
               'Corner of the filter that measures the rate of the command', 1.0, 1e5,
               source=FITTED),
-    Parameter('valve_hysteresis.saturation', 1225.0, 'N', 'Drive at which the iron saturates',
+    Parameter('valve_hysteresis.saturation', 1225.0, 'N',
+              'Drive S at which the iron saturates, sharply: flux / (1 + (flux / S)^4)^(1/4)',
               100.0, 1e6, source=FITTED),
     Parameter('valve_hysteresis.rounding', 0.0, '',
               'Share of the loop that moves in plays of half widths from 0 to twice the '
@@ -107,7 +108,9 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('valve_characteristic.linear_gain', 1.0, '',
               'Share of the slope when the model is linear', 0.0, 10.0),
     Parameter('valve_characteristic.gain', 1.0, 'N/N',
-              'Force per valve command, open loop and at rest', 1e-3, 100.0, source=FITTED),
+              'Force per valve command, open loop and at rest: it scales the valve position at a '
+              'command, not the force at a valve position, nor maximum_force', 1e-3, 100.0,
+              source=FITTED),
     Parameter('valve_characteristic.maximum_force', 1000.0, 'N', 'Thrust at full opening',
               1.0, 1e5, source='paper, section 2.1 and Fig. 4'),
     Parameter('valve_characteristic.full_opening', 2e-5, 'm',
@@ -232,7 +235,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               'Stiffness between piston and load: a compliance; 0: rigid', 0.0, 1e9),
     Parameter('coupling.damping', 0.0, 'N s/m', 'Damping between piston and load', 0.0, 1e6),
     Parameter('coupling.piston_share', 0.3, '',
-              'Share of the moving mass on the side of the piston', 0.01, 0.99),
+              'Share of load.mass on the side of the piston, if a compliance or backlash divides '
+              'it; of that side the sensor does not measure force_sensor.mass_share', 0.01, 0.99),
     Parameter('backlash.gap', 0.0, 'm', 'Width of the gap; 0: no backlash', 0.0, 0.1),
     Parameter('backlash.centre', 0.0, 'm', 'Position of the piston in the middle of the gap',
               -1.0, 1.0),
@@ -257,8 +261,9 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               source=FITTED),
     Parameter('force_sensor.mass_share', 0.8063, '',
               'Share of the moving mass before the sensor, whose inertia it does not measure: 0, '
-              'it is between cylinder and piston; 1, between the mass and its support', 0.0, 1.0,
-              source=FITTED),
+              'it is between cylinder and piston; 1, between the mass and its support. Of a mass '
+              'that is divided, the share of the side of the piston: see coupling.piston_share',
+              0.0, 1.0, source=FITTED),
     Parameter('force_sensor.gain', 1.0, 'N/N', 'Scale of the measured force', 0.1, 10.0),
     Parameter('force_sensor.offset', 0.0, 'N', 'Offset of the measured force', -1e4, 1e4),
     Parameter('force_sensor.lag_time', 0.0, 's', 'Time constant of a further first-order lag',

@@ -1,8 +1,8 @@
 """
 What changed since healthy recordings of the same machine.
 
-Their diagnosis is the nominal model; how far its parameters are known, and differ from one healthy
-recording to the next, are the tolerances; what it leaves of them is what any model leaves.
+The model fitted to them is the nominal model. The tolerances are the uncertainty of its parameters
+and their spread over the healthy recordings; its residual there is the error floor.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,15 +22,16 @@ from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
 
-LEAST_SPREAD: Final = 1e-3    # of a parameter: the resolution
-# Times the range, in which 95 % lie: of some twenty parameters all do.
-OF_MANY: Final = 1.5
-NEARER: Final = (1.2, 0.85)   # of the healthy value: starts of a fit
+LEAST_SPREAD: Final = 1e-3    # of a parameter, relative
+# By which 95 % intervals are widened, so that all of some twenty parameters lie within theirs.
+RANGE_FACTOR: Final = 1.5
+NEAR_STARTS: Final = (1.2, 0.85)   # initial guesses of a fit, relative to the healthy value
 LEAST_PROBABILITY: Final = 0.01   # of an effect that is looked for in the healthy recordings
-# Of one recording, but of the machine: the others are of its course or its beginning.
+# Parameters of a recording that belong to the machine nevertheless.
 CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance')
-OF_PREDICTIONS: Final = frozenset(('maximum_substep',))
-TAKEN_OFF: Final = frozenset(('gravity_sine', 'gravity_cosine'))   # the recordings, beforehand
+NUMERICAL: Final = frozenset(('maximum_substep',))
+# Identified from each recording and subtracted from it before the fit.
+REMOVED: Final = frozenset(('gravity_sine', 'gravity_cosine'))
 
 
 class Spread(NamedTuple):
@@ -43,12 +44,12 @@ class Spread(NamedTuple):
 
 
 class Healthy(NamedTuple):
-    """The healthy machine in a group of channels."""
+    """The model of the healthy machine in a group of channels."""
 
     fitted: Fitted                # of all its recordings together
     spread: dict[str, Spread]     # by field
-    # Mean square that is left, of the recording with most of it, by channel; as a share of the
-    # signal's; and over the error floor.
+    # By channel, of the healthy recording with the largest: mean square residual; that as a share
+    # of the signal's mean square; and in error floors.
     left: Values
     share: Values
     over_floor: Values
@@ -61,7 +62,7 @@ def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> He
     tolerance, own: how far nominal parameters may be off at most, as a share; own: by field.
     """
     group = fitted.problem.group
-    errors = {channel: np.array([_left(fitted, recording, channel)
+    errors = {channel: np.array([_residual_power(fitted, recording, channel)
                                  for recording in group.recordings]).max(axis=0)
               for channel in group.channels}
     left, share, over = ({channel: float(each[n]) for channel, each in errors.items()}
@@ -72,18 +73,18 @@ def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> He
 
 
 def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
-    """Return, by parameter of the machine, the ends of its interval and its value in each run."""
+    """Return, by field, the 95 % interval of a parameter and its values in single recordings."""
     group = fitted.problem.group
     measured_floor = replace(group, error_floor={
         channel: _measured_floor(level, group.noise[channel], over_floor[channel])
         for channel, level in group.error_floor.items()})
     fitted = fitted._replace(problem=replace(fitted.problem, group=measured_floor, _key=b''))
     known = likelihood(fitted)
-    alone = [_alone(fitted, recording) for recording in group.recordings]
+    alone = [_fitted_alone(fitted, recording) for recording in group.recordings]
     found: dict[str, list[float]] = {}
     for free in fitted.free:
         field = free.field.partition('@')[0]
-        if field not in TAKEN_OFF and (field in CONSTANT or field not in OF_A_RECORDING):
+        if field not in REMOVED and (field in CONSTANT or field not in OF_A_RECORDING):
             found.setdefault(field, []).extend((
                 *interval(fitted, known, free.field),
                 *(values[free.field] for values in alone if free.field in values)))
@@ -91,24 +92,24 @@ def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
 
 
 def _measured_floor(level: float, noise: float, over_floor: float) -> float:
-    """Return an error floor (mean square) whose model error is what healthy recordings show."""
+    """Return an error floor (mean square) with the model error of the healthy recordings."""
     return noise ** 2 + (level - noise ** 2) * min(over_floor, 1.0)
 
 
 def _spread(fitted: Fitted, field: str, values: Sequence[float], tolerance: float) -> Spread:
-    """Return the spread of a parameter that has these values."""
+    """Return the spread of a parameter from these values, at most its tolerance."""
     frees = [free for free in fitted.free if free.field.partition('@')[0] == field]
     value = float(np.mean([fitted.record[free.field] for free in frees]))
     bounds = fitted.problem.parameter(frees[0])
     most = tolerance * abs(value) if field in NOMINAL_FIELDS else np.inf
-    below, above = (min(max(OF_MANY * each, LEAST_SPREAD * abs(value)), most)
+    below, above = (min(max(RANGE_FACTOR * each, LEAST_SPREAD * abs(value)), most)
                     for each in (value - min(values), max(values) - value))
     return Spread(value, max(value - below, bounds.low), min(value + above, bounds.high),
                   frees[0].unit)
 
 
-def _alone(fitted: Fitted, recording: Recording) -> Values:
-    """Return the parameters of a fit to one of its recordings alone; {} if there is one only."""
+def _fitted_alone(fitted: Fitted, recording: Recording) -> Values:
+    """Return the parameters fitted to one recording alone; {} if there is only one."""
     problem = fitted.problem
     if len(problem.group.recordings) == 1:
         return {}
@@ -116,11 +117,11 @@ def _alone(fitted: Fitted, recording: Recording) -> Values:
            if free.field.partition('@')[0] not in OF_A_RECORDING
            or int(free.field.partition('@')[2] or 1) == recording.number + 1]
     free, theta = tuple(problem.free[n] for n in own), fitted.theta[own]
-    return _anew(problem, replace(problem.group, recordings=[recording]), free, theta)
+    return _refitted(problem, replace(problem.group, recordings=[recording]), free, theta)
 
 
-def _anew(problem: Problem, group: Group, free: tuple[Free, ...], start: Array) -> Values:
-    """Return free parameters, by field, fitted as in a problem to a group of one recording."""
+def _refitted(problem: Problem, group: Group, free: tuple[Free, ...], start: Array) -> Values:
+    """Return the free parameters of a problem, by field, fitted to a group of one recording."""
     if not isinstance(problem, Posterior):
         return fit(group, free, [start], problem.fixed).values
     single = replace(problem, group=group, free=free)
@@ -128,8 +129,9 @@ def _anew(problem: Problem, group: Group, free: tuple[Free, ...], start: Array) 
     return {each.field: float(record[each.field]) for each in free}
 
 
-def _left(fitted: Fitted, recording: Recording, channel: str) -> tuple[float, float, float]:
-    """Return a fit's mean square residual, over that of the signal, and over its error floor."""
+def _residual_power(fitted: Fitted, recording: Recording, channel: str
+                    ) -> tuple[float, float, float]:
+    """Return the mean square residual; as a share of the signal's mean square; in error floors."""
     used = recording.valid
     real = measured(recording, channel)[used]
     left = float(np.mean((real - predict(recording, channel, fitted.record)[used]) ** 2))
@@ -161,7 +163,7 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         field = name.partition('@')[0]
         if field in healthy.spread:
             nominal[name] = healthy.spread[field].value
-        elif (field not in OF_A_RECORDING and field not in OF_PREDICTIONS | TAKEN_OFF
+        elif (field not in OF_A_RECORDING and field not in NUMERICAL | REMOVED
               and field in (healthy.fitted.record.dtype.names or ())):
             nominal[name] = healthy.fitted.record[field]
     simulated = isinstance(healthy.fitted.problem, Posterior)
@@ -178,15 +180,15 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
         general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
         floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
                              healthy.share[channel] * power)
-    effects = freed(group.effects, lambda frees: tuple(map(_nearer, frees)))
+    effects = freed(group.effects, lambda frees: tuple(map(_with_near_starts, frees)))
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
                    error_floor=floor, effects=effects, floor_measured=True,
                    floor_by_best=False)
 
 
-def _nearer(free: Free) -> Free:
-    """Return a free parameter with starts that are no farther than its spread may be."""
-    return free._replace(starts=(*NEARER, *free.starts)) if free.scale == 'nominal' else free
+def _with_near_starts(free: Free) -> Free:
+    """Return a free parameter with further initial guesses near to its healthy value."""
+    return free._replace(starts=(*NEAR_STARTS, *free.starts)) if free.scale == 'nominal' else free
 
 
 def _free(name: str, spread: Spread, simulated: bool) -> Free:
@@ -201,7 +203,7 @@ def _free(name: str, spread: Spread, simulated: bool) -> Free:
 
 def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
     """
-    Return a group in which an effect that a healthy recording shows as large is no change.
+    Return a group in which an effect that is as large in a healthy recording is not a change.
 
     Its probability goes to the hypothesis without it.
     """
@@ -235,7 +237,7 @@ def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy)
         start = fitted.theta[own]
         at = [each.field for each in free].index(field)
         start[at] = min(max(fitted.problem.parameter(free[at]).share(usual), 0.001), 0.999)
-        found = _anew(fitted.problem, alone, free, start)
+        found = _refitted(fitted.problem, alone, free, start)
         if size and (found[field] - usual) / size >= as_large:
             return True
     return False

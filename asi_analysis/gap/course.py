@@ -1,4 +1,4 @@
-"""How the input of a characteristic moves: its passes to and fro, their rate, and its cycle."""
+"""The course of a static characteristic's input: its passes to and fro, their rate, its cycle."""
 
 import itertools
 import math
@@ -12,11 +12,13 @@ from asi_analysis.gap.prepare import Recording
 
 TURN: Final = 0.05    # of the range: a smaller reversal of the input is noise
 REPEATS: Final = 0.05   # of the range (rms): how well an input must repeat its cycle
-IN_STEP, IN_STEP_SLOW = 0.2, 0.5   # of 1 / duration: a wave so near a harmonic is one
+# A wave so near a harmonic of the input's cycle is one; in units of 1 / duration of the recording.
+IN_STEP, IN_STEP_SLOW = 0.2, 0.5
 SAME_RATE: Final = 1.4   # ratio of the rates of two passes that cannot be told apart
-REST: Final = 0.05    # of the time: an input that rests for so long lets a lag end
-SLOW: Final = 0.1     # of the usual rate: what is slower is at rest
-SLOW_OF_SINE: Final = 2.0 / math.pi * math.asin(SLOW * 2.0 / math.pi)   # share of a sine
+REST: Final = 0.05    # share of the time at rest that lets the response of a lag decay
+SLOW: Final = 0.1     # share of the median rate below which the input is at rest
+# The share of the time in which a sine is at rest by that definition.
+SLOW_OF_SINE: Final = 2.0 / math.pi * math.asin(SLOW * 2.0 / math.pi)
 
 
 def turning_points(values: Array, least: float = TURN) -> list[int]:
@@ -61,7 +63,7 @@ def one_rate(recordings: Sequence[Recording]) -> bool:
 
 
 def at_rest(recording: Recording) -> float:
-    """Return the share of the time in which the input hardly moves, for its passes."""
+    """Return the share of the time in which the input is at rest, relative to its passes."""
     assert recording.command is not None
     usual = float(np.median(rates(recording))) if len(passes(recording)) else 0.0
     return float(np.mean(np.abs(np.gradient(recording.command, recording.period_s))
@@ -69,7 +71,7 @@ def at_rest(recording: Recording) -> float:
 
 
 def _to_and_fro(given: Array) -> float:
-    """Return how many samples an input takes to and fro; 0: it does not come back."""
+    """Return the period of an input that goes to and fro, in samples; 0: it does not."""
     turns = np.array(turning_points(given)[1:-1])
     if turns.size < 2:
         return 0.0
@@ -77,7 +79,7 @@ def _to_and_fro(given: Array) -> float:
 
 
 def cycle(given: Array) -> int:
-    """Return after how many samples an input repeats; 0: it does not, or less than twice."""
+    """Return the period of an input, in samples; 0: it is not periodic, or shorter than two."""
     guess = int(_to_and_fro(given))
     if not guess:
         return 0
@@ -93,10 +95,10 @@ def cycle(given: Array) -> int:
 
 def in_step(recording: Recording, frequency: float) -> bool:
     """
-    Return whether a wave (Hz) keeps step with an input that goes to and fro.
+    Return whether a wave (Hz) is a harmonic of an input that goes to and fro.
 
-    Such a wave is of the characteristic, not of something else. What changes slowly from cycle to
-    cycle shifts the slowest waves.
+    Such a wave belongs to the characteristic; it is not a disturbance. A slow drift from cycle to
+    cycle shifts the lowest harmonics, hence their wider limit.
     """
     assert recording.command is not None
     lag = cycle(recording.command) or _to_and_fro(recording.command)

@@ -92,7 +92,7 @@ class Diagnosis:
 
 
 def _parts(groups: Sequence[Weighed], names: Names) -> tuple[Names, ...]:
-    """Return the most probable hypothesis of each group that together are a joint one."""
+    """Return the hypothesis of each group of which a joint hypothesis most probably consists."""
     fits = [[part for part in weighed.probability if set(part) <= set(names)]
             for weighed in groups]
     return max((parts for parts in itertools.product(*fits)
@@ -103,7 +103,7 @@ def _parts(groups: Sequence[Weighed], names: Names) -> tuple[Names, ...]:
 
 def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance: float,
                     held_out: Sequence[bool]) -> tuple[list[Group], list[str]]:
-    """Return the groups of channels that these recordings of the actuator have, and notes."""
+    """Return the groups of channels that recordings of the actuator allow, and notes."""
     for run in runs:
         plausibility.check_units(run)
     recordings = prepare(runs, 'valve', held_out)
@@ -118,7 +118,7 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
     if has['command'] and has['valve_position']:
         groups.append(make_group(p, recordings, ('valve',), tolerance))
     else:
-        notes.append('without command and valve position the valve cannot be told from the '
+        notes.append('without command and valve position the valve cannot be separated from the '
                      'hydraulics by its own signal')
     cut_off = [note for run in runs for note in plausibility.check_cut_off(run)]
     moves = (has['motion'] and has['force'] and not cut_off
@@ -128,13 +128,13 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
         ('load', moves))
         if there)
     if not has['force']:
-        notes.append('without the force nothing is said of hydraulics, mechanics and sensor')
+        notes.append('without the force hydraulics, mechanics and sensor cannot be diagnosed')
     elif has['motion'] and cut_off:
         notes += cut_off
     elif not moves:
         notes.append('without the motion of the piston, backlash, compliance, a disturbance and '
-                     'the gain of the force sensor cannot be told apart from other causes; it is '
-                     'simulated with the nominal load')
+                     'the gain of the force sensor cannot be separated from other causes; the '
+                     'motion is simulated with the nominal load')
     if channels:
         groups.append(make_group(p, recordings, channels, tolerance))
     if not groups:
@@ -145,10 +145,10 @@ def actuator_groups(runs: Sequence[Run], nominal: Mapping[str, Value], tolerance
 def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tolerance: float
                      ) -> list[Group]:
     """
-    Return the same channels as the simulator predicts them; the load's is the motion.
+    Return the same groups with the simulator as the predictor; the load's channel is the motion.
 
-    An empty list if it does not: of a simplified model, without the command, or if some
-    recordings hold the velocity, and others only the position.
+    An empty list if that is not possible: with a simplified model, without the command, or if
+    some recordings hold the velocity and others only the position.
     """
     recordings = groups[0].recordings
     moved = [channel for channel in MOTIONS
@@ -166,7 +166,7 @@ def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tole
 def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, tolerance: float,
             held_out: Sequence[bool], drive: str | None, healthy: Diagnosis | None
             ) -> tuple[list[Group], list[Group], list[str]]:
-    """Return the groups of channels, the same as the simulator predicts them, and notes."""
+    """Return the groups of channels, the same with the simulator as predictor, and notes."""
     simulated: list[Group] = []
     before = healthy.runs if healthy else []
     if plant == 'joint':
@@ -188,12 +188,12 @@ def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, toleran
 
 
 def improved_of(diagnosis: Diagnosis, model: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the nominal parameters of the actuator with what was found put in."""
+    """Return the actuator's parameters of the improved model."""
     return improved_model(model, _records(diagnosis))[0]
 
 
 def _records(diagnosis: Diagnosis) -> list[np.void]:
-    """Return the verdict's records, one a group of channels."""
+    """Return the fitted records of the verdict, one for each group of channels."""
     return [diagnosis.best(weighed).fitted.record for weighed in diagnosis.groups]
 
 
@@ -238,12 +238,12 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         report('fitting effects', min(done / steps, 1.0))
 
     told = healthy.notes if healthy else []
-    # Before the checks, since they may explain why one fails.
+    # Before the checks, since a note may explain why one fails.
     for note in (each for each in notes if each not in told):
         warnings.warn(note, InputWarning, stacklevel=2)
     weighed = None
     if simulated:
-        # The other formulations follow the measured force, which hardly shows on a free load.
+        # The block-wise model needs the measured force, which is small with a free load.
         weighed = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
     if weighed is None and simulated and healthy is not None:
         by_blocks = diagnose(healthy.runs, model, plant, tolerance, report=report,
@@ -294,14 +294,14 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     elif len(ambiguous) > 1:
         experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')))
     if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')]:
-        # With refitted parameters: a difference within their tolerance is no gap.
+        # With refitted parameters, since a difference within their tolerance is not a gap.
         chain = localisation.along_the_chain(groups[0], groups[1], *(
             w.candidates[()].fitted.record for w in weighed))
     return replace(answer, shrinks=shrinks, next_experiment=experiment, chain=chain)
 
 
 def _missing(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
-    """Return the wanted signals that some run does not hold."""
+    """Return the wanted signals that are missing in a run."""
     return [name for name in wanted if any(name not in run.signals() for run in runs)]
 
 
@@ -313,11 +313,11 @@ def hypothesis_name(names: Names) -> str:
 def main_shrink(diagnosis: Diagnosis) -> Shrink:
     """Return the shrink of the channel in which the verdict explains most, in noise floors."""
     shown = list(diagnosis.shrinks)
-    # What a refit leaves, if that can be seen at all.
-    seen = any(shrink.refitted > max(shrink.noise_floor, SIMULATOR_ERROR) for shrink in shown)
+    # The residual of the refitted model counts, unless it is noise on every channel.
+    visible = any(shrink.refitted > max(shrink.noise_floor, SIMULATOR_ERROR) for shrink in shown)
 
     def explained(shrink: Shrink) -> float:
-        before = shrink.refitted if seen else shrink.nominal
+        before = shrink.refitted if visible else shrink.nominal
         return (before ** 2 - shrink.after ** 2) / max(shrink.noise_floor, 1e-9) ** 2
 
     if not diagnosis.verdict or UNKNOWN in diagnosis.verdict:
@@ -333,7 +333,7 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
 
 def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]] | None:
     """Return the fit of the best hypothesis that holds an effect, and the effect's parameters."""
-    # An effect of several groups of channels is told by the one that is surest of it.
+    # Of an effect in several groups of channels: the one in which it is most probable.
     for weighed in sorted(diagnosis.groups, reverse=True,
                           key=lambda w: marginals(w.probability).get(name, 0.0)):
         holding = [candidate for names, candidate in weighed.candidates.items() if name in names]

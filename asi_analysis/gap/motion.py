@@ -1,4 +1,4 @@
-"""The motion of a load from its position and velocity, and the band in which it is judged."""
+"""The motion of a load from its position and velocity, and the band in which it is compared."""
 
 import itertools
 import math
@@ -11,19 +11,21 @@ from scipy.signal import coherence, welch
 from asi_analysis.arrays import Array, Complex, Mask
 from asi_analysis.gap.sampling import noise_of
 
-PAD_S = 0.6             # mirrored on at both ends before a Fourier transform; half of it fades
-# The motion is smoothed at this multiple of the band that is judged, or where its power is no more
-# than this multiple of the noise's: friction and backlash act on all of the motion that there is.
-SMOOTHING, OUTSTANDING = 2.5, 4.0
-ABOVE, RESOLVED = (1.5, 4.0), 8.0   # multiples of a band: just above it; segments to resolve it
-QUIET = 0.25            # quantile of the power there, since a load may ring
-COHERENT = 0.95         # share of the power that motion and force have in common
+PAD_S = 0.6   # mirrored samples at both ends before a Fourier transform; their outer half fades
+# The motion is low-pass filtered at this multiple of the compared band, or at the frequency where
+# its power is this multiple of the noise, if that is higher: friction and backlash depend on all
+# of the motion.
+SMOOTHED_BAND, SIGNAL_TO_NOISE = 2.5, 4.0
+# Noise is estimated at these multiples of a band's edge, with a spectrum that resolves an eighth
+# of it; as a low quantile of the power there, since a load may ring.
+NOISE_BAND, SEGMENTS, NOISE_QUANTILE = (1.5, 4.0), 8.0, 0.25
+COHERENT = 0.95         # least coherence of motion and force in the compared band
 LOWEST_BAND_HZ = 20.0
-# A position that is an integral is judged above this, so gently that it does not ring for longer
-# at the ends; nor for more than a share of a short recording.
+# An integrated velocity is high-pass filtered here. The filter rings at both ends for this time,
+# at most this share of the recording.
 LOWEST_INTEGRATED_HZ, RINGING_S, RINGING = 0.5, 1.0, 0.2
-# How long a joint stands still at least, in which it would else move by a step of its encoder at
-# this share of its usual speed; and most of a recording that is left out for that.
+# A standstill lasts at least STANDS_S, in which a joint at SLOW times its usual speed would move
+# by a step of its encoder. If they are more than MOST_STANDS of a recording, none is left out.
 STANDS_S, SLOW, MOST_STANDS = 0.02, 0.1, 0.95
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 
@@ -31,11 +33,11 @@ LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or it
 @dataclass(frozen=True)
 class Motion:
     """
-    The measured motion of the piston, for the load: extended by PAD_S at both ends.
+    The measured motion of the piston, extended by PAD_S at both ends.
 
-    spectra are of the whole extended length; `smooth` is the gain by which they were smoothed,
-    `judge` that of the band that is judged; `noise` is what white noise as strong everywhere as
-    the velocity's is at each frequency would vary by.
+    spectra: of the whole extended length; smooth: gain of the low-pass filter that they passed;
+    judge: gain of the band in which signals are compared; noise: of the velocity, at each
+    frequency the variance of white noise with that spectral density.
     """
 
     omega: Array                 # rad/s
@@ -53,10 +55,10 @@ class Motion:
 
 def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'odd') -> Array:
     """
-    Return the values with `pad` mirrored ones at both ends, without a jump where these wrap round.
+    Return the values with `pad` mirrored ones at both ends, for a Fourier transform.
 
-    odd: value and slope go on. The outer half of both ends fades to the same value: a jump there
-    rings in all derivatives.
+    odd: value and slope are continuous. The outer half of both ends fades to the same value,
+    since a jump where they wrap round would ring in all derivatives.
     """
     longer = np.pad(values, pad, 'reflect', reflect_type=reflect_type)
     fade = np.ones(longer.size)
@@ -74,44 +76,46 @@ def low_pass(frequency: Array, corner: float) -> Array:
 
 def common_band(motion: Array, force: Array, period: float) -> float:
     """
-    Return the frequency (Hz) up to which a motion and its force belong together.
+    Return the frequency (Hz) up to which the coherence of a motion and its force is COHERENT.
 
-    There their coherence is above COHERENT; beyond, noise prevails and what no rigid load does.
+    Above it noise and the modes of a load that is not rigid prevail.
     """
     rate = 1.0 / period
-    frequency, shared = coherence(motion, force, rate, nperseg=max(min(motion.size // 4, 2048), 2),
-                                  detrend='linear')
-    width = min(max(1, int(5.0 / frequency[1])), shared.size)
-    smooth = np.convolve(shared, np.ones(width) / width, 'same')
+    frequency, coherent = coherence(motion, force, rate, detrend='linear',
+                                    nperseg=max(min(motion.size // 4, 2048), 2))
+    width = min(max(1, int(5.0 / frequency[1])), coherent.size)
+    smooth = np.convolve(coherent, np.ones(width) / width, 'same')
     above = frequency[smooth > COHERENT]
     return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
 
 
 def clear_band(signal: Array, omega: Array, noise: Array, period: float, longest: int) -> float:
     """
-    Return the frequency (Hz) up to which a signal stands out of its noise; 0 if nowhere.
+    Return the frequency (Hz) up to which a signal is above its noise; 0 if nowhere.
 
-    noise: its variance, if it were as strong everywhere, at each omega (rad/s); longest: samples
-    of a segment of the spectrum.
+    noise: at each omega (rad/s), the variance of white noise with that spectral density; longest:
+    samples of a segment of the spectrum.
     """
     frequency, power = welch(signal, 1.0 / period, nperseg=min(signal.size // 4, longest))
     level = 2.0 * period * np.interp(2.0 * np.pi * frequency, omega, noise)
-    above = frequency[power > OUTSTANDING * level]
+    above = frequency[power > SIGNAL_TO_NOISE * level]
     return float(above[-1]) if above.size else 0.0
 
 
 def noise_above(signal: Array, motion: Motion, period: float) -> float:
     """
-    Return the rms of white noise as strong as a signal just above the band that is judged.
+    Return the rms of white noise with the spectral density of a signal just above its band.
 
-    There noise that is not white is as it is in the band, where the motion hides it.
+    Noise that is not white has about that density in the band, where the motion hides it.
     """
     gain = np.sqrt(0.5)
     edge = float(motion.omega[motion.judge > gain].max(initial=motion.omega[1])) / (2.0 * np.pi)
     frequency, power = welch(signal, 1.0 / period, nperseg=min(
-        signal.size // 4, int(RESOLVED / (edge * period))))
-    beside = power[(frequency > ABOVE[0] * edge) & (frequency < ABOVE[1] * edge)]
-    return math.sqrt(float(np.quantile(beside, QUIET)) / (2.0 * period)) if beside.size else 0.0
+        signal.size // 4, int(SEGMENTS / (edge * period))))
+    beside = power[(frequency > NOISE_BAND[0] * edge) & (frequency < NOISE_BAND[1] * edge)]
+    if not beside.size:
+        return 0.0
+    return math.sqrt(float(np.quantile(beside, NOISE_QUANTILE)) / (2.0 * period))
 
 
 def agree(position: Array, velocity: Array, period: float) -> bool:
@@ -120,7 +124,7 @@ def agree(position: Array, velocity: Array, period: float) -> bool:
 
 
 def velocity_over_derivative(position: Array, velocity: Array, period: float) -> float:
-    """Return a velocity over the derivative of a position; 1 if uncorrelated."""
+    """Return the ratio of a velocity to the derivative of a position; 1 if uncorrelated."""
     moved = np.gradient(position, period)
     if np.std(moved) == 0.0 or np.std(velocity) == 0.0:
         return 1.0
@@ -136,9 +140,8 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
     """
     Return the motion of the load from its measured position, velocity or both.
 
-    band: frequency (Hz) up to which it is judged.
-
-    Also the velocity (m/s) whose integral is the measured position; None if not measured.
+    And the velocity (m/s) fused from both; None if the velocity was not measured. band: frequency
+    (Hz) up to which the motion is compared.
     """
     source = velocity if velocity is not None else position
     if source is None:
@@ -158,23 +161,23 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
         v = np.fft.rfft(extended(velocity, pad, 'even'))
         noise = np.full_like(omega, noise_of(velocity) ** 2)
         if position is not None:
-            # Each by its noise: slow motion from the position, fast motion from the velocity.
+            # Weighted by their noise: slow motion from the position, fast from the velocity.
             slow = noise / ((omega * noise_of(position)) ** 2 + noise + 1e-300)
             v += slow * np.fft.rfft(extended(np.gradient(position, period) - velocity, pad,
                                              'even'))
             noise = (1.0 - slow) * noise
-    # The mean velocity is a line, extended at both ends as the force of a spring is.
+    # The mean velocity is a line in position, extended like all other signals.
     x = np.fft.rfft(extended(v[0].real / count * period * np.arange(source.size), pad))
     x[1:] += v[1:] / (1j * omega[1:])
     found = np.fft.irfft(v, count)[pad:-pad]
     if position is not None:
         x[0] += count * np.mean(position - np.fft.irfft(x, count)[pad:-pad])
     fused = found if velocity is not None else None
-    corner = max(SMOOTHING * band, clear_band(found, omega, noise, period, 1024))
+    corner = max(SMOOTHED_BAND * band, clear_band(found, omega, noise, period, 1024))
     smooth = low_pass(frequency, min(corner, 0.45 / period))
     x, v = x * smooth, v * smooth
     judge = low_pass(frequency, band)
-    if position is None:   # what an integral adds up at low frequency says nothing
+    if position is None:   # an integral drifts at low frequencies
         judge = judge * (1.0 - np.exp(-(frequency / LOWEST_INTEGRATED_HZ) ** 2))
     return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count),
                   np.fft.irfft(1j * omega * v, count), x, v, smooth, judge, noise, pad,
@@ -182,7 +185,7 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
 
 
 def judged(values: Array, motion: Motion) -> Array:
-    """Return a recorded signal within the band of the motion that is judged."""
+    """Return a recorded signal, filtered to the band in which the motion is compared."""
     spectrum = np.fft.rfft(extended(values, motion.pad)) * motion.judge
     count = values.size + 2 * motion.pad
     return np.fft.irfft(spectrum, count)[motion.pad:motion.pad + values.size]
@@ -190,10 +193,10 @@ def judged(values: Array, motion: Motion) -> Array:
 
 def stands(position: Array, period: float, band: float) -> Mask:
     """
-    Return the samples in which a joint stands still, and those near them by the band (Hz).
+    Return the samples in which a joint stands still, with half a period of the band (Hz) around.
 
-    Friction then holds any force up to its level, which no motion tells. None, if its encoder is
-    too coarse to tell a standstill from a slow motion.
+    Static friction then balances any force, which the motion does not determine. No samples, if
+    the encoder is too coarse to tell a standstill from slow motion.
     """
     moves = np.diff(position)
     still = np.zeros(position.size, bool)
@@ -210,6 +213,6 @@ def stands(position: Array, period: float, band: float) -> Mask:
 
 
 def ends(count: int, period: float) -> Mask:
-    """Return the samples at both ends of a recording in which a high-pass still rings."""
+    """Return the samples at both ends of a recording in which a high-pass filter rings."""
     time = period * np.arange(count)
     return np.minimum(time, time[::-1]) < min(RINGING_S, RINGING * time[-1])

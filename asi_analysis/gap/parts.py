@@ -1,4 +1,4 @@
-"""Parts of a recording: to fit on, to choose a hypothesis by, and to report on."""
+"""Parts of a recording: for the fit, for model selection and for validation."""
 
 import math
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from asi_analysis.arrays import Array, Mask
 
-BURN_IN_S = 0.15        # what is left out at the start, where the inner states are not known
-BURN_OUT_S = 0.1        # and at the end, since the motion after it is not known
-PARTS = 12              # of a recording, in turn: fit, model selection, fit, report
+BURN_IN_S = 0.15        # left out at the start, where the inner states are not known
+BURN_OUT_S = 0.1        # left out at the end, since the motion after it is not known
+PARTS = 12              # of a recording, in turn: fit, model selection, fit, validation
 OUTSIDE = 0.01          # share of the held-out samples outside the range of the fitted parts
 
 
 def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
     """
-    Return which samples to fit on and which to hold out: to choose or to report on.
+    Return which samples to fit on and which to hold out, for model selection or validation.
 
     Alternating parts cover the whole run; short gaps between them keep neighbours independent.
     """
@@ -27,7 +27,7 @@ def split(count: int, period: float, parts: int = PARTS) -> tuple[Mask, Mask]:
 
 
 def reported(held: Mask) -> Mask:
-    """Return the held-out samples to report on: those of every other held-out part."""
+    """Return the validation samples: every other part of the held-out ones."""
     begins = held & ~np.append(False, held[:-1])
     return held & (np.cumsum(begins) % 2 == 0)
 
@@ -36,8 +36,8 @@ def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
     """
     Return a split in which both parts have a similar excitation.
 
-    Samples outside the fitted range are not used for validation, so without balance a saturation
-    at a few peaks, or an effect at a few reversals, would not show.
+    Held-out samples outside the fitted range are not used, so without balance a saturation at a
+    few peaks, or an effect at a few reversals, would not show.
     """
     size = np.abs(driving)
 

@@ -24,14 +24,14 @@ from asi_analysis.gap.motion import (
 from asi_analysis.gap.parts import balanced_split, reported, split
 from asi_analysis.gap.sampling import clipped, noise_of, recorded, uniform
 
-LEAST_BAND_HZ = 5.0     # of a joint whose motion hardly stands out of its noise
-# A joint that is modelled as rigid is judged below this: gears and belts have their modes above.
+LEAST_BAND_HZ = 5.0     # of a joint whose motion is hardly above its noise
+# A rigid model of a joint is compared below this: gears and belts have their modes above.
 RIGID_BAND_HZ = 40.0
-JOINT_RATE_HZ = 1000.0  # a rigid joint's motion needs no more
-REPEATED = 1e-6         # of its range: how far commands that are the same may differ
+JOINT_RATE_HZ = 1000.0  # sufficient for a rigid joint: faster recordings are resampled
+SAME_COMMAND = 1e-6         # of its range: how far commands that are the same may differ
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
-AT_REST = 5.0           # standard deviations of a signal's noise: more is not 0
-START_S = 0.02          # of a recording: its beginning
+AT_REST = 5.0           # a signal is 0 within so many standard deviations of its noise
+START_S = 0.02          # length of the beginning of a recording
 
 
 @dataclass(frozen=True)
@@ -43,39 +43,40 @@ class Recording:
     command: Array | None        # N, or the unit of the position servo's reference
     force: Array | None          # N
     valve_position: Array | None   # m; of a position servo: its position
-    velocity: Array | None       # m/s, measured, its slow part by the measured position
+    velocity: Array | None       # m/s, measured; below some frequency from the position
     motion: Motion | None
-    force_judged: Array | None   # N, force within the band of the motion
+    force_judged: Array | None   # N, force, filtered to the band of the motion
     noise: dict[str, float]      # standard deviation of each signal's noise, by signal
     fit: Mask                    # samples to fit on
     held_out: Mask               # samples for model selection
     report: Mask                 # validation samples; only the reported result uses them
-    number: int = 0              # whose values the fields of a recording have
-    at_rest: bool = True     # begins at rest
-    origin_m: float | None = None   # of the piston's position, if it starts at rest; taken off
+    number: int = 0              # of the values of `OF_A_RECORDING` that belong to it
+    at_rest: bool = True         # begins at rest
+    origin_m: float | None = None   # piston position at rest, subtracted; None: not at rest
     raw_velocity: Array | None = None   # m/s, as measured
     raw_position: Array | None = None   # m, as measured, from `origin_m`
     valve_estimate: Array | None = None   # m, measured valve position with less noise
-    # By channel: what a shorter sub-step adds to the simulator's predictions with a longer one.
+    # Integration error of the simulator's predictions, by channel: to be added to those with this
+    # sub-step.
     corrections: dict[str, Array] = field(default_factory=dict)
     corrected_substep_s: float = 0.0
-    # What the nominal model of a joint took off: gravity_sine and gravity_cosine Nm, constant N;
-    # or the fields of its `Servo`.
+    # What the nominal model of a joint has removed: gravity_sine and gravity_cosine Nm, constant
+    # N; or the fields of its `Servo`.
     taken: Mapping[str, float] = field(default_factory=dict)
     cache: dict[Any, Any] = field(default_factory=dict)   # parts of predictions
 
     def sub_steps(self, longest_s: float) -> int:
-        """Return into how many steps, none longer than `longest_s` s, a period is cut."""
+        """Return the number of equal sub-steps of a period, each at most `longest_s` s."""
         return max(1, math.ceil(self.period_s / longest_s - 1e-9))
 
     @property
     def known(self) -> Mask:
-        """Return the samples that fits and choices may use: all but those of the report."""
+        """Return the samples for fits and model selection: all but the validation samples."""
         return self.fit | self.held_out
 
     @property
     def valid(self) -> Mask:
-        """Return the samples at which the signals are valid, whatever they are used for."""
+        """Return the samples at which all signals are valid, for whatever use."""
         return self.known | self.report
 
     @property
@@ -94,15 +95,16 @@ def velocity_of(recording: Recording) -> Array | None:
 
 def _origin(signals: Mapping[str, Array], period: float) -> float | None:
     """
-    Return the position (m) at which a piston starts at rest, 0 within the noise; None if it moves.
+    Return the position (m) at which a piston starts at rest; None if it starts in motion.
 
-    A sensor may count from anywhere: at rest and without force, the load's spring is relaxed.
+    0 within the noise. The zero of a position sensor is arbitrary; at rest and without force, the
+    load's spring is relaxed.
     """
     if 'position' not in signals:
         return None
     position = signals['position']
     level = AT_REST * noise_of(position)
-    # Not whether the position changes at once: a push from outside may begin with the recording.
+    # The position itself may change at once, by an external force at the start.
     rests = [np.abs(signals[name]) <= AT_REST * noise_of(signals[name])
              for name in ('force', 'velocity', 'valve_position') if name in signals]
     if not rests or not all(rest[0] for rest in rests):
@@ -114,7 +116,7 @@ def _origin(signals: Mapping[str, Array], period: float) -> float | None:
 
 
 def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
-    """Return whether valve, piston and force stand still at the start, within their noise."""
+    """Return whether valve, piston and force are at rest at the start, within their noise."""
     count = max(int(START_S / period), 2)
     position = signals.get('position')
     if position is not None and np.ptp(position[:count]) > 2.0 * AT_REST * noise_of(position):
@@ -124,8 +126,8 @@ def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
                                                                'valve_position'))
 
 
-def _centre(signals: dict[str, Array], drive: str, run: Run) -> None:
-    """Move the origin of a joint's coordinate, which is arbitrary, to the middle of its motion."""
+def _with_centred_origin(signals: dict[str, Array], drive: str, run: Run) -> None:
+    """Move the arbitrary origin of a joint's coordinate to the mean of its motion, in place."""
     if drive == 'position' and run.controlled() == 'position' and 'reference' in signals:
         origin = signals['reference'].mean()
         for name in {'reference', 'position'} & signals.keys():
@@ -149,7 +151,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
     origin = _origin(signals, period) if drive == 'valve' else None
     if origin is not None:
         signals['position'] = signals['position'] - origin
-    _centre(signals, drive, run)
+    _with_centred_origin(signals, drive, run)
     named = {name: signals.get(name)
              for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
     if drive == 'force':
@@ -164,11 +166,11 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
               if values is not None and np.ptp(values) > 0.0}
     if {'position', 'velocity'} <= set(moving) and not agree(
             moving['position'], moving['velocity'], period):
-        del moving['velocity']   # it is of something else
+        del moving['velocity']   # it belongs to another motion
     if not {'command', 'valve_position'} <= set(moving) and (
             'force' not in moving or len(moving) < 2):
-        raise InputError(f'{run.source}: nothing to compare: it takes a command and what follows '
-                         'from it, or a force and a motion; signals that move here: '
+        raise InputError(f'{run.source}: nothing to compare: a diagnosis needs a command and what '
+                         'follows from it, or a force and a motion; signals that move here: '
                          + (', '.join(name for name, values in signals.items()
                                       if np.ptp(values) > 0.0) or 'none'))
     return period, moving, origin
@@ -181,8 +183,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
 
     drive: what the command is: 'valve' (the hydraulic actuator), 'force' (a joint whose force or
     torque is commanded or measured), 'position' (a joint that follows a position, velocity or
-    force), 'drive' (what makes a joint's force of its command). band_hz: up to which a joint whose
-    force is commanded is judged at most.
+    force), 'drive' (the drive that turns a joint's command into its force). band_hz: the highest
+    frequency that is compared, of a joint whose force is commanded.
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
     read = [_signals(run, drive) for run in runs]
@@ -191,7 +193,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
              if 'force' in moving and ('velocity' in moving or 'position' in moving)]
     bands = [common_band(motion, force, period) for motion, force, period in moved]
     if drive == 'force':
-        # Beyond, a controller makes the force of the noise: coherent, but no motion.
+        # Above, a controller amplifies the noise of the motion: coherent with the force.
         everywhere = np.zeros(1)
         bands += [band_hz, *(
             max(clear_band(motion, everywhere, np.array([noise_of(motion) ** 2]), period, 2048),
@@ -211,7 +213,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
             valid = valid & ~ends(fit.size, period)
         if drive == 'force' and motion is not None and 'position' in moving:
             valid = valid & ~stands(moving['position'], period, min(bands))
-        # What is cut off was not measured; but a valve may rest against a stop.
+        # Clipped samples are not measurements; a valve, however, may rest against a stop.
         for name in (MEASURED - {'valve_position'}) & moving.keys():
             valid = valid & ~clipped(moving[name])
         # Where whole recordings are held out, the result is reported on those alone.
@@ -232,14 +234,14 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
                for part in (lambda r: r.fit, lambda r: r.held_out, lambda r: r.report)):
         raise InputError(f'{", ".join(each.source for each in recordings)}: too few samples are '
                          'left: the others are lost or clipped, or next to such ones')
-    return _with_repeats(recordings)
+    return _with_noise_of_repeats(recordings)
 
 
-def _with_repeats(recordings: list[Recording]) -> list[Recording]:
+def _with_noise_of_repeats(recordings: list[Recording]) -> list[Recording]:
     """
-    Return recordings whose noise is at least that between runs with the same command.
+    Return recordings whose noise is at least that of the difference of runs of one command.
 
-    No model explains their difference, which holds slow noise too; each run has half its power.
+    No model explains that difference, which includes slow noise; each run has half its variance.
     """
     noisier = list(recordings)
     for i, first in enumerate(recordings):
@@ -259,4 +261,4 @@ def _with_repeats(recordings: list[Recording]) -> list[Recording]:
 def _same_command(first: Recording, second: Recording) -> bool:
     a, b = first.command, second.command
     return (a is not None and b is not None and a.size == b.size
-            and bool(np.abs(a - b).max() <= REPEATED * np.ptp(a)))
+            and bool(np.abs(a - b).max() <= SAME_COMMAND * np.ptp(a)))

@@ -1,4 +1,4 @@
-"""Uniform sampling of a run: missing samples bridged, noise of a signal, where it is cut off."""
+"""Uniform sampling of a run: missing samples, the noise of a signal, clipped samples."""
 
 import math
 
@@ -11,13 +11,13 @@ from asi_analysis.gap.parts import BURN_OUT_S
 from asi_analysis.measures.quality import check_size, check_time
 
 SHORTEST_S = 1.0
-MOST_MISSING = 0.05     # share of missing samples that is still bridged
-LONGEST_BRIDGE = 3.0    # samples to the nearest one that was recorded: what is farther is left out
-JUMPED = 0.1            # of its range: what a command changes by where a lost sample matters
-MOST_JUMPED = 0.5       # share of a recording that is left out for that
-SMALL = 0.1             # of the usual step of a signal: with those it comes to rest
-CLIPPED_SAMPLES = 4
-CLIPPED = 0.005         # share of samples at an extreme, above which a signal is cut off there
+MOST_MISSING = 0.05     # largest share of missing samples
+LONGEST_BRIDGE = 3.0    # farther from a recorded sample, in periods, interpolation is not used
+JUMPED = 0.1            # share of its range by which a command jumps: a lost sample then matters
+MOST_JUMPED = 0.5       # largest share of a recording that is left out for that
+SMALL = 0.1             # share of the median step below which a signal comes to rest
+CLIPPED_SAMPLES = 4     # at an extreme, at least
+CLIPPED = 0.005         # share of samples at an extreme above which a signal is clipped there
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
@@ -26,8 +26,8 @@ def noise_of(signal: Array) -> float:
     """
     Return the standard deviation of a signal's white noise.
 
-    From the fourth differences, in which a smooth signal vanishes; the median, because jumps and
-    corners are rare. At least that of the steps in which the signal comes.
+    From the median of the fourth differences, in which a smooth signal vanishes and rare jumps do
+    not count. At least the quantisation noise of a quantised signal.
     """
     white = float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
     levels = np.unique(signal)
@@ -38,11 +38,10 @@ def noise_of(signal: Array) -> float:
 
 def clipped(signal: Array) -> Mask:
     """
-    Return where a signal stands still at its largest or smallest value.
+    Return the samples at which a signal is clipped at its largest or smallest value.
 
-    A measured signal rarely repeats a value: frequent samples at its extreme are clipped, unless
-    it comes there and leaves in small steps, as from rest to rest. A quantised signal cannot be
-    checked.
+    A measured signal rarely repeats a value: many samples at its extreme are clipped, unless it
+    reaches and leaves it in small steps, as at rest. A quantised signal cannot be checked.
     """
     cut = np.zeros(signal.size, bool)
     if np.unique(signal).size > SHARED * signal.size:
@@ -58,7 +57,7 @@ def clipped(signal: Array) -> Mask:
 
 
 def _bridged(name: str, values: Array, source: str) -> Array:
-    """Return a signal with its missing samples bridged; refuse one that misses too many."""
+    """Return a signal with missing samples interpolated; raises InputError if too many miss."""
     missing = ~np.isfinite(values)
     if missing.mean() > MOST_MISSING:
         raise InputError(f'{source}: signal {name} misses {100 * missing.mean():.0f} % of its '
@@ -74,8 +73,8 @@ def uniform(run: Run) -> tuple[float, dict[str, Array]]:
     """Return the period (s) and the signals at equal distances in time."""
     time = run.time_s
     if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
-        raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, it '
-                         f'takes at least {SHORTEST_S:g} s')
+        raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, at '
+                         f'least {SHORTEST_S:g} s are needed')
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if back.size:
         raise InputError(f'{run.source}: time does not rise at sample {int(back[0]) + 2}')
@@ -84,7 +83,7 @@ def uniform(run: Run) -> tuple[float, dict[str, Array]]:
     steps = round((time[-1] - time[0]) / run.period_s)
     period = float((time[-1] - time[0]) / steps)
     even = time[0] + period * np.arange(steps + 1)
-    # Samples that are all there, late by a little at most, are taken as they come.
+    # If no sample is missing and each is late by less than a period, they are used unchanged.
     complete = len(run) == steps + 1 and np.abs(time - even).max() < period
     signals = {}
     for name, values in run.signals().items():

@@ -31,7 +31,7 @@ OF_STATIC: Final = {
     'disturbance_force': 'disturbance', 'sensor_drift': 'drift', 'sensor_gain': 'another gain',
     'sensor_offset': 'offset', 'command_path': 'path of the input', 'valve': 'characteristic',
     'mechanics': 'surroundings', 'sensor': 'zero and gain'}
-# Sizes of effects that are no parameter of the simulator; what is not here only shapes the effect.
+# Sizes of effects that are not parameters of the simulator. Other fields are shape parameters.
 SIZES: Final = {
     'command_delay': 'delay', 'command_quantum': 'step', 'command_bias': 'bias',
     'loop_width': 'half width', 'command_deadband': 'half width', 'valve_lag': 'time',
@@ -57,9 +57,9 @@ SIZES: Final = {
 UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
 DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
-LEAST_SHARE: Final = 0.05   # of the gap, for a block to be named
-LISTED: Final = 6   # unchanged parameters that are named
-NARROW: Final = 0.02   # share of a value: a smaller interval is shown as ±
+LEAST_SHARE: Final = 0.05   # share of the gap from which a block is named
+LISTED: Final = 6   # the most unchanged parameters that are named
+NARROW: Final = 0.02   # an interval below this share of the value is shown as ±
 
 
 def in_words(name: str, plant: str) -> str:
@@ -95,7 +95,7 @@ def signal_of(channel: str, run: Run, plant: str) -> str:
 
 
 def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
-    """Return the unit of a parameter, given that of the actuator, in those of the recording."""
+    """Return a unit of the actuator's parameters, in the units of the recording."""
     if plant == 'static':
         given, got = (run.unit(name) for name in static_signals(run))
         return unit.replace('input', given).replace('output', got)
@@ -112,7 +112,7 @@ def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
 
 
 def unit_of_free(free: Free, channel: str, run: Run, plant: str) -> str:
-    """Return the unit of a free parameter, in those of the recording."""
+    """Return the unit of a free parameter, in the units of the recording."""
     return unit_of(free.unit or UNITS.get(free.field.partition('@')[0],
                                           UNIT_OF_SCALE.get(free.scale, '')), channel, run, plant)
 
@@ -135,7 +135,7 @@ def digits(value: float, unit: str = '') -> str:
 
 
 def between(value: float, low: float, high: float, unit: str = '') -> str:
-    """Return a value with its interval; with ± where three digits hardly show that."""
+    """Return a value with its interval, which is shown as ± if it is NARROW."""
     if high - low < NARROW * abs(value):
         return f'{digits(value, unit)} ± {50.0 * (high - low) / abs(value):.1g} %'
     return f'{digits(value, unit)} ({digits(low)} to {digits(high)})'
@@ -168,7 +168,7 @@ def sizes_in_words(row: Mapping[str, Any], known: Sequence[str] = ()) -> str:
 
 
 def _named(name: str, answer: Mapping[str, Any], plant: str) -> str:
-    """Return an effect in words; of a nominal parameter by how much it is off."""
+    """Return an effect in words; of a nominal parameter, its ratio to the nominal value."""
     if not name.startswith(PARAMETER):
         return in_words(name, plant)
     row = next(row for row in answer['which'] if row['effect'] == name)
@@ -183,7 +183,7 @@ def _named(name: str, answer: Mapping[str, Any], plant: str) -> str:
 
 
 def sentences(answer: Mapping[str, Any]) -> list[str]:
-    """Return what was found, how far the gap shrinks, and what is doubtful or next."""
+    """Return the sentences of an answer: verdict, shrink, doubts, next experiment."""
     plant = answer['plant']
     limits = ', '.join(f'{row["parameter"]} ({digits(row["value"], row["unit"])}, '
                        f'{digits(row["value"] / row["nominal"])} times nominal)'
@@ -210,6 +210,7 @@ def _together(verdict: str, plant: str) -> str:
 
 
 def _found(answer: Mapping[str, Any], plant: str) -> str:
+    """Return the verdict as a sentence."""
     names = sorted(answer['verdict'].split('+'), key=lambda name: name == UNKNOWN)
     sure = f'(probability {chance(answer["probability"])})'
     changed = answer['baseline']
@@ -232,7 +233,7 @@ def _found(answer: Mapping[str, Any], plant: str) -> str:
 
 
 def _changes(answer: Mapping[str, Any], plant: str) -> list[str]:
-    """Return what has changed from the healthy recordings to what, and what has not."""
+    """Return the sentences of what has changed since the healthy recordings, and what has not."""
     if not (found := answer['baseline']):
         return []
     count = len(found['sources'])
@@ -260,6 +261,7 @@ def _called(row: Mapping[str, Any], plant: str) -> str:
 
 
 def _healthy(row: Mapping[str, Any]) -> str:
+    """Return the healthy value of a parameter with its range."""
     low, high = row['healthy_low'], row['healthy_high']
     if low == high:
         return f'from {digits(row["healthy"])}'
@@ -267,14 +269,15 @@ def _healthy(row: Mapping[str, Any]) -> str:
 
 
 def _error(answer: Mapping[str, Any]) -> str:
+    """Return the sentence of the errors before and after, and of the shrink."""
     gap = answer['gap']
     before, refitted, after, noise = (percent(gap[f'{name}_nrmse']) for name in (
         'before', 'refitted', 'after', 'noise_floor'))
     signal = gap['signal'].replace('_', ' ')
     if answer['verdict'] == NO_GAP:
         return (f'The error of the {signal} is {before} of the signal (rms), and {refitted} with '
-                f'the parameters refitted within their tolerance; noise alone makes {noise}.')
-    return (f'On samples used for nothing else the error of the {signal} falls from {before} to '
-            f'{after} of the signal (rms); noise alone makes {noise}. The gap '
+                f'the parameters refitted within their tolerance; the noise alone is {noise}.')
+    return (f'On the validation samples the error of the {signal} falls from {before} to '
+            f'{after} of the signal (rms); the noise alone is {noise}. The gap '
             f'shrinks by {shrink_in_words(gap)}; the 95 % interval is for another recording of '
             'this kind.')

@@ -26,7 +26,7 @@ def changes(diagnosis: Diagnosis) -> dict[str, Any]:
                   'signal': signal_of(shrink.channel, diagnosis.runs[0],
                                       diagnosis.plant),
                   'healthy_nrmse': machine.share[shrink.channel] ** 0.5,
-                  # A refit within the spread may hide much of a change.
+                  # A refit within the spread may absorb much of a change.
                   'now_nrmse': shrink.nominal if diagnosis.verdict else shrink.refitted}
                  for machine in diagnosis.machine.values() for shrink in diagnosis.shrinks
                  if shrink.channel in machine.left]}

@@ -27,8 +27,8 @@ def branches(group: Group) -> tuple[Array, Array, Array]:
     """
     Return the centres of bins of the input, and the mean output there, rising and falling.
 
-    From the middles of the ranges; NaN where too few samples are. Of the slowest recording, where
-    a lag does least.
+    Relative to the middles of the ranges; NaN in bins with too few samples. From the slowest
+    recording, in which a lag has the least influence.
     """
     slowest = min(group.recordings, key=lambda r: float(np.median(rates(r))) if passes(r) else 0.0)
     x, y = np.asarray(slowest.command), np.asarray(slowest.valve_position)
@@ -39,7 +39,7 @@ def branches(group: Group) -> tuple[Array, Array, Array]:
     means = []
     for way in (up, ~up):
         count = np.bincount(place[way], minlength=bins)
-        # At the mean place of the samples, not of the bin: else a slope looks like a width.
+        # At the mean input of the samples, not of the bin: else a slope would add to the width.
         within = np.bincount(place[way], x[way], bins) / np.maximum(count, 1)
         mean = np.bincount(place[way], y[way], bins) / np.maximum(count, 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
@@ -53,11 +53,11 @@ def characteristic(diagnosis: Diagnosis) -> dict[str, Any]:
     """
     Return the figures of the characteristic, in % of the span of the recordings.
 
-    As measured: loop, the largest difference between up and down, whatever its cause, as input (by
-    the gain); linearity, the largest distance of the middle of both ways from the best straight
-    line, of the output's span. Of the verdict: hysteresis (without what a lag adds), threshold
-    (from a reversal of the input until the output follows), dead band, limits. null: does not
-    show.
+    As measured: loop, the largest difference between up and down, of any cause, divided by the
+    gain, in % of the input's span; linearity, the largest deviation of the mean of both from the
+    best straight line, in % of the output's span. From the verdict: hysteresis (without the
+    contribution of a lag), threshold (from a reversal of the input until the output follows), dead
+    band, limits. None: not found.
     """
     weighed, run = diagnosis.groups[0], diagnosis.runs[0]
     group, best = weighed.group, diagnosis.best(weighed)

@@ -38,7 +38,7 @@ PLANTS = ('actuator', 'joint', 'static')
 LEAST_TOLERANCE = 1e-3
 DRIVES = (None, 'force', 'position')
 LOAD = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type')
-# Effects of the simulator that the diagnosis computes by equations of its own, 0 if off.
+# Effects of the simulator that the block-wise model computes by other equations; 0 if off.
 EFFECT_SIZES = (set(DIRECT.values()) - {'valve_characteristic.supply_time'}) | {
     'fluid_dynamics.leakage_growth', 'friction.coulomb_asymmetry', 'coupling.stiffness',
     'backlash.gap', 'load.external_force', 'force_sensor.drop_rate'}
@@ -94,7 +94,7 @@ def read_static(path: Path) -> dict[str, Value]:
 
 
 def _line(given: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the gain and offset that are given; raises InputError for anything else."""
+    """Return the given gain and offset; raises InputError for anything else."""
     for name, value in given.items():
         if name not in GIVEN:
             raise InputError(f'{name} is no parameter of a static characteristic: '
@@ -134,7 +134,7 @@ def parse_tolerances(texts: Sequence[str]) -> tuple[float, dict[str, float]]:
 
 
 def _tolerances(found: Mapping[str, Value]) -> dict[str, float]:
-    """Return tolerances by dotted name; '': the usual one. Raises InputError."""
+    """Return tolerances by dotted name; '': of all others. Raises InputError."""
     for name, share in found.items():
         if not is_number(share) or not LEAST_TOLERANCE <= share < 1.0:
             raise InputError(f'tolerance {name}{"=" if name else ""}{share} is not allowed: '
@@ -146,7 +146,7 @@ def model_tolerances(model: Model | None) -> dict[str, Value]:
     """Return the tolerances in a model file, by dotted name: `tolerance.NAME` of asi_gap."""
     if not isinstance(model, str | Path):
         return {}
-    with suppress(ParameterError):   # of a file that has nothing for it
+    with suppress(ParameterError):   # a file without a section of asi_gap
         return {name.removeprefix('tolerance.'): value for name, value
                 in parameter_file.read_parameters(Path(model), 'asi_gap').items()
                 if name.startswith('tolerance.')}
@@ -154,10 +154,10 @@ def model_tolerances(model: Model | None) -> dict[str, Value]:
 
 
 def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool) -> list[str]:
-    """Return notes: where the nominal model is from, and loads of bags that are another one."""
+    """Return notes: the origin of the nominal model, and bags recorded with another load."""
     load = str(values.get('load.type', LOAD.default))
     origin = ('as given' if given else f'from the metadata of {runs[0].source}' if values else
-              'the defaults, since the bag tells none')
+              'the defaults, since the bag holds none')
     notes = [f'nominal model: {origin}; load {load}, {1.0 / runs[0].period_s:.4g} Hz']
     for run in runs:
         other = run.information.get('actuator', {}).get('load.type', load)
@@ -168,7 +168,7 @@ def _of_the_model(runs: Sequence[Run], values: Mapping[str, Value], given: bool)
 
 
 def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
-    """Return notes: what the nominal model of a joint is."""
+    """Return notes that describe the nominal model of a joint."""
     notes = []
     origin = 'near the healthy one' if diagnosis.healthy else 'near the given one'
     for weighed in diagnosis.groups if diagnosis.plant == 'joint' else ():
@@ -204,7 +204,7 @@ def _gravity(recording: Recording, p: np.void, run: Run) -> str:
 
 
 def _of_the_line(diagnosis: Diagnosis, values: Mapping[str, Value]) -> str:
-    """Return a note: which signals, and what their nominal line is."""
+    """Return a note: the signals of a characteristic, and its nominal line."""
     run, weighed = diagnosis.runs[0], diagnosis.groups[0]
     given, got = static_signals(run)
     line = line_of(weighed.group, diagnosis.best(weighed).fitted.record)
@@ -231,9 +231,10 @@ def _of_the_tolerances(diagnosis: Diagnosis) -> list[str]:
 
 
 def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
-    """Return notes: which equations predicted, and what they do not compute as the simulator."""
+    """Return notes: which model predicts, and how it differs from the simulator."""
     if of_simulator(diagnosis.groups[0].group.nominal):
-        return ['predicted by the simulator itself, which explains the recordings to their noise']
+        return ['predicted by the simulator itself, which explains the recordings down to the '
+                'noise']
     on = sorted(name for name in EFFECT_SIZES if values.get(name, 0.0) != 0.0)
     return ['predicted block by block, each from its measured input'] + ([
         f'the nominal model has {", ".join(on)}, which the diagnosis does not compute as the '
@@ -241,7 +242,7 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
 
 
 def _check_units(runs: Sequence[Run]) -> None:
-    """Raise InputError if a signal has several units: recordings are compared number by number."""
+    """Raise InputError if a signal has another unit in another recording."""
     for before, run in itertools.combinations(runs, 2):
         for name in before.signals().keys() & run.signals().keys():
             if before.unit(name) != run.unit(name):
@@ -258,15 +259,16 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     """
     Return where recordings of the real machine differ from their model, why, and how far.
 
-    model: nominal parameters by name or a ROS parameter file; None: those that the first bag
-    tells, else the defaults; settings: 'name=value', which override both. plant:
+    model: nominal parameters by name or a ROS parameter file; None: those of the first bag's
+    metadata, else the defaults; settings: 'name=value', which override both. plant:
     'actuator', 'joint' for any rigid joint or drive, or 'static' for a static characteristic, from
-    the first of `signals` to the second (None: the likeliest). held_out: recordings on which the
-    result is only judged. tolerance: how far the nominal parameters may be off, as a share;
-    tolerances: the same of single ones, by dotted name. drive: of a joint, 'force' or 'position';
-    None: by its signals. baseline: recordings of the same machine when it was healthy; the answer
-    is then what has changed since. Raises InputError for recordings that
-    cannot be judged; `notes` says what is doubtful.
+    the first of `signals` to the second (None: the likeliest). held_out: recordings for validation
+    only. tolerance: of the nominal parameters, as a share; with the simulator as the predictor it
+    is two standard deviations of a normal prior, in the block-wise fits a hard bound; tolerances:
+    the same of single parameters, by dotted name. drive: of a joint, 'force' or 'position'; None:
+    by its signals. baseline: recordings of the same machine when it was healthy; the answer is
+    then what has changed since. Raises InputError for recordings that cannot be diagnosed; `notes`
+    says what is doubtful.
 
     >>> import asi_analysis as asi
     >>> time_s = 0.01 * np.arange(2000)
@@ -306,7 +308,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         _check_ranges(values, plant, '--set')
     notes = (_of_the_model([*baseline, *everything], values, model is not None)
              if plant == 'actuator' else [])
-    for note in notes[1:]:   # now, for they may say why a recording is refused
+    for note in notes[1:]:   # before the checks, since a note may explain a refusal
         warnings.warn(note, InputWarning, stacklevel=2)
     # Mass and damping of a healthy joint are identified, unless they are given.
     declared = {name: share for name, share in own.items()

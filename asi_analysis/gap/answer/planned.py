@@ -18,12 +18,12 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.experiment.next_experiment import MEASURE
 from asi_analysis.gap.experiment.plan import (
-    CLEAR,
-    DRIVING,
     ENCODER_BITS,
     FORCE_NOISE,
+    FORCE_SHARE,
+    IDENTIFIED,
+    LIMIT_SHARE,
     MOST_RUNS,
-    SAFE,
     Drawn,
     Limits,
     Planned,
@@ -273,11 +273,12 @@ def _row(name: str, plan: Planned, run: Run) -> dict[str, Any]:
     """Return the row of a suspect: of its least size that is identified, else of its largest."""
     expected = {each: value for each, value in chances(plan.answer.tells, plan.runs).items()
                 if each.name == name}
-    suspect = next((each for each, value in expected.items() if value >= CLEAR), [*expected][-1])
+    suspect = next((each for each, value in expected.items() if value >= IDENTIFIED),
+                   [*expected][-1])
     tells = plan.answer.tells[suspect]
     nearest = _nearest(tells)
     return {'suspect': name, 'size': _size(suspect, plan, run),
-            'probability': expected[suspect], 'told': expected[suspect] >= CLEAR,
+            'probability': expected[suspect], 'told': expected[suspect] >= IDENTIFIED,
             'nearest': '+'.join(nearest) or 'no_gap',
             'separation': math.sqrt(max(tells.left[nearest], 0.0))}
 
@@ -329,7 +330,7 @@ def _more_sensors(untold: Sequence[str], sensors: Sequence[str], plan: Planned, 
         answer = answer_of(plan.position, with_it, limits, plan.period_s, given, tolerance,
                            plan.scales, only=wanted)
         found |= {each.name: sensor for each, value in chances(answer.tells, plan.runs).items()
-                  if value >= CLEAR}
+                  if value >= IDENTIFIED}
     return found
 
 
@@ -357,11 +358,12 @@ def _notes(limits: Limits, sensors: Sequence[str], plan: Planned, force: Array,
     """Yield what was assumed."""
     unit, force_unit = ('rad', 'Nm') if limits.turns else ('m', 'N')
     yield (f'limits: {limits.low:.4g} to {limits.high:.4g} {unit} and {limits.speed:.4g} {unit}/s,'
-           f' of which {SAFE:.0%} are used'.replace('%', ' %'))
+           f' of which {LIMIT_SHARE:.0%} are used'.replace('%', ' %'))
     if 'load.mass' in given:
         most = float(np.abs(force).max())
         yield (f'the drive gives at most {limits.force:.4g} {force_unit}, of which the nominal '
-               f'joint takes {most / limits.force:.0%}, at most {DRIVING:.0%}'.replace('%', ' %')
+               f'joint needs {most / limits.force:.0%}, at most {FORCE_SHARE:.0%}'
+               .replace('%', ' %')
                if math.isfinite(limits.force) else
                f'no largest force was told (--limit command=VALUE[{force_unit}]): the drive must '
                f'give {2.0 * most:.3g} {force_unit}, twice what the nominal joint takes')

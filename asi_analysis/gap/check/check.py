@@ -46,8 +46,8 @@ from asi_common.files import read_bytes, read_text, write_text
 
 # Largest list of cases, and largest answers, bytes.
 MOST_CASES: Final = 2**24
-CONFIDENT = 0.9
-VISIBLE = 2.0   # times the noise (rms)
+CONFIDENT = 0.9   # probability from which a wrong verdict counts as confidently wrong
+VISIBLE = 2.0   # an effect is visible if its residual (rms) is above this multiple of the noise
 BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.97, 1.0001)
 
 Row = dict[str, Any]
@@ -60,7 +60,7 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     group = weighed.group
     recording = like(group, run) if diagnosis.plant == 'static' else prepare([run])[0]
     valid, none = recording.valid, np.zeros_like(recording.fit)
-    recording = prepared_for(group, replace(recording, fit=none))   # its start was not fitted
+    recording = prepared_for(group, replace(recording, fit=none))   # no fitted initial state
     errors = []
     for p in (group.as_given, diagnosis.best(weighed).fitted.record):
         left = measured(recording, shrink.channel) - predict(recording, shrink.channel,
@@ -121,7 +121,7 @@ def run_cases(folder: Path, progress: Progress) -> list[Row]:
 
 
 def truth_of(answer: Mapping[str, Any]) -> str:
-    """Return the verdict that is right: the effects joined by +, no_gap or unknown."""
+    """Return the right verdict: the effects joined by +, no_gap or unknown."""
     if answer['kind'] in ('none', 'small') or not answer['effects']:
         return NO_GAP
     if answer['kind'] == 'outside' or not all(map(block_of, answer['effects'])):
@@ -130,13 +130,13 @@ def truth_of(answer: Mapping[str, Any]) -> str:
 
 
 def is_right(row: Row, answer: Mapping[str, Any]) -> bool:
-    """Return whether a verdict is right; for too small an effect, `no_gap` or its name is."""
+    """Return whether a verdict is right; of an effect that is too small, also `no_gap`."""
     small = answer['kind'] == 'small' and row['verdict'] in answer['effects']
     return is_truth(row['verdict'], answer) or small
 
 
 def is_truth(verdict: str, answer: Mapping[str, Any]) -> bool:
-    """Return whether a verdict is the truth, perhaps with small effects that are there too."""
+    """Return whether a verdict is the truth, with or without further effects of the case."""
     truth = truth_of(answer)
     besides = set(answer.get('also', ())) - set(truth.split('+'))
     return set(verdict.split('+')) - besides == set(truth.split('+'))
@@ -148,7 +148,7 @@ def parameters_beyond(answer: Mapping[str, Any]) -> list[str]:
 
 
 def sizes_held(row: Row, answer: Mapping[str, Any]) -> list[bool]:
-    """Return, for each known size of the effects in a verdict, if its interval contains it."""
+    """Return, for each known size of a right effect, whether its 95 % interval contains it."""
     right = [entry for entry in row['which'] if entry['effect'] in answer['effects']
              and entry['effect'] in row['verdict'].split('+')]
     return [entry['parameters_low'][name] <= size <= entry['parameters_high'][name]
@@ -157,11 +157,12 @@ def sizes_held(row: Row, answer: Mapping[str, Any]) -> list[bool]:
 
 
 def _share(values: Sequence[bool]) -> float | None:
+    """Return the share of true values; None of an empty list."""
     return float(np.mean(values)) if len(values) else None
 
 
 def _is_visible(row: Row) -> bool:
-    """Return whether the refitted nominal model leaves VISIBLE times the noise of some signal."""
+    """Return whether the refitted model leaves more than VISIBLE times the noise of a signal."""
     return any(channel['refitted_nrmse'] > VISIBLE * channel['noise_floor_nrmse']
                for channel in row.get('channels', ()))
 
@@ -251,7 +252,7 @@ def _reason(error: Exception) -> str:
     return getattr(error, 'strerror', None) or str(error)
 
 
-# Figure of a check -> the value to reach.
+# The value to reach, by figure of the check.
 REACH: Final = {
     'block_accuracy': '0.97', 'effect_accuracy': '0.95',
     'effect_or_parameter_accuracy': '0.85 beyond the tolerance',

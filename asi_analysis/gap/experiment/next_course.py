@@ -1,4 +1,4 @@
-"""Choose the course of an input that best separates what may explain a static characteristic."""
+"""Choose the input course that best separates the hypotheses about a static characteristic."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from asi_analysis.gap.prepare import Recording
 
 SAMPLES: Final = 2000
 CYCLES: Final = 3
-LEAST_SEPARATION: Final = 2.0   # noise floors
+LEAST_SEPARATION: Final = 2.0   # rms difference of two predictions, in error floors
 
 
 def _triangle(turns: Array) -> Array:
@@ -33,7 +33,7 @@ def _growing(turns: Array) -> Array:
     return _triangle(turns) * (1.0 + np.floor(turns)) / CYCLES
 
 
-# A course over the number of cycles, and its rate as a multiple of that of the recording.
+# A course as a function of the cycles passed, and its rate as a multiple of the recording's.
 CATALOGUE: Final[dict[str, tuple[Callable[[Array], Array], float]]] = {
     'the same range four times as fast': (_triangle, 4.0),
     'the same range at a quarter of the rate': (_triangle, 0.25),
@@ -46,8 +46,8 @@ def choose_course(groups: Sequence[Weighed], ambiguous: list[Names]) -> dict[str
     """
     Return the course of the catalogue that separates most pairs of the hypotheses `ambiguous`.
 
-    By noise floors; among equals that with the best of its worst pair. None if there is nothing
-    to separate.
+    Among courses that separate equally many, the one with the largest separation of its worst
+    pair. None if there is nothing to separate.
     """
     pairs = pairs_of(list(groups), ambiguous) if len(ambiguous) > 1 else []
     if not pairs:
@@ -61,11 +61,11 @@ def choose_course(groups: Sequence[Weighed], ambiguous: list[Names]) -> dict[str
 
     best = max(CATALOGUE, key=lambda name: (separated(name), worst[name]))
     count = separated(best)
-    advice = ('no course of this input tells them apart' if not count else
-              f'record this beside it: {best}' + ('' if count == len(pairs) else
+    advice = ('no course of this input separates them' if not count else
+              f'record this in addition: {best}' + ('' if count == len(pairs) else
                                                   ', which separates some of them'))
     if any(UNKNOWN in names for names in ambiguous) and count < len(pairs):
-        advice += '; measure what else may act on the output (temperature, supply, load)'
+        advice += '; measure what may also act on the output (temperature, supply, load)'
     return {'excitation': best, 'separation': worst[best], 'separations': worst,
             'command': None, 'separates': count == len(pairs), 'advice': advice}
 

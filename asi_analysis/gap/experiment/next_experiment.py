@@ -29,11 +29,11 @@ OPTIONS = {'compensator': '--compensator', 'gain': '--gain', 'reference.shape': 
            'reference.amplitude': '--amplitude', 'reference.offset': '--offset',
            'reference.frequency': '--frequency', 'reference.end_frequency': '--end-frequency'}
 
-# In error floors: a smaller difference of two predictions does not separate them.
+# Least rms difference of two predictions that separates them, in error floors.
 LEAST_SEPARATION = 1.0
 # Signals in the order of their information.
 SENSORS = ('position', 'valve_position', 'velocity', 'force')
-# What else to measure, by the effects that it separates.
+# Quantities to measure in addition, by the effects that they separate.
 MEASURE = (
     (('sensor_offset', 'sensor_drift'), 'the force with no load, before and after the run'),
     (('sensor_gain',), 'a known weight or a calibrated spring with the force sensor'),
@@ -125,7 +125,7 @@ def separation(group: Group, recording: Recording, first: np.void, second: np.vo
     valid = recording.valid
     apart = 0.0
     for channel in group.channels:
-        if channel in ('load', *MOTIONS) and recording.motion is None:   # nothing moves there
+        if channel in ('load', *MOTIONS) and recording.motion is None:   # a locked piston
             continue
         difference = (predict(recording, channel, first) - predict(recording, channel, second))
         apart += float(np.mean(difference[valid] ** 2)) / group.error_floor[channel]
@@ -137,7 +137,7 @@ def pairs_of(groups: list[Weighed], ambiguous: list[Names]
     """
     Return the pairs of records whose predictions are compared, with their group.
 
-    If `unknown` leaves a group with one record, it is compared with the next most probable one.
+    If all but `unknown` share one record of a group, the next most probable one is added.
     """
     pairs = []
     effects = set().union(*map(set, ambiguous))
@@ -172,7 +172,7 @@ def suggestion(excitation: str, command: str | None, separation_: float,
         everywhere = [name for name in ambiguous[0] if all(name in names for names in ambiguous)]
         uncertain = {name for names in ambiguous for name in names if name not in everywhere}
         quantity = next((text for names, text in MEASURE if uncertain & set(names)), None)
-        steps = ['no recording of these signals tells them apart'
+        steps = ['no recording of these signals separates them'
                  + (f': measure {quantity}' if quantity else '')]
     return {'excitation': excitation, 'separation': separation_, 'separations': dict(separations),
             'command': command if separates else None, 'separates': separates,

@@ -37,7 +37,7 @@ def _sweep(time: Array, frequency: float) -> Array:
 
 
 def _steps(time: Array, frequency: float) -> Array:
-    """Return courses to and fro at a constant speed, with a rest after each."""
+    """Return motion to and fro at a constant speed, with a rest after each stroke."""
     return np.clip(1.5 * _triangle(time, frequency / 1.5), -1.0, 1.0)
 
 
@@ -75,20 +75,20 @@ def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequen
 
 
 def _duration(group: Group) -> float:
-    """Return how long (s) a course is: slow recordings need longer ones."""
+    """Return the duration (s) of a course: longer for a slowly sampled recording."""
     return max(DURATION_S, LEAST_SAMPLES * group.recordings[0].period_s)
 
 
 def rounded(position: Array, sharpest: float) -> Array:
     """Return a course whose corners are rounded to second differences of about `sharpest`."""
     bend = bend_of(position)
-    # A corner that is spread over n samples is a mean of n: n times less sharp.
+    # The mean over n samples divides a second difference by n.
     spread = int(np.clip(np.ceil(bend / max(sharpest, 1e-300)), 1, position.size // 20))
     return np.asarray(uniform_filter1d(position, spread, mode='nearest'))
 
 
 def bend_of(position: Array) -> float:
-    """Return the largest second difference of a course, rare peaks left out."""
+    """Return the 99.9 % quantile of the second differences of a course."""
     return float(np.quantile(np.abs(np.diff(position, 2)), 0.999))
 
 
@@ -106,12 +106,12 @@ def simulated(group: Group, name: str) -> tuple[Recording, float, float]:
     size = share * 0.5 * float(np.ptp(moved))
     fastest = float(np.quantile(np.abs(np.gradient(moved, known.period_s)), 0.999))
     time: Array = np.arange(round(_duration(group) / known.period_s)) * np.float64(known.period_s)
-    # So that the course, whatever its form, is nowhere faster.
+    # At this frequency the highest speed of the course is `speed * fastest`.
     frequency = speed * fastest / (size * steepest(course, time))
     position = rounded(size * course(time, frequency), bend_of(moved))
     if follows:
         run = Run(time, reference_n=position, force_n=position, source=name)
         return prepare([run], 'position')[0], size, frequency
-    force = np.asarray(np.gradient(position, known.period_s))   # any: only the motion counts
+    force = np.asarray(np.gradient(position, known.period_s))   # only the motion is used
     run = Run(time, position_m=position, force_n=force, source=name)
     return replace(prepare([run], 'force')[0], taken=known.taken), size, frequency

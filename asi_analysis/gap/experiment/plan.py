@@ -1,8 +1,9 @@
 """
-The recipe before recording: which courses of a joint separate its usual suspects.
+Design of the recordings of a joint: the courses that separate its likely effects.
 
-The courses are those of `next_motion`, within the limits of the joint. What each would tell is
-computed from the nominal joint (`suspects.py`); the fewest that tell as much as all are taken.
+The courses are those of `next_motion`, within the limits of the joint. The expected diagnosis of
+each is computed with the nominal joint (`suspects.py`); the fewest courses are chosen that find
+as many effects as all of them together.
 """
 
 import itertools
@@ -34,33 +35,33 @@ from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 
-SAFE: Final = 0.9        # of a limit: what a loop overshoots
-DRIVING: Final = 0.5     # of the largest force: the rest is for friction, gravity and the loop
-CORNERS: Final = 0.7     # of that for the acceleration in corners
+LIMIT_SHARE: Final = 0.9   # of a limit that is used: a loop overshoots
+FORCE_SHARE: Final = 0.5   # of the largest force; the rest is for friction, gravity and the loop
+CORNERS: Final = 0.7     # of that force, for the acceleration in corners
 REST_S: Final = 1.0      # between courses
-COURSE_S: Final = 10.0   # of a course, at least, and two cycles of it
+COURSE_S: Final = 10.0   # least duration of a course, which has at least two cycles
 LONGEST_S: Final = 120.0
-HIGHEST: Final = 0.05    # frequency of a course over the sampling rate
-SLOWER: Final = 0.85     # times the frequency of a course that takes too much force
-# In a single wave a spring is an inertia, and a delay is a damping or a spring.
+HIGHEST_SHARE: Final = 0.05   # highest frequency of a course, as a share of the sampling rate
+SLOWDOWN: Final = 0.85     # factor on the frequency of a course that needs too much force
+# In a single sine a spring equals a negative inertia, and a delay a damping or a spring.
 LEAST_COURSES, MOST_COURSES = 2, 3
 MOST_RUNS: Final = 5
-LEAST_RUNS: Final = 2    # their difference is the noise that no model explains
-CLEAR: Final = 0.8       # probability of the truth from which it is told
-WORTH: Final = 0.02      # suspects more that a further course must tell, as a sum of probabilities
-# Noise that is assumed: steps of the position, and shares of the largest force and speed.
+LEAST_RUNS: Final = 2    # their difference shows the noise
+IDENTIFIED: Final = 0.8  # probability of a suspect from which it counts as identified
+PRICE_OF_COURSE: Final = 0.02   # by which a further course must raise the sum of probabilities
+# Assumed noise: quantisation of the position; shares of the largest force and speed.
 ENCODER_BITS: Final = 16
 FORCE_NOISE: Final = 0.005
 SPEED_NOISE: Final = 1e-3
-ACCELERATING: Final = 0.05   # of the travel, in which full speed is reached if no force is told
+RUN_UP: Final = 0.05   # share of the travel in which full speed is reached, if no force is given
 
 
 class Limits(NamedTuple):
     """
-    What a joint may do, in SI units: of one that turns rad, Nm.
+    The limits of a joint in SI units; rad and Nm of one that turns.
 
-    low, high: of its position; speed; force: of its drive, inf: not told. noise: standard
-    deviations of what is recorded, by signal.
+    low, high: of its position; speed; force: of its drive, inf: not given. noise: standard
+    deviation of the recorded signals, by signal.
     """
 
     low: float
@@ -72,8 +73,8 @@ class Limits(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Return how far to each side of the middle a course may go."""
-        return 0.5 * SAFE * (self.high - self.low)
+        """Return the largest deviation of a course from the middle."""
+        return 0.5 * LIMIT_SHARE * (self.high - self.low)
 
     @property
     def middle(self) -> float:
@@ -82,7 +83,7 @@ class Limits(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A course within the limits of a joint, about its middle: size, frequency Hz, and rests."""
+    """A course within the limits of a joint, about its middle, with rests: size, frequency."""
 
     name: str
     size: float
@@ -91,7 +92,7 @@ class Drawn(NamedTuple):
 
 
 def nominal_force(position: Array, period: float, given: Mapping[str, Value]) -> Array:
-    """Return the force that a motion about the middle takes of the nominal joint."""
+    """Return the force (N or Nm) of the nominal joint in a motion about its middle."""
     speed = np.gradient(position, period)
     mass, damping, stiffness = (float(given.get(f'load.{name}', 0.0))
                                 for name in ('mass', 'damping', 'stiffness'))
@@ -102,35 +103,35 @@ def acceleration_of(limits: Limits, given: Mapping[str, Value]) -> float:
     """Return the acceleration of the sharpest corners."""
     mass = float(given.get('load.mass', 0.0))
     if mass > 0.0 and np.isfinite(limits.force):
-        return CORNERS * DRIVING * limits.force / mass
-    return limits.speed ** 2 / (2.0 * ACCELERATING * (limits.high - limits.low))
+        return CORNERS * FORCE_SHARE * limits.force / mass
+    return limits.speed ** 2 / (2.0 * RUN_UP * (limits.high - limits.low))
 
 
 def drawn(name: str, limits: Limits, period: float, given: Mapping[str, Value]) -> Drawn:
     """
     Return a course of the catalogue, in whole cycles, with a rest before and after.
 
-    It is as fast as the limits allow. Raises InputError if a joint cannot move so.
+    It is as fast as the limits allow. Raises InputError if they do not allow it.
     """
     course, share, speed = CATALOGUE[name]
     size, most = share * limits.reach, acceleration_of(limits, given)
     slope = steepest(course, np.arange(0.0, 20.0, 1e-3))
-    frequency = min(speed * SAFE * limits.speed / (size * slope), HIGHEST / period)
+    frequency = min(speed * LIMIT_SHARE * limits.speed / (size * slope), HIGHEST_SHARE / period)
     while _duration(course, frequency) < LONGEST_S:
         position = _with_rests(course, size, frequency, most, period)
         acceleration = np.abs(np.diff(position, 2)).max() / period ** 2
         force = np.abs(nominal_force(position, period, given)).max()
-        if acceleration <= 1.1 * most and force <= DRIVING * limits.force:
+        if acceleration <= 1.1 * most and force <= FORCE_SHARE * limits.force:
             return Drawn(name, size, frequency, position)
-        frequency *= SLOWER
+        frequency *= SLOWDOWN
     raise InputError(f'{name} takes more than {LONGEST_S:g} s within the limits: a velocity of at '
                      f'most {limits.speed:.4g}, and half of a command of {limits.force:.4g}; are '
                      'they, and the mass, in the units of the limits?')
 
 
 def _duration(course: Course, frequency: float) -> float:
-    """Return how long (s) whole cycles of a course take, two or more."""
-    # A sweep begins at a tenth of its frequency, and has so many cycles in a second.
+    """Return the duration (s) of a course: whole cycles, at least two."""
+    # A sweep begins at a tenth of its frequency: its mean frequency is lower.
     sweeps = abs(float(course(np.array([0.0, 0.25 / frequency, 10.0 / frequency]),
                               frequency)[1])) < 0.9
     often = 0.9 * frequency / np.log(10.0) if sweeps else frequency
@@ -139,7 +140,7 @@ def _duration(course: Course, frequency: float) -> float:
 
 def _with_rests(course: Course, size: float, frequency: float, acceleration: float,
                 period: float) -> Array:
-    """Return a course from rest to rest, its corners no sharper than an acceleration."""
+    """Return a course from rest to rest, with corners rounded to a largest acceleration."""
     moving = size * course(np.arange(0.0, _duration(course, frequency), period), frequency)
     rest = np.zeros(round(REST_S / period))
     position = np.concatenate([rest, moving, rest])
@@ -150,7 +151,7 @@ def _with_rests(course: Course, size: float, frequency: float, acceleration: flo
 
 def recorded(position: Array, sensors: Sequence[str], limits: Limits, period: float,
              given: Mapping[str, Value]) -> Run:
-    """Return what the sensors would record of the nominal joint in a course about the middle."""
+    """Return a simulated recording of the nominal joint in a course about the middle."""
     rng = np.random.default_rng(0)
     force = nominal_force(position, period, given)
     true = {'position': limits.middle + position, 'reference': limits.middle + position,
@@ -169,7 +170,7 @@ def recorded(position: Array, sensors: Sequence[str], limits: Limits, period: fl
 
 
 def usual_noise(limits: Limits, force: Array) -> dict[str, float]:
-    """Return the noise that is assumed, by signal."""
+    """Return the assumed noise (standard deviation), by signal."""
     turn = 2.0 * np.pi if limits.turns else limits.high - limits.low
     most = float(np.abs(force).max())
     return {'position': turn / 2 ** ENCODER_BITS / np.sqrt(12.0),
@@ -179,7 +180,7 @@ def usual_noise(limits: Limits, force: Array) -> dict[str, float]:
 
 def groups_of(position: Array, sensors: Sequence[str], limits: Limits, period: float,
               given: Mapping[str, Value], tolerance: float) -> list[Group]:
-    """Return the groups of channels that a course shows, with the suspects among the effects."""
+    """Return the groups of channels of a course, with the suspects among their effects."""
     run = recorded(position, sensors, limits, period, given)
     groups, _ = joint_groups([run], given, tolerance, [False], drive_of([run]))
     return with_suspects(groups, given, tolerance, limits.turns and 'position' in sensors)
@@ -201,7 +202,7 @@ def answer_of(position: Array, sensors: Sequence[str], limits: Limits, period: f
     scales: of the sizes of the suspects, by group; only: names of suspects, None: all.
     """
     groups = groups_of(position, sensors, limits, period, given, tolerance)
-    # One more sensor may show one more group, of the drive, before that of the motion.
+    # With one more sensor there may be one more group, of the drive, before that of the motion.
     own: list[Values] = [{}] * (len(groups) - len(scales)) + list(scales)
     sized = [replace(group, scale=group.scale | scale)
              for group, scale in zip(groups, own, strict=True)]
@@ -212,7 +213,7 @@ def answer_of(position: Array, sensors: Sequence[str], limits: Limits, period: f
 
 
 def joined(tells: Sequence[Told]) -> Told:
-    """Return the result of several courses together: at least that of each by itself."""
+    """Return the expected result of several courses, diagnosed together."""
     evidence = [each.evidence for each in tells]
     channel = next(iter(evidence[0].noise))
     weights = np.array([each.held_out_s for each in evidence])
@@ -222,7 +223,7 @@ def joined(tells: Sequence[Told]) -> Told:
         return float(weights @ np.array(values))
 
     noise = mean([each.noise[channel] for each in evidence])
-    # Each course counts by its own noise and error floor.
+    # Each course is weighted by its own noise and error floor.
     residual: dict[Names, Values] = {}
     for names in evidence[0].residual:
         ratio = mean([each.residual[names][channel] / each.noise[channel] for each in evidence])
@@ -236,13 +237,13 @@ def joined(tells: Sequence[Told]) -> Told:
 
 
 def chances(tells: Mapping[Suspect, Told], runs: int = 1) -> dict[Suspect, float]:
-    """Return the expected probability of each suspect if it is there."""
+    """Return the expected probability of each suspect, given that it is the truth."""
     return {suspect: each.expected(runs).get((suspect.name,), 0.0)
             for suspect, each in tells.items()}
 
 
 class Planned(NamedTuple):
-    """The courses of a plan, with their results and those of the others of the catalogue."""
+    """The courses of a plan, their expected result, and those of the whole catalogue."""
 
     courses: list[Drawn]
     position: Array      # of all courses, one after the other, about the middle
@@ -254,8 +255,8 @@ class Planned(NamedTuple):
     scales: list[Values]   # of the sizes of the suspects, by group
 
 
-def _by_place(tells: Mapping[Suspect, Told]) -> dict[tuple[str, int], tuple[Suspect, Told]]:
-    """Return results by the name and size of suspects: their bounds depend on the course."""
+def _by_identity(tells: Mapping[Suspect, Told]) -> dict[tuple[str, int], tuple[Suspect, Told]]:
+    """Return results by name and size of suspects, which are the same in all courses."""
     return {(each.name, each.size): (each, found) for each, found in tells.items()}
 
 
@@ -269,7 +270,7 @@ def plan_courses(sensors: Sequence[str], limits: Limits, period: float,
         with suppress(InputError):   # too slow
             courses[name] = drawn(name, limits, period, given)
     progress('the nominal joint', 0.0)
-    # Sizes of the suspects are those beside the fastest motion over the whole range.
+    # The sizes of the suspects are relative to the signals of the fastest motion.
     usual = groups_of(usual_course.position, sensors, limits, period, given, tolerance)
     scales = [group.scale for group in usual]
     answers: dict[str, Answer] = {}
@@ -277,22 +278,22 @@ def plan_courses(sensors: Sequence[str], limits: Limits, period: float,
         progress(f'course {number + 1} of {len(courses)}', number / (len(courses) + 1))
         answers[name] = answer_of(each.position, sensors, limits, period, given, tolerance,
                                   scales)
-    by_course = {name: _by_place(each.tells) for name, each in answers.items()}
+    by_course = {name: _by_identity(each.tells) for name, each in answers.items()}
     places = next(iter(by_course.values()))
 
     def worth(names: Sequence[str]) -> float:
         found = chances({suspect: joined([by_course[name][place][1] for name in names])
                          for place, (suspect, _) in places.items()}, LEAST_RUNS)
-        return sum(min(value, CLEAR) for value in found.values())
+        return sum(min(value, IDENTIFIED) for value in found.values())
 
     sets = [names for count in range(min(LEAST_COURSES, len(courses)), MOST_COURSES + 1)
             for names in itertools.combinations(courses, count)]
-    best = max(sets, key=lambda names: worth(names) - WORTH * len(names))
+    best = max(sets, key=lambda names: worth(names) - PRICE_OF_COURSE * len(names))
     position = np.concatenate([courses[name].position for name in best])
     progress('the whole plan', 0.9)
     final = answer_of(position, sensors, limits, period, given, tolerance, scales, FITTED)
     runs = next((count for count in range(LEAST_RUNS, MOST_RUNS) if all(
-        (value >= CLEAR) == (most >= CLEAR) for value, most in zip(
+        (value >= IDENTIFIED) == (most >= IDENTIFIED) for value, most in zip(
             chances(final.tells, count).values(), chances(final.tells, MOST_RUNS).values(),
             strict=True))), MOST_RUNS)
     return Planned([courses[name] for name in best], position, period, runs, final,

@@ -1,8 +1,8 @@
 """
-The expected probability of each usual suspect of a joint, if a motion is recorded.
+The expected probability of each likely effect ("suspect") of a joint, if a motion is recorded.
 
-Each suspect in turn is put into the nominal joint, and the others are fitted to what it would
-record, as in a diagnosis (`LinearScreen`). The probabilities are those of the diagnosis.
+Each suspect in turn is added to the nominal joint; the others are fitted to the simulated
+recording, as in a diagnosis (`LinearScreen`), which also gives the probabilities.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,8 +32,8 @@ MOVED: Final = ('coulomb_friction', 'stiction', 'friction_asymmetry', 'viscous_f
                 'backlash', 'load_compliance', 'transport_delay', 'valve_lag', 'gravity',
                 f'{PARAMETER}load.stiffness', f'{PARAMETER}load.mass')
 FOLLOWS: Final = ('transport_delay', 'valve_lag', 'backlash')
-SIZES: Final = 2     # of a suspect: the smallest of the starts of its fit
-FITTED: Final = 3    # of the others are fitted, not only linearly: those that leave least
+SIZES: Final = 2     # so many sizes of a suspect: the smallest initial guesses of its fit
+FITTED: Final = 3    # so many alternatives are fitted, not only screened: those that fit best
 SPRING: Final = Effect(f'{PARAMETER}load.stiffness', MECHANICS, 'the joint is held by a spring', (
     Variant((Free('load_stiffness', 0.0, 2.0, (0.05, 0.3), 'stiffness', 'N/m'),), ('load',)),),
     exact=True)
@@ -52,15 +52,15 @@ class Told(NamedTuple):
     """
     The expected result of a motion for a suspect.
 
-    left: mean square difference of the best fit of each other explanation, in error floors, by
-    its names; evidence: without its probabilities.
+    left: mean square residual of the best fit of each other hypothesis, in error floors, by its
+    effects; evidence: from which its probabilities follow.
     """
 
     left: dict[Names, float]
     evidence: Evidence
 
     def expected(self, runs: int = 1) -> dict[Names, float]:
-        """Return the expected probabilities of the explanations after so many runs."""
+        """Return the expected probabilities of the hypotheses after so many runs."""
         e = self.evidence
         return probabilities(e._replace(
             held_out_s=runs * e.held_out_s,
@@ -89,7 +89,7 @@ def with_suspects(groups: Sequence[Group], given: Mapping[str, object], toleranc
 
 
 def suspects_of(groups: Sequence[Group]) -> list[Suspect]:
-    """Return the usual suspects that show in groups, each in the first, of each of its sizes."""
+    """Return the suspects of groups in each of their sizes, each in the first group it acts on."""
     found: dict[str, Suspect] = {}
     for number, group in enumerate(groups):
         for effect in group.effects:
@@ -102,14 +102,14 @@ def suspects_of(groups: Sequence[Group]) -> list[Suspect]:
 
 
 def _sizes(variant: Variant) -> list[int]:
-    """Return which starts of a form are its smallest sizes."""
+    """Return the numbers of the start values of a form that are its smallest sizes."""
     starts = variant.free[0].starts
     first = {abs(start): number for number, start in reversed(list(enumerate(starts)))}
     return [first[size] for size in sorted(first)[:SIZES]]
 
 
 def _variants(effect: Effect, group: Group) -> list[Variant]:
-    """Return the forms of an effect that may be alone in a group and need no guess."""
+    """Return the forms of an effect that apply to a group, alone and without a guess."""
     return [variant for variant in effect.variants
             if not variant.joined and set(variant.channels) & set(group.channels)
             and all(group.nominal[name] != 0.0 for name in variant.needs)
@@ -119,12 +119,12 @@ def _variants(effect: Effect, group: Group) -> list[Variant]:
 
 
 def size_of(suspect: Suspect, groups: Sequence[Group]) -> np.void:
-    """Return the record of a joint with a suspect of its assumed size."""
+    """Return the record of the nominal joint with a suspect of its assumed size."""
     return at_start(groups[suspect.group], suspect.variant, suspect.size)
 
 
 def _recorded(group: Group, p: np.void) -> Group:
-    """Return a group whose recordings hold what a record predicts, without noise."""
+    """Return a group whose recordings are the predictions of a record, without noise."""
     def recorded(r: Recording) -> Recording:
         made = predict(r, group.channels[0], p)
         return replace(r, force_judged=made) if group.channels == ('load',) else replace(
@@ -135,10 +135,10 @@ def _recorded(group: Group, p: np.void) -> Group:
 
 def _beside_position(group: Group, suspect: Suspect) -> Group:
     """
-    Return a group in which a force by position may always be there too, but for that suspect.
+    Return a group with gravity and spring as nuisance parameters, unless they are the suspect.
 
-    A diagnosis looks for gravity and a spring first: a motion in which they look like something
-    else tells neither.
+    A diagnosis identifies them first: a motion in which they resemble another effect identifies
+    neither.
     """
     by_position = [effect for effect in group.effects
                    if effect.name in (GRAVITY.name, SPRING.name)]
@@ -152,10 +152,10 @@ def _beside_position(group: Group, suspect: Suspect) -> Group:
 
 def told(suspect: Suspect, group: Group, p: np.void, fitted: int = 0) -> Told:
     """
-    Return the expected result of the recordings of a group for a suspect that is there.
+    Return the expected result of the recordings of a group, if a suspect is the truth.
 
-    p: record with the suspect; fitted: so many of the other explanations are fitted, not only
-    linearly, and compared by `separation`.
+    p: record with the suspect; fitted: so many of the other hypotheses are fitted, not only
+    screened, and compared by `separation`.
     """
     group = _recorded(_beside_position(group, suspect), p)
     null = fit_null(group)
@@ -178,7 +178,7 @@ def told(suspect: Suspect, group: Group, p: np.void, fitted: int = 0) -> Told:
 
 def _evidence(group: Group, suspect: Suspect, left: Mapping[Names, float],
               forms: Mapping[Names, Sequence[Variant]]) -> Evidence:
-    """Return the expected evidence, by noise and error floor of the group."""
+    """Return the expected evidence, with noise and error floor of the group."""
     channel = group.channels[0]
     floor, noise = group.error_floor[channel], group.noise[channel] ** 2
     held_out = sum(int((r.held_out | r.report).sum()) for r in group.recordings)

@@ -1,8 +1,8 @@
 """
-When a pulse begins and ends, where that lies in the part of the data that is kept for the report.
+The edges of a pulse that lie within a validation part of the data.
 
-No fitted sample tells it then. It is placed by the report's samples when the hypotheses are
-weighed, and a note says so.
+No fitted sample determines them. They are located with the validation samples after the
+probabilities are computed, and a note says so.
 """
 
 from dataclasses import replace
@@ -17,8 +17,8 @@ from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
 
-LEAST_PROBABILITY: Final = 0.05   # of a hypothesis whose pulse is placed anew
-LEAST_S: Final = 0.1              # of a stretch without fitted samples
+LEAST_PROBABILITY: Final = 0.05   # of a hypothesis whose pulses are located
+LEAST_S: Final = 0.1              # shortest stretch without fitted samples
 PLACED: Final = ('the disturbance begins or ends in samples that are kept for the report, and was '
                  'placed by them')
 
@@ -27,7 +27,7 @@ def placed(weighed: Weighed) -> Weighed:
     """
     Return a group in which the pulses of likely hypotheses are located with all samples.
 
-    The same object if all stay where they are.
+    The same object if none of them moves.
     """
     likely = {name for names, chance in weighed.probability.items()
               if chance > LEAST_PROBABILITY for name in names}
@@ -67,7 +67,7 @@ def _at_edge(fitted: Fitted, free: Free, recording: Recording) -> Fitted:
         return fitted
     record, theta = fitted.record.copy(), fitted.theta.copy()
     record[free.field] = found.x
-    # The middle of the range in which it is sought.
+    # The middle of its range, since its scale is the found value.
     theta[fitted.free.index(free)] = (1.0 - free.low) / (free.high - free.low)
     group = replace(group, scale=group.scale | {free.scale: float(found.x)})
     return fitted._replace(record=record, theta=theta,

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from asi_actuator.model.effects import BLOCKS
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.blocks import impedance, load_constants
-from asi_analysis.gap.model.effects import BLOCKS, MOTIONS, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import MOTIONS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.motion import low_pass
@@ -26,18 +27,18 @@ ALONG = {'valve': ('command_path', 'valve'), 'force': ('hydraulics', 'sensor'),
          **dict.fromkeys(MOTIONS, ('mechanics', 'hydraulics'))}
 
 
-LEAST_SHARE = 0.01     # of the samples in a regime, and of a gap
-LEAST_PROBABILITY = 0.02      # probability of a hypothesis above which its effects are separated
+LEAST_SHARE = 0.01       # of the samples in a regime, and of a gap
+LEAST_PROBABILITY = 0.02   # of a hypothesis whose effects' contributions are computed
 BINS = 16
-REPORTED_SHARE = 0.2       # of the residual, above which a dependence is reported
-REPORTED_FACTOR = 1.6      # between the regime with most and that with least
+REPORTED_SHARE = 0.2     # share of the residual's power above which a dependence is reported
+REPORTED_FACTOR = 1.6    # ratio of the largest to the smallest regime that is reported
 
 
 class Regime(NamedTuple):
     """
-    The gap in one regime, over its rms everywhere: of the refitted model, and of the verdict.
+    The gap (rms) in one regime, as a multiple of that of the refitted model in all regimes.
 
-    share: of the samples.
+    relative: of the refitted model; after: of the verdict; share: of the samples.
     """
 
     kind: str
@@ -52,12 +53,12 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
     Return the share of each block in the gap, most first.
 
     The gap of a channel is the residual of the refitted nominal model above the error floor,
-    relative to the signal. It is shared by the blocks of the hypotheses in proportion to their
-    probability, and within a hypothesis by what each effect explains.
+    relative to the signal. It is divided among the blocks of the hypotheses in proportion to their
+    probability, and within a hypothesis by the contribution of each effect.
     """
     # Hypotheses without an effect have no block, and do not count if any other has.
     share = _shares(groups, lambda names: bool(names))
-    if sum(share.values()) == 0.0:   # refitted, nothing is above the error floor
+    if sum(share.values()) == 0.0:   # no residual of the refitted model is above its error floor
         for weighed in groups:
             for names, probability in weighed.probability.items():
                 for name in set(names) - {UNKNOWN}:
@@ -71,7 +72,7 @@ def by_block(groups: list[Weighed]) -> dict[str, float]:
 
 
 def _shares(groups: list[Weighed], counts: Callable[[Names], bool]) -> dict[str, float]:
-    """Return the gap of each block by the hypotheses that count, relative to the signals."""
+    """Return the gap of each block, relative to the signals; counts: which hypotheses do."""
     share = dict.fromkeys(BLOCKS, 0.0)
     for weighed in groups:
         group = weighed.group
@@ -112,7 +113,7 @@ def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
 
 def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
     """
-    Return how much each effect of a hypothesis explains of a channel (mean square).
+    Return the contribution of each effect of a hypothesis to a channel (mean square).
 
     Shapley values: the mean over all orders in which the effects are added to the model; at least
     LEAST_SHARE of the largest.
@@ -248,15 +249,16 @@ def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> li
 
 def _add(square: dict[tuple[str, str], Array], regime: tuple[str, str], residual: Array,
          valid: Mask) -> None:
+    """Add the squares of residuals, and the number of samples, to those of a regime."""
     sums = np.array([*np.sum(residual[:, valid] ** 2, axis=1), valid.sum()])
     square[regime] = square.get(regime, np.zeros(3)) + sums
 
 
 def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
     """
-    Return the share (0 to 1) of a residual that is a function of one quantity alone.
+    Return the share (0 to 1) of a residual's power that is a function of one quantity.
 
-    The share of its mean square that the means in BINS bins explain.
+    By quantity: the share that its means in BINS bins explain.
     """
     residual, kinds = [], []
     for recording in group.recordings:
@@ -285,7 +287,7 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
 
 
 def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
-    """Return in a sentence what the unexplained part of a gap depends on."""
+    """Return a sentence that says what the residual depends on."""
     parts = [f'{100 * share:.0f} % of it is a function of the {name}'
             for name, share in list(depends.items())[:2] if share > REPORTED_SHARE]
     for kind in dict.fromkeys(regime.kind for regime in regimes):
@@ -295,5 +297,5 @@ def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
         if most.after > REPORTED_FACTOR * least.after:
             parts.append(f'it is largest where the {kind} is {most.regime}'
                         if kind != 'frequency' else f'it is strongest at {most.regime}')
-    return ('What is left: ' + '; '.join(parts) + '.' if parts else
-            'What is left depends on nothing that was recorded more than on anything else.')
+    return ('Of the residual: ' + '; '.join(parts) + '.' if parts else
+            'The residual does not depend on any recorded quantity in particular.')

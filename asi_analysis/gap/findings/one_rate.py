@@ -1,19 +1,19 @@
-"""What an input of one rate cannot separate: a lag or a delay from a hysteresis."""
+"""An input of one rate does not separate a lag or a delay from hysteresis."""
 
 from typing import Final
 
 from asi_analysis.gap.course import one_rate
 from asi_analysis.gap.inference.hypotheses import Weighed
 
-# Effects that make a loop of any input that goes to and fro: at one rate they differ only where it
-# turns, and there other laws of hysteresis do too.
+# Effects that turn any input that goes to and fro into a loop. At one rate they differ only at its
+# turns, as other laws of hysteresis do.
 HYSTERESIS: Final = 'valve_hysteresis'
 LATE: Final = ('valve_lag', 'transport_delay')
-SUREST: Final = 0.85   # probability of one kind against the other at one rate
+SUREST: Final = 0.85   # highest probability of one kind against the other at one rate
 
 
 def at_one_rate(weighed: Weighed) -> Weighed:
-    """Return a group in which neither is surer than SUREST, if the input has one rate."""
+    """Return a group in which neither is more probable than SUREST, if the input has one rate."""
     if not one_rate(weighed.group.recordings):
         return weighed
     chance = dict(weighed.probability)

@@ -1,4 +1,4 @@
-"""The shrink of the gap on the report samples, which no fit uses, with an interval."""
+"""The shrink of the gap on the validation samples, which no fit uses, with an interval."""
 
 import math
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 
-STRETCHES = 24   # of the report samples: longer than the correlation time of the errors
+STRETCHES = 24   # of the validation samples: longer than the correlation time of the errors
 DRAWS = 1000
 # Factor on the bootstrap interval: stretches of one recording do not show how recordings
 # differ. With it the intervals of 94 % of 62 development cases (seeds from 88000 on) contain the
@@ -21,8 +21,8 @@ class Shrink(NamedTuple):
     """
     The gap of one channel before and after, as a share of the signal's rms.
 
-    nominal: the model as it was given; refitted: its uncertain parameters fitted; after: with the
-    effects of the verdict. shrink = 1 - after / nominal, with a 95 % interval.
+    nominal: with the nominal parameters; refitted: with the uncertain ones fitted; after: with the
+    effects of the verdict. shrink = 1 - after / nominal, with its 95 % interval low to high.
     """
 
     channel: str
@@ -36,7 +36,7 @@ class Shrink(NamedTuple):
 
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:
-    """Return the mean square residual in each stretch of the reported samples, of one at least."""
+    """Return the mean square residual in each stretch of the validation samples."""
     residual = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
         recording.report] for recording in group.recordings])
     stretches = np.array_split(residual, min(STRETCHES, residual.size))
@@ -53,7 +53,7 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
     floor = group.noise[channel]
     if rms['nominal'] ** 2 <= group.error_floor[channel] - floor ** 2:
-        # Less than any model is wrong by: there is no gap that could shrink.
+        # Below the model error that any model has: there is no gap that could shrink.
         return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
                       floor / size, 0.0, 0.0, 0.0)
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0

@@ -1,20 +1,20 @@
-"""A nominal model that only fits with a parameter beyond its tolerance is not `no_gap`."""
+"""A nominal model that fits only with a parameter beyond its tolerance is not `no_gap`."""
 
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant
 from asi_analysis.gap.model.group import Group
 
-MOST = 2   # parameters beyond their tolerance that are a cause, as of effects; with more: unknown
+MOST_PARAMETERS = 2   # beyond their tolerance, to be named as the cause; more: `unknown`
 
 
 def with_null_named(weighed: Weighed) -> Weighed:
     """
-    Return a group whose null hypothesis keeps to the tolerances: its normal priors do not.
+    Return a group whose null hypothesis keeps all parameters within their tolerances.
 
-    Where the 95 % interval of a nominal parameter of the null fit lies beyond its tolerance, what
-    was fitted is the hypothesis of that parameter: it takes over the fit and its probability.
-    Where that takes many parameters, something else is likely: it is unknown.
+    Normal priors let the null fit leave them. If the 95 % interval of a nominal parameter lies
+    beyond its tolerance, that fit and its probability belong to the hypothesis of this parameter.
+    If it takes more than MOST_PARAMETERS of them, the cause is `unknown`.
     """
     null, group, chance = weighed.candidates[()], weighed.group, weighed.probability
     if chance[()] == 0.0 or not null.fitted.at_limit:
@@ -31,7 +31,7 @@ def with_null_named(weighed: Weighed) -> Weighed:
     if not names:
         return weighed
     candidates = dict(weighed.candidates)
-    if len(names) > MOST:
+    if len(names) > MOST_PARAMETERS:
         names = (UNKNOWN,)
     elif chance[()] > chance.get(names, 0.0):
         candidates[names] = null._replace(names=names,
@@ -41,7 +41,7 @@ def with_null_named(weighed: Weighed) -> Weighed:
 
 
 def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
-    """Return the effect, and its form, that frees a nominal parameter with the fewest others."""
+    """Return the effect, and its form, in which a parameter is free with the fewest others."""
     return min(((effect, variant) for effect in group.effects for variant in effect.variants
                 if field in {free.field for free in variant.free}),
                key=lambda found: len(found[1].free))

@@ -1,8 +1,8 @@
 """
 Bounded least squares: the Levenberg-Marquardt method with each step solved within the bounds.
 
-In each step all parameters may leave their bounds. scipy's dogbox and trf ended with up to six
-times the cost, since they hold parameters at a bound or move along it slowly.
+In each step any parameter may leave its bound again. scipy's dogbox and trf ended with up to six
+times the cost, since they hold parameters at a bound or move away from it slowly.
 """
 
 from collections.abc import Callable
@@ -12,18 +12,18 @@ from scipy.optimize import lsq_linear
 
 from asi_analysis.arrays import Array
 
-LONGEST_STEP = 0.3    # step, as a share of the way between bounds
-TRIES = 5        # of a step, with more damping each
+LONGEST_STEP = 0.3   # as a share of a parameter's range
+TRIES = 5            # of a step, each with more damping
 
 
 def least_step(square: Array, slope: Array, low: Array, high: Array) -> tuple[Array, float]:
     """
-    Return the step within bounds that lowers a quadratic cost most, and by how much it does.
+    Return the step within bounds that minimises a quadratic cost, and by how much it lowers it.
 
     The cost is 0.5 step' square step + slope' step.
     """
     size = np.sqrt(np.diag(square)) + 1e-30
-    # The same problem by its triangle: |triangle step + right| up to a constant.
+    # By Cholesky factorisation, the same as the least squares of `triangle step - right`.
     triangle = np.linalg.cholesky(square / np.outer(size, size) + 1e-9 * np.eye(size.size)).T
     right = -np.linalg.solve(triangle.T, slope / size)
     solution = lsq_linear(triangle, right, (low * size - 1e-12, high * size + 1e-12), 'bvls',
@@ -34,10 +34,10 @@ def least_step(square: Array, slope: Array, low: Array, high: Array) -> tuple[Ar
 def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], start: Array,
              prior_weight: float, rounds: int, tolerance: float) -> tuple[Array, float]:
     """
-    Return parameters, each from 0 to 1, with the least squares, and their cost: half the sum.
+    Return parameters (each from 0 to 1) of least squares, and their cost: half the sum of squares.
 
-    prior_weight: of a prior about the start, which keeps the problem regular when parameters
-    have the same effect; rounds: at most; tolerance: relative gain of the last round.
+    prior_weight: of the deviation from the start (Tikhonov regularisation), for parameters that
+    are not identifiable apart; rounds: the most; tolerance: relative gain that ends the rounds.
     """
     def cost_of(theta: Array, value: Array) -> float:
         distance = float(np.sum((theta - start) ** 2))

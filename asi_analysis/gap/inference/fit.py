@@ -25,17 +25,17 @@ from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL
 
-STEP = 1e-3          # of a parameter's range, for the derivatives
-PRIOR_WEIGHT = 1.0   # of the start, per range of a parameter
+STEP = 1e-3          # of a parameter's range, for finite differences
+PRIOR_WEIGHT = 1.0   # of the deviation from the start by a parameter's range, as a residual
 ROUNDS = 15          # of the optimiser
-ROUGH, FINE = 1e-3, 1e-4   # relative gain of the last round
-POLISHING = 6        # rounds with all derivatives, at the end
-SHARES = (0.25, 0.5, 0.75)  # of the range of a share of the mass: further starts
+COARSE_TOLERANCE, FINE_TOLERANCE = 1e-3, 1e-4   # relative gain of the last round
+POLISH_ROUNDS = 6    # rounds with the full Jacobian, at the end
+MASS_SHARES = (0.25, 0.5, 0.75)  # further starts of a share of the mass, relative to its range
 LARGEST = 3.0        # upper bound of an effect in the linear screen, as a multiple of its start
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
 AT_LIMIT = 0.005     # of the range: distance within which a parameter is at a bound
-STARTS = 2           # number of the best starts that are fitted
-LINE = ('offset', 'gain')   # the nominal line of a static characteristic
+STARTS = 2           # so many of the best starts are fitted
+LINE = ('offset', 'gain')   # of a static characteristic
 LOG_RANGE = 50.0     # ratio of bounds above which a parameter has a logarithmic scale
 
 
@@ -71,14 +71,14 @@ class Fitted(NamedTuple):
 
 
 def _residual(group: Group, channel: str, p: np.void) -> Array:
-    """Return the residual of a channel on the fitted parts, over the rms of the error floor."""
+    """Return the residual of a channel on the fitted parts, divided by the rms error floor."""
     parts = [(measured(recording, channel) - predict(recording, channel, p))[recording.fit]
              for recording in group.recordings if recording.fit.any()]
     return np.concatenate(parts) / math.sqrt(group.error_floor[channel])
 
 
 def _unit(free: Free, group: Group, p: np.void) -> float:
-    """Return the unit of a free parameter's bounds, in a record."""
+    """Return the unit of a free parameter's bounds, given the record of a plant."""
     own = float(group.nominal[free.field])
     if free.scale in NOMINAL_FIELDS:
         return own * float(p[free.scale] / group.nominal[free.scale])
@@ -102,7 +102,7 @@ def _parameter(free: Free, group: Group, p: np.void) -> FreeParameter:
 
 
 def _share(parameter: FreeParameter, value: float) -> float:
-    """Return the share of a start value, at a small distance from the bounds."""
+    """Return a start value as a share of the range, off its ends."""
     return min(max(parameter.share(value), 0.001), 0.999)
 
 
@@ -139,7 +139,7 @@ def held_out_error(group: Group, p: np.void) -> Values:
     for channel in group.channels:
         total, count = 0.0, 0
         for recording in group.recordings:
-            # Of a characteristic, fitted on many times its parameters, by a feature anywhere.
+            # A characteristic has few parameters and may deviate anywhere: hence all samples.
             mask = recording.known if channel == 'static' else _comparable(
                 recording, group.recordings)
             error = (measured(recording, channel) - predict(recording, channel, p))[mask]
@@ -153,8 +153,9 @@ def independent_samples(group: Group, p: np.void, of: str = 'held_out') -> Value
     """
     Return the effective sample size of the residual on a part of the data, by channel.
 
-    The number of samples over the sum of the autocorrelation, truncated where the sum of two
-    neighbours is no longer positive (Geyer 1992, initial positive sequence).
+    The number of samples divided by the sum of the autocorrelation, which is truncated where the
+    sum of two neighbours is no longer positive (Geyer 1992, initial positive sequence). of: a
+    mask of the recording: 'fit', 'held_out' or 'known'.
     """
     counts = {}
     for channel in group.channels:
@@ -181,16 +182,17 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     Return the best fit of the free parameters, from the best of the starts.
 
     starts: parameter vectors, as shares of the ranges; the best `followed` of them are fitted;
-    known: derivatives by field, which are not computed again.
+    known: columns of the Jacobian by field, which are not computed again.
     """
     problem = Problem(group, tuple(free), tuple(fixed))
     if {*LINE} & {each.field for each in free}:
-        starts = [_levelled(problem, theta) for theta in starts]
+        starts = [_with_line_fitted(problem, theta) for theta in starts]
     ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
     best_cost, best_theta = math.inf, ranked[0]
+    tolerance = COARSE_TOLERANCE if known else FINE_TOLERANCE
     for start in ranked[:followed if len(starts) > 3 else 1]:
         theta, cost = minimise(problem.residual, lambda theta: problem.jacobian(theta, known),
-                               start, PRIOR_WEIGHT, rounds, ROUGH if known else FINE)
+                               start, PRIOR_WEIGHT, rounds, tolerance)
         if cost < best_cost:
             best_cost, best_theta = cost, theta
     record = problem.record(best_theta)
@@ -217,6 +219,7 @@ class Problem:
         return _parameter(free, self.group, self.group.nominal)
 
     def _by_channel(self, theta: Array) -> list[Array]:
+        """Return the residual of each channel; the last one is kept."""
         if self._key != theta.tobytes():
             p = self.record(theta)
             self._last = [_residual(self.group, channel, p) for channel in self.group.channels]
@@ -229,9 +232,9 @@ class Problem:
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({})) -> Array:
         """
-        Return its derivatives by finite differences, for the channels that a parameter acts on.
+        Return the Jacobian by finite differences, for the channels that a parameter acts on.
 
-        known: derivatives by field, which are not computed again.
+        known: columns of the Jacobian by field, which are not computed again.
         """
         base = self._by_channel(theta)
         columns = np.zeros((sum(part.size for part in base), theta.size))
@@ -252,11 +255,11 @@ class Problem:
         return columns
 
 
-def _levelled(problem: Problem, theta: Array) -> Array:
+def _with_line_fitted(problem: Problem, theta: Array) -> Array:
     """
-    Return a start whose nominal line is fitted, by linear least squares, where that is better.
+    Return a start with offset and gain from linear least squares, if that fits better.
 
-    Beside another line than its own the right size of an effect looks worse than a small one.
+    With a wrong line, a small effect may fit better than one of the right size.
     """
     numbers = [i for i, free in enumerate(problem.free) if free.field in LINE]
     base, columns = problem.residual(theta), []
@@ -309,7 +312,7 @@ def fit_null(group: Group) -> Fitted:
 
 
 def _fit_from(group: Group, problem: Problem, other: Fitted) -> Fitted:
-    """Return the fit of a problem, started from the parameters of another fit."""
+    """Return the fit of a problem, started at the parameters of another fit."""
     theta = np.array([_share(_parameter(free, group, other.record),
                              float(other.record[free.field])) for free in problem.free])
     return fit(group, problem.free, [theta], problem.fixed)
@@ -319,12 +322,13 @@ def refit(group: Group, fitted: Fitted, others: Sequence[Fitted]) -> Fitted:
     """Return the best of a fit and its repetitions, started from the parameters of other fits."""
     best = fitted
     for other in others:
-        again = _fit_from(group, fitted.problem, other)
-        best = min(best, again, key=lambda each: each.cost)
+        repeated = _fit_from(group, fitted.problem, other)
+        best = min(best, repeated, key=lambda each: each.cost)
     return best
 
 
 def _start(free: Free, group: Group, index: int = 0) -> float:
+    """Return a start value of a free parameter in its own unit."""
     return free.starts[index] * _unit(free, group, group.nominal)
 
 
@@ -338,15 +342,15 @@ def at_start(group: Group, variant: Variant, index: int = 0) -> np.void:
     return p
 
 
-def _added(group: Group, base: Fitted, variants: Sequence[Variant]
+def _extended_problem(group: Group, base: Fitted, variants: Sequence[Variant]
            ) -> tuple[Problem, list[Array]]:
-    """Return the problem of a fit with the parameters of variants added, and its starts."""
+    """Return the problem of a fit extended by the parameters of variants, and its starts."""
     fixed = tuple(pair for variant in variants for pair in variant.fixed)
     known = {free.field for free in base.free}
     new: dict[str, Free] = {}
     for variant in variants:
         for free in variant.free:
-            old = new.get(free.field)   # the wider bounds of a shared field
+            old = new.get(free.field)   # a shared field gets the wider bounds
             new[free.field] = free if old is None else free._replace(
                 low=min(free.low, old.low), high=max(free.high, old.high))
     frees = [free for free in base.free if free.field not in new] + list(new.values())
@@ -366,20 +370,20 @@ def _added(group: Group, base: Fitted, variants: Sequence[Variant]
             starts.append(np.array([begin[other.field] for other in frees]))
     if not fresh:
         starts.append(np.array([warm[free.field] for free in frees]))
-    again = [number for number, free in enumerate(frees) if free.anew]
+    repeated = [number for number, free in enumerate(frees) if free.anew]
     places = [[_share(_parameter(frees[number], group, group.nominal),
-                      _start(frees[number], group, index)) for number in again]
-              for index in range(len(frees[again[0]].starts) if again else 0)]
+                      _start(frees[number], group, index)) for number in repeated]
+              for index in range(len(frees[repeated[0]].starts) if repeated else 0)]
     for start, place in itertools.product(list(starts), places):
         start = start.copy()
-        start[again] = place
+        start[repeated] = place
         starts.append(start)
     return Problem(group, tuple(frees), fixed), starts
 
 
 def fit_subset(group: Group, null: Fitted, variants: Sequence[Variant], whole: Fitted) -> Fitted:
     """Return the fit of some variants of a larger fit, started from its parameters."""
-    problem, _ = _added(group, null, variants)
+    problem, _ = _extended_problem(group, null, variants)
     return _fit_from(group, problem, whole)
 
 
@@ -388,18 +392,18 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
     """
     Return an approximate fit of one variant each of one or more effects.
 
-    screen: of the fit to start from (nested warm start), to which the parameters of the variants
-    are added; its derivatives are used, since they change little. followed: number of the best
-    starts that are fitted.
+    The fit of `screen` is the start, extended by the parameters of the variants. The columns of
+    its Jacobian are used again, since they change little. followed: number of the best starts
+    that are fitted.
     """
-    problem, starts = _added(group, screen.base, variants)
+    problem, starts = _extended_problem(group, screen.base, variants)
     places = max((len(free.starts) for free in problem.free if free.anew), default=0)
-    if places:   # far from each other: the best start at each is fitted
+    if places:   # distant initial guesses: the best start at each of them is fitted
         count, followed = len(starts) // (places + 1), places + 1
         groups = [starts[:count]] + [starts[count + n::places] for n in range(places)]
         starts = [min(each, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
                   for each in groups]
-    # The derivative by the share of a parameter with other bounds differs.
+    # The parameters of the variants may have other bounds, so their columns differ.
     own = {free.field for variant in variants for free in variant.free}
     known = {name: column for name, column in screen.derivatives.items() if name not in own}
     return fit(group, problem.free, starts, problem.fixed, known=known, followed=followed)
@@ -407,30 +411,30 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
 
 def polish(group: Group, fitted: Fitted) -> Fitted:
     """
-    Return an approximate fit, completed with all derivatives.
+    Return an approximate fit, continued with the full Jacobian.
 
-    Of a mass that goes on by itself in a gap also from other shares of the mass: each contact that
-    comes or goes makes the cost uneven.
+    With a mass that moves freely within a backlash, also from other shares of that mass: each
+    contact that appears or vanishes makes a local minimum.
     """
     fixed = fitted.problem.fixed
-    best = fit(group, fitted.free, [fitted.theta], fixed, rounds=POLISHING)
+    best = fit(group, fitted.free, [fitted.theta], fixed, rounds=POLISH_ROUNDS)
     fields = [free.field for free in fitted.free]
     if ('backlash_floating', 1.0) in fixed and 'piston_share' in fields:
-        for share in SHARES:
+        for share in MASS_SHARES:
             moved = best.theta.copy()
             moved[fields.index('piston_share')] = share
-            again = fit(group, fitted.free, [moved], fixed, rounds=POLISHING)
-            best = min(best, again, key=lambda each: each.cost)
+            repeated = fit(group, fitted.free, [moved], fixed, rounds=POLISH_ROUNDS)
+            best = min(best, repeated, key=lambda each: each.cost)
     return best
 
 
 class LinearScreen:
     """
-    Linear screen of effects on top of a fit: the expected cost, from a few simulations.
+    Linear screen of effects that are added to a fit: the expected cost, from a few simulations.
 
-    At each start of an effect: bounded linear least squares of the residual over the change by
-    the effect (up to LARGEST times) and over the parameters of the fit. A nominal parameter
-    beyond its tolerance has the bounds of the effect.
+    At each start of an effect, bounded linear least squares: the residual is explained by the
+    change that the effect causes (up to LARGEST times) and by the parameters of the fit.
+    A nominal parameter beyond its tolerance has the bounds of that effect.
     """
 
     def __init__(self, base: Fitted) -> None:
@@ -444,7 +448,7 @@ class LinearScreen:
 
     def cost(self, group: Group, variants: Sequence[Variant]) -> float:
         """Return the expected cost of a fit of these variants."""
-        problem, starts = _added(group, self.base, variants)
+        problem, starts = _extended_problem(group, self.base, variants)
         p = self.base.record
         wide = {free.field: _parameter(free, group, p) for free in problem.free}
         low, high = -self.base.theta, 1.0 - self.base.theta
@@ -458,7 +462,12 @@ class LinearScreen:
                    for start in starts)
 
     def _linear(self, change: Array, low: Array, high: Array, per_recording: bool) -> float:
-        if not np.isfinite(change).all():   # no such plant, as a load without any mass
+        """
+        Return the expected cost with an effect that changes the residual so.
+
+        per_recording: the effect has its own size in each recording.
+        """
+        if not np.isfinite(change).all():   # an impossible plant, as a load without mass
             return np.inf
         group = self.base.problem.group
         changes, least = change[:, None], 0.0

@@ -1,11 +1,11 @@
-"""Gravity or a spring of a joint that an effect hides, so that it did not show without that."""
+"""Gravity or a spring of a joint that is found only together with an effect."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, weigh_groups
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model.effects import UNKNOWN
-from asi_analysis.gap.model.gravity import LEFT_WITHOUT
+from asi_analysis.gap.model.gravity import ACCEPTED_RESIDUAL
 from asi_analysis.gap.model.group import Group, with_tolerances
 
 
@@ -13,11 +13,11 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
                      tolerances: Mapping[str, float], tick: Callable[[], None]
                      ) -> tuple[list[Weighed], list[str]]:
     """
-    Return the groups of a joint, with gravity or a spring in every fit if needed, and notes.
+    Return the groups of a joint, with gravity or a spring in every fit if needed; and notes.
 
-    weighed: without; groups: makes those with it; it is needed if no effect explains the gap
-    without it and one does with it, which leaves less than LEFT_WITHOUT of the power. tolerances:
-    by field.
+    It is needed if no effect explains the gap without it, one does with it, and the residual
+    power is then below ACCEPTED_RESIDUAL of that before. weighed: without it; groups: returns
+    those with it; tolerances: by field.
     """
     without = weighed[-1]
     if without.group.channels != ('load',):
@@ -28,14 +28,14 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
     group = with_tolerances(groups()[0][-1], tolerances)
     if len(group.nuisance) == len(without.group.nuisance):
         return weighed, []
-    again, = weigh_groups([group], tick)
-    best = _best(again)
+    refitted, = weigh_groups([group], tick)
+    best = _best(refitted)
     share = best.fitted.held_out['load'] / left
-    unknown = marginals(again.probability)[UNKNOWN] > 0.5
-    if not best.names or share > LEFT_WITHOUT or unknown:
+    unknown = marginals(refitted.probability)[UNKNOWN] > 0.5
+    if not best.names or share > ACCEPTED_RESIDUAL or unknown:
         return weighed, []
     turns = 'gravity_sine' in best.fitted.values
-    return [*weighed[:-1], again], [
+    return [*weighed[:-1], refitted], [
         f'the joint {"has gravity" if turns else "is held by a spring"}, which shows beside an '
         f'effect only: it leaves {100.0 * share:.2g} % of what that leaves without']
 

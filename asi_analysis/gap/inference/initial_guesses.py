@@ -1,5 +1,5 @@
 """
-Initial guesses of parameters that a local fit finds only from nearby, from the residual of a fit.
+Initial guesses, from a fit's residual, of parameters with many local minima of the cost.
 
 Frequency, phase, start and end of a disturbance, and the quantum of a command. The part of the
 residual that the fitted parameters could explain is removed first.
@@ -12,46 +12,51 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
 
+from asi_actuator.model.valve_flexure import dead_zone
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks, simulator
-from asi_analysis.gap.model.blocks import dead_zone, in_steps
+from asi_analysis.gap.model.blocks import in_steps
 from asi_analysis.gap.model.effects import MOTIONS, of_recording
 from asi_analysis.gap.model.group import Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
 
-CORNERS = 400      # start and end times in the coarse search for a pulse
-FINER = 50         # factor of each refinement
-# Quanta, as the number of steps up to the largest command: a coarse search with binned levels if
-# there are many, then a fine one.
+PULSE_GRID = 400      # start and end times in the coarse search for a pulse
+REFINEMENT = 50    # factor of each refinement of these times
+# Candidates for the number of quanta up to the largest command: a coarse grid, and a fine one
+# about its best. In the coarse search commands are binned; quanta that explain nearly as much as
+# the best are equivalent.
 STEPS = np.arange(2.0, 60.0, 0.02)
-NEARBY = np.linspace(-0.1, 0.1, 101)
-BINS, NEAR_BEST = 1000, 0.99
+FINE_STEPS = np.linspace(-0.1, 0.1, 101)
+BINS, EQUIVALENT = 1000, 0.99
 # Kinds of rounding: command_phase and command_truncated.
 QUANTISERS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
               'residual_step_zero': (0.0, 1.0)}
-OFFSET_RANGE = 1e3  # times the residual: the range of a free offset
-# A line excitation: the largest number of sines, and the least share of the power of force or
+OFFSET_RANGE = 1e3  # range of a free offset, as a multiple of the residual's norm
+# An excitation by a few sines: their largest number, and the least share of the power of force or
 # motion in each of them and in all together.
 MOST_LINES, LINE_POWER, LINES_POWER = 3, 0.1, 0.8
 ORDER = 3          # highest order of harmonics
-MOSTLY = 0.3       # share of a line's power; three quarters of the samples are used
-MAINLY = 0.5       # share of what is left
-REGULAR = 1e-12    # of the energy of all parameters: less is rounding
+# A line of the force is a disturbance if this share of its power remains in the residual (of
+# which three quarters of the samples are used).
+LINE_REMAINDER = 0.3
+SINGLE_WAVE = 0.5  # share of the residual's power in a wave that is a disturbance of its own
+REGULARISATION = 1e-12   # ridge, as a share of the trace
 STATIC_BINS = 2000  # of the input of a characteristic, in the search for its steps
 RESPONSE_S = 0.2   # length of the step response of a valve
 
 
 def initial_guesses(fitted: Fitted) -> Values:
     """
-    Return initial guesses of the parameters that a local fit finds only from nearby.
+    Return initial guesses of parameters with many local minima of the cost, by name.
 
-    Of each recording: residual_frequency, residual_phase: of the strongest wave in the load, Hz
-    and turns (1 to 2); residual_start, residual_end: of its strongest pulse, s. Of the first:
-    residual_step, residual_step_edge, residual_step_zero: of the command (N) with a step's middle
-    at zero, with an edge there, cut off towards zero.
+    Of each recording: residual_frequency (Hz) and residual_phase (turns, 1 to 2) of the strongest
+    sine in the load's residual; residual_start and residual_end (s) of its strongest pulse. Of
+    the first: the quantum of the command (N) if it is rounded to the nearest step
+    (residual_step), to steps with an edge at zero (residual_step_edge), or towards zero
+    (residual_step_zero).
     """
     group = fitted.problem.group
     found: Values = {}
@@ -60,9 +65,9 @@ def initial_guesses(fitted: Fitted) -> Values:
         if not recording.fit.any():
             continue
         channel, = moves
-        residual, known = _unexplained(fitted, channel, recording)
-        raw = _output(recording, channel) - _predicted(recording, channel, fitted.record)
-        own = _wave(residual, recording) | _pulse(residual, _judged(recording), known, raw,
+        residual, known = _deflated_residual(fitted, channel, recording)
+        raw = _target(recording, channel) - _predicted(recording, channel, fitted.record)
+        own = _wave(residual, recording) | _pulse(residual, _used(recording), known, raw,
                                               recording.period_s)
         found |= {of_recording(name, recording.number): value for name, value in own.items()}
     if 'static' in group.channels:
@@ -73,18 +78,17 @@ def initial_guesses(fitted: Fitted) -> Values:
     return found
 
 
-def _unexplained(fitted: Fitted, channel: str, recording: Recording) -> tuple[Array, Array]:
+def _deflated_residual(fitted: Fitted, channel: str, recording: Recording) -> tuple[Array, Array]:
     """
-    Return the residual of a channel (n samples) less what the fitted parameters could explain.
+    Return the residual of a channel (n samples) without what the fitted parameters could explain.
 
-    And an n x m matrix: the sum of the squares of its products with a signal is the energy of
-    the signal that the parameters could explain. A parameter whose whole range has less energy
-    than the residual is limited to that (ridge regression).
+    And an n x m matrix K: |K' x|^2 is the energy of a signal x that the parameters could explain.
+    By ridge regression: a parameter explains no more than its whole range can.
     """
     group = fitted.problem.group
     base = _predicted(recording, channel, fitted.record)
-    judged = _judged(recording)
-    residual = (_output(recording, channel) - base) * judged
+    used = _used(recording)
+    residual = (_target(recording, channel) - base) * used
     columns = [np.full_like(base, OFFSET_RANGE * np.linalg.norm(residual))]
     for number, free in enumerate(fitted.free):
         if acts_on(free.field, channel, group):
@@ -93,30 +97,30 @@ def _unexplained(fitted: Fitted, channel: str, recording: Recording) -> tuple[Ar
             moved[number] += step
             columns.append(
                 (_predicted(recording, channel, fitted.problem.record(moved)) - base) / step)
-    ranges = np.array(columns).T * judged[:, None]
+    ranges = np.array(columns).T * used[:, None]
     energy = ranges.T @ ranges
-    ridge = residual @ residual + REGULAR * np.trace(energy)
+    ridge = residual @ residual + REGULARISATION * np.trace(energy)
     triangle = np.linalg.cholesky(energy + ridge * np.eye(len(columns)))
     known = np.linalg.solve(triangle, ranges.T).T
     return residual - known @ (known.T @ residual), known
 
 
-def _output(recording: Recording, channel: str) -> Array:
-    """Return the measured output of a channel; of a motion, the force that it takes."""
+def _target(recording: Recording, channel: str) -> Array:
+    """Return the measured output of a channel; of a motion 0, since `_predicted` is its error."""
     if channel not in MOTIONS:
         return measured(recording, channel)
     return np.zeros(recording.fit.size)
 
 
 def _predicted(recording: Recording, channel: str, p: np.void) -> Array:
-    """Return the predicted output; of a motion, the force that its error would take."""
+    """Return the predicted output; of a motion, its error as an equivalent force on the load."""
     if channel not in MOTIONS:
         return predict(recording, channel, p)
     return simulator.missed_force(recording, p)
 
 
-def _judged(recording: Recording) -> Array:
-    """Return 1 where a recording is used, else 0; extrapolated ends are not."""
+def _used(recording: Recording) -> Array:
+    """Return 1 at samples that are used, else 0."""
     return recording.known.astype(float)
 
 
@@ -124,13 +128,14 @@ def _wave(residual: Array, recording: Recording) -> Values:
     """
     Return frequency (Hz) and phase (turns) of the strongest sine in a residual.
 
-    The lines of a line excitation are excluded, where a disturbance cannot be separated from a
-    gain error, and their harmonics, which come from nonlinearities. A line of the force that the
-    fit mostly leaves is none of them: a loop answers a disturbance with such a force. Nor is a
-    wave that makes most of what is left of several lines: an error would show in them all.
+    If the excitation is a few sines, their frequencies are excluded, since a disturbance there
+    cannot be separated from a gain error, and so are their harmonics, which come from
+    nonlinearities. A line of the force counts as excitation only if the fit explains most of it:
+    a control loop answers a disturbance with such a line. No line is excluded if one of several
+    holds most of the residual: a model error would show in all of them.
     """
-    count = 8 * residual.size   # padded, for a frequency as fine as the wave's phase at the end
-    lobe = 4 * count // residual.size + 1   # as wide as a wave is in these spectra
+    count = 8 * residual.size   # padded: the frequency must be fine enough for the phase
+    lobe = 4 * count // residual.size + 1   # width of a sine in these spectra (Hann window)
     power, *driven = (np.abs(np.fft.rfft(signal * np.hanning(residual.size), count)) ** 2
                       for signal in (residual, *(each - each.mean()
                                                  for each in _excitation(recording))))
@@ -139,12 +144,12 @@ def _wave(residual: Array, recording: Recording) -> Values:
     lines = [_lines(each, lobe) for each in driven]
     found = int(np.argmax(power))
     if lines and (not all(lines) or min(map(len, lines)) > 1 and power[
-            max(found - lobe // 2, 0):found + lobe // 2 + 1].sum() > MAINLY * power.sum()):
+            max(found - lobe // 2, 0):found + lobe // 2 + 1].sum() > SINGLE_WAVE * power.sum()):
         lines = []
     if lines:   # the first are those of the force, in units of the residual
         lines[0] = [line for line in lines[0]
                     if (near := slice(max(line - lobe // 2, 0), line + lobe // 2 + 1))
-                    and power[near].sum() < MOSTLY * driven[0][near].sum()]
+                    and power[near].sum() < LINE_REMAINDER * driven[0][near].sum()]
     for line in itertools.chain(*lines):
         power[max(line - lobe // 2, 0):line + lobe // 2 + 1] = 0.0
     harmonics = np.array([number for each in lines for number in _harmonics(each)])
@@ -155,14 +160,14 @@ def _wave(residual: Array, recording: Recording) -> Values:
     found = max(found, 1)   # of a residual of zeros
     turns = found / count * np.arange(residual.size)
     phase = np.angle(np.sum(residual * np.exp(-2j * np.pi * turns))) / (2.0 * np.pi) - 0.25
-    if recording.motion is None:   # it adds to the output; a push on a load takes from it
+    if recording.motion is None:   # it adds to the output; a force on a load lowers its output
         phase += 0.5
     return {'residual_frequency': found / (count * recording.period_s),
             'residual_phase': 1.0 + phase % 1.0}
 
 
 def _excitation(recording: Recording) -> tuple[Array, ...]:
-    """Return the signals that excite: force and motion; none of a characteristic."""
+    """Return the force (N) and the position (m) of a load; nothing of a characteristic."""
     motion, force = recording.motion, recording.force_judged
     if motion is None or force is None:
         return ()
@@ -170,7 +175,7 @@ def _excitation(recording: Recording) -> tuple[Array, ...]:
 
 
 def _lines(power: Array, lobe: int) -> list[int]:
-    """Return the lines of an excitation of at most MOST_LINES sines, otherwise none."""
+    """Return the bins of an excitation by at most MOST_LINES sines, otherwise none."""
     rest, total, lines = power.copy(), power.sum(), []
     for _ in range(MOST_LINES):
         near = np.convolve(rest, np.ones(lobe), 'same')
@@ -183,19 +188,20 @@ def _lines(power: Array, lobe: int) -> list[int]:
 
 
 def _harmonics(lines: list[int]) -> list[int]:
-    """Return sums and differences of up to ORDER of the frequencies, without the lines."""
+    """Return the bins of intermodulation products up to ORDER, without the lines themselves."""
     times = itertools.product(range(-ORDER, ORDER + 1), repeat=len(lines))
     return [abs(sum(n * line for n, line in zip(each, lines, strict=True))) for each in times
             if 1 < sum(map(abs, each)) <= ORDER]
 
 
-def _pulse(residual: Array, judged: Array, known: Array, raw: Array, period: float) -> Values:
+def _pulse(residual: Array, used: Array, known: Array, raw: Array, period: float) -> Values:
     """
-    Return start and end (s) of the pulse that explains most: its squared sum over its length.
+    Return start and end (s) of the rectangular pulse that explains most of a residual.
 
-    residual, judged, known, raw: of each sample; residual is 0 where judged is 0.
+    residual: without what the parameters could explain; 0 where `used` is 0; known: the matrix of
+    `_deflated_residual`; raw: the residual itself. One value or row for each sample.
     """
-    sums, length = (np.concatenate([[0.0], np.cumsum(each)]) for each in (residual, judged))
+    sums, length = (np.concatenate([[0.0], np.cumsum(each)]) for each in (residual, used))
     parts = np.concatenate([np.zeros((1, known.shape[1])), np.cumsum(known, axis=0)])
 
     def strongest(corners: npt.NDArray[np.int_]) -> tuple[int, int]:
@@ -207,14 +213,15 @@ def _pulse(residual: Array, judged: Array, known: Array, raw: Array, period: flo
         first, last = divmod(int(np.argmax(explained)), corners.size)
         return int(corners[first]), int(corners[last])
 
-    corners = np.linspace(0, residual.size, CORNERS + 1).astype(int)
+    corners = np.linspace(0, residual.size, PULSE_GRID + 1).astype(int)
     start, end = strongest(corners)
     reach = int(corners[1])
     while reach > 0:   # refine between the neighbouring corners
-        near = np.linspace(-reach, reach, 2 * min(reach, FINER) + 1).astype(int)
+        near = np.linspace(-reach, reach, 2 * min(reach, REFINEMENT) + 1).astype(int)
         start, end = strongest(np.unique(np.clip([start + near, end + near], 0, residual.size)))
-        reach //= FINER
-    # A step to the end equals, but for a constant, a pulse before it: the raw residual decides.
+        reach //= REFINEMENT
+    # A step until the end differs from a pulse before it by a constant only: then the residual
+    # itself decides.
     here, then = raw[start:end], raw[end:]
     if 20 * start < residual.size and then.size and abs(then.mean()) > abs(here.mean()):
         start, end = end, residual.size
@@ -222,7 +229,7 @@ def _pulse(residual: Array, judged: Array, known: Array, raw: Array, period: flo
 
 
 def _steps(fitted: Fitted, channel: str) -> Values:
-    """Return the command quantum that explains most, for each kind of rounding."""
+    """Return the command quantum (N) that explains most of a residual, by kind of rounding."""
     recording = next(r for r in fitted.problem.group.recordings if r.fit.any())
     p = fitted.record
     command = recording.command
@@ -230,19 +237,19 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     own = simulator.of_simulator(p)
     band, bias = ((p['valve_flexure_deadband'], p['valve_flexure_bias']) if own else
                   (p['command_deadband'], p['command_bias']))
-    residual, _ = _unexplained(fitted, channel, recording)
+    residual, _ = _deflated_residual(fitted, channel, recording)
     count = next_fast_len(command.size + _response_samples(recording), real=True)
-    # Gain of a command step of 1 N at each sample: its product with the response of the valve.
+    # At each sample: the inner product of the residual with the response to 1 N of command.
     gain_by_sample = np.fft.irfft(
         np.conj(_response(recording, p, count)) * np.fft.rfft(residual, count),
         count)[:command.size]
     largest = float(np.abs(command).max())
-    judged = _judged(recording)
+    used = _used(recording)
 
     def gain(counts: Array, levels: Array, quantiser: tuple[float, float]) -> Array:
         values, level = np.unique(levels, return_inverse=True)
         out = np.empty(counts.size)
-        step_gain(values, np.bincount(level, judged), np.bincount(level, gain_by_sample),
+        step_gain(values, np.bincount(level, used), np.bincount(level, gain_by_sample),
                          largest / counts, *quantiser, band, bias, out)
         return out
 
@@ -252,29 +259,30 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     for name, quantiser in QUANTISERS.items():
         levels = command if few_levels else width * np.round(command / width)
         coarse = gain(STEPS, levels, quantiser)
-        nearby = STEPS[np.argmax(coarse)] + NEARBY
+        nearby = STEPS[np.argmax(coarse)] + FINE_STEPS
         gains = gain(nearby, command, quantiser)
         # With few levels neighbouring quanta are equivalent until one level changes.
-        found[name] = largest / float(nearby[gains >= NEAR_BEST * gains.max()].mean())
+        found[name] = largest / float(nearby[gains >= EQUIVALENT * gains.max()].mean())
     return found
 
 
 def _static_steps(fitted: Fitted) -> Values:
     """
-    Return quantum and phase (turns, and one) of the steps in which an input seems to act.
+    Return quantum (input's unit) and phase (turns, 1 to 2) of a quantised input.
 
-    What steps leave is a sawtooth over the input: the strongest of its spatial frequencies.
+    A quantiser leaves a sawtooth over the input: its period is that of the strongest line in the
+    spectrum of the residual over the input.
     """
     places: dict[bool, list[Array]] = {True: [], False: []}
     lefts: dict[bool, list[Array]] = {True: [], False: []}
     for recording in fitted.problem.group.recordings:
         if recording.fit.any() and recording.command is not None:
-            residual, _ = _unexplained(fitted, 'static', recording)
+            residual, _ = _deflated_residual(fitted, 'static', recording)
             for way in (True, False):
                 those = recording.known & ((np.gradient(recording.command) > 0.0) == way)
                 places[way].append(recording.command[those])
                 lefts[way].append(residual[those])
-    # Rising and falling each by itself: a lag or a hysteresis moves them apart.
+    # Rising and falling input separately, since a lag or hysteresis shifts them.
     ways = [(np.concatenate(places[way]), np.concatenate(lefts[way])) for way in (True, False)]
     every = np.concatenate([place for place, _ in ways])
     low, span = float(every.min()), float(np.ptp(every))
@@ -300,7 +308,7 @@ def _response_samples(recording: Recording) -> int:
 
 
 def _response(recording: Recording, p: np.void, count: int) -> Complex:
-    """Return the linear frequency response of the valve to its command."""
+    """Return the linear frequency response of the valve to its command (as `rfft` of `count`)."""
     linear = p.copy()
     if simulator.of_simulator(p):
         return simulator.valve_response(recording, p, _response_samples(recording), count)
@@ -317,10 +325,11 @@ def _response(recording: Recording, p: np.void, count: int) -> Complex:
 @jit
 def step_gain(values, counts, sums, quanta, phase, truncated, band, bias, out):
     """
-    Put into `out` how much steps of each quantum (N) promise to explain, as if nothing were slow.
+    Put into `out` how much of the residual's energy rounding to each quantum (N) could explain.
 
-    values: m commands (N); counts: how often each came; sums: of what steps of one newton there
-    could explain. Less what a gain and an offset of the command could do as well.
+    Rounding is correlated with the residual; what a gain or an offset of the command explains is
+    left out. values: m commands (N); counts: number of samples of each; sums: the inner product
+    of the residual with the response to 1 N, over these samples.
     """
     plain, total, mean, square = np.empty(values.size), 0.0, 0.0, 0.0
     for i in range(values.size):

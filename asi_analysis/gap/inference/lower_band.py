@@ -1,4 +1,4 @@
-"""A load that rattles in its gap, judged at low frequencies only."""
+"""A load that rattles in its backlash, compared with the model at low frequencies only."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
@@ -12,31 +12,30 @@ from asi_analysis.gap.model.group import Group, with_tolerances
 from asi_analysis.gap.model.predict import measured
 
 BANDS_HZ: Final = (10.0, 5.0, 2.5)
-# Share of the force's power that a joint without an effect leaves at least, where impacts make it.
-IMPACTS: Final = 0.25
+# The least share of the force's power that the nominal model leaves if there are impacts.
+IMPACT_SHARE: Final = 0.25
 
 
 def with_lower_band(weighed: list[Weighed], groups: Callable[[float], Sequence[Group]],
                     tolerances: Mapping[str, float], tick: Callable[[], None]
                     ) -> tuple[list[Weighed], list[str]]:
     """
-    Return the groups of a joint, in a lower band if only there backlash explains them, and notes.
+    Return the groups of a joint, in a lower band if backlash explains them only there; and notes.
 
-    Small errors decide when a load in its gap touches, and each impact shows up to high
-    frequencies. weighed: in the whole band; groups: makes those up to a frequency (Hz);
-    tolerances: by field.
+    The times of impacts depend on small errors, and each impact has a wide spectrum. weighed: in
+    the whole band; groups: returns those up to a frequency (Hz); tolerances: by field.
     """
     last = weighed[-1]
     if last.group.channels != ('load',) or marginals(last.probability)[UNKNOWN] < 0.5:
         return weighed, []
     power = max(float(np.var(measured(r, 'load')[r.known])) for r in last.group.recordings)
-    if last.candidates[()].fitted.held_out['load'] < IMPACTS * power:
+    if last.candidates[()].fitted.held_out['load'] < IMPACT_SHARE * power:
         return weighed, []
     for band_hz in BANDS_HZ:
-        again, = weigh_groups([with_tolerances(groups(band_hz)[-1], tolerances)], tick)
-        chance = marginals(again.probability)
+        refitted, = weigh_groups([with_tolerances(groups(band_hz)[-1], tolerances)], tick)
+        chance = marginals(refitted.probability)
         if chance['backlash'] > 0.5 > chance[UNKNOWN]:
-            return [*weighed[:-1], again], [
+            return [*weighed[:-1], refitted], [
                 f'a load that rattles in its gap is judged up to {band_hz:g} Hz: above that small '
                 'errors decide when it touches']
     return weighed, []

@@ -22,17 +22,19 @@ from asi_analysis.gap.sampling import clipped, noise_of
 from asi_common.jit import FULL
 from asi_common.parameter import Value
 
-LEAST_SWING = 5.0      # times the noise that a signal must move
-FACTOR = 4.0           # no actuator differs so much from its own model
-SOFTER = 2.0           # times as much for a load that is softer than its model
+LEAST_SWING = 5.0      # least rms of a signal, as a multiple of its noise
+FACTOR = 4.0           # ratio of sizes to the model's above which the unit is wrong
+SOFT_LOAD_FACTOR = 2.0   # the same is larger by this for a load that is softer than its model
 LEAST_CORRELATION = 0.3  # correlation with the model below which it is another machine
 SHAPE_CORRELATION = 0.6  # correlation above which a factor or a reversed sign is reliable
 LARGEST_FACTOR = 20.0  # a factor that is refused whatever the shape
-BRAKED = 0.2           # correlation of force and velocity that no load has against the motion
-EARLY_S, LATE_S = 0.004, 0.08
-EARLY_SAMPLES = 1.5    # or so many samples: a reply may be logged beside the next command
+# A load takes power: below the negative of this, the correlation of force and velocity shows a
+# reversed sign.
+AGAINST_MOTION = 0.2
+EARLIEST_S, LATEST_S = 0.004, 0.08
+EARLY_SAMPLES = 1.5    # or so many samples: an answer may be logged with the next command
 SHIFTED_CORRELATION = 0.93  # correlation, after a time shift, above which only that differs
-IMPROVED = 0.1         # by which a shift of the clock must raise the correlation
+SHIFT_GAIN = 0.1       # by which a shift of the clock must raise the correlation
 
 # The output and the input of each channel.
 COMPARED = {'valve': ('valve_position', 'command'), 'force': ('force', 'valve_position'),
@@ -75,54 +77,55 @@ def check_units(run: Run) -> None:
 
 
 def check_joint(group: Group) -> None:
-    """Refuse a joint whose signals have nothing in common, or the opposite sign."""
+    """Refuse a joint whose signals are uncorrelated, or of opposite sign."""
     for recording in group.recordings:
         for channel in group.channels:
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
             valid = recording.valid
             if channel == 'load':
-                what = 'force (or command) against what the motion takes'
+                what = 'force (or command) compared with that of the motion'
                 against = recording.motion
                 assert against is not None
                 inner = slice(against.pad, against.pad + real.size)
                 # A load takes power, whatever it is made of, and friction always does.
                 velocity = against.velocity[inner]
                 with_velocity = float(np.corrcoef(real[valid], velocity[valid])[0, 1])
-                # But a command that acts late turns against the velocity of a mass.
+                # A delayed force of a mass, however, may oppose the velocity.
                 with_acceleration = float(np.corrcoef(
                     real[valid], np.gradient(velocity)[valid])[0, 1])
-                reversed_ = with_velocity < -BRAKED and with_acceleration < BRAKED
+                reversed_ = with_velocity < -AGAINST_MOTION and with_acceleration < AGAINST_MOTION
                 real_size, model_size = float(np.std(real[valid])), float(np.std(model[valid]))
-                # Friction and gravity take more than the model, not less.
+                # With friction and gravity the force is larger than the model's, not smaller.
                 if LARGEST_FACTOR * real_size < model_size:
                     raise InputError(f'{recording.source}: {what}: a factor of '
                                      f'{real_size / model_size:.3g}; check the units, or '
                                      'load.mass and load.damping of the model')
             else:
-                what = 'what the drive did against its command'
+                what = 'output of the drive compared with its command'
                 correlation = float(np.corrcoef(real[valid], model[valid])[0, 1])
                 reversed_ = correlation < -SHAPE_CORRELATION
-                # A servo that is known is later than its reference; this one may be quicker.
+                # A known servo is compared with its command, which it follows: its model may be
+                # slower than the real one.
                 known = group.nominal['valve_flexure_model'] == FULL
                 assert recording.command is not None
                 driving = recording.command if known else model
                 shift, shifted = best_delay(real[valid], driving[valid], recording.period_s)
                 if abs(shifted) < LEAST_CORRELATION and not reversed_:
-                    raise InputError(f'{recording.source}: {what}: nothing in common')
+                    raise InputError(f'{recording.source}: {what}: not correlated')
                 slope = float(np.std(real[valid]) / np.std(model[valid]))
                 if shifted > SHAPE_CORRELATION and not 1.0 / FACTOR < slope < FACTOR:
                     raise InputError(f'{recording.source}: {what}: a factor of {slope:.3g}; check '
                                      'the units')
                 if shift < -_earliest(recording) and shifted > SHAPE_CORRELATION:
-                    raise InputError(f'{recording.source}: {what}: it comes {-1e3 * shift:.0f} ms '
-                                     'before it; the clocks differ')
+                    raise InputError(f'{recording.source}: {what}: the output comes '
+                                     f'{-1e3 * shift:.0f} ms before it; the clocks differ')
             if reversed_:
                 raise InputError(f'{recording.source}: {what}: the sign is reversed; check the '
                                  'signs of both')
 
 
 def check_excitation(recording: Recording) -> None:
-    """Refuse a recording whose signals do not move."""
+    """Refuse a recording whose command or force does not vary."""
     for name in ('command', 'force'):
         values = getattr(recording, name)
         if (values is not None and np.std(values) < LEAST_SWING * recording.noise[name]
@@ -134,7 +137,7 @@ def check_excitation(recording: Recording) -> None:
 
 
 def _moves_something(recording: Recording) -> bool:
-    """Return whether force or valve follow a command that looks like noise."""
+    """Return whether force or valve position follow a command that looks like noise."""
     answer = recording.valve_position
     answer = recording.force if answer is None else answer
     return (answer is not None and recording.command is not None
@@ -142,7 +145,7 @@ def _moves_something(recording: Recording) -> bool:
 
 
 def _moves_freely(recording: Recording) -> bool:
-    """Return whether a load without force moves, as a free piston does."""
+    """Return whether the piston moves although there is no force, as a free piston does."""
     return any(np.std(moved) > LEAST_SWING * noise_of(moved)
                for moved in (velocity_of(recording), recording.raw_position) if moved is not None)
 
@@ -180,47 +183,53 @@ def doubtful_origin(recordings: Sequence[Recording], nominal: Mapping[str, Value
 
 
 def _earliest(recording: Recording) -> float:
-    """Return by how much (s) an output may be stamped before its input."""
-    return max(EARLY_S, EARLY_SAMPLES * recording.period_s)
+    """Return by how much (s) the time stamp of an output may be before that of its input."""
+    return max(EARLIEST_S, EARLY_SAMPLES * recording.period_s)
 
 
 def check_against_model(group: Group) -> list[str]:
-    """Refuse channels that no effect explains; return warnings of outputs before their inputs."""
+    """
+    Return warnings of outputs that come before their inputs.
+
+    Raises InputError for a channel that differs from the model by more than any effect explains.
+    """
     notes = []
     for recording in group.recordings:
-        # The load before the force, which takes its velocity from the same motion.
+        # The load first: the model of the force uses the velocity of the same motion.
         for channel in sorted(group.channels, reverse=True):
             real, model = measured(recording, channel), predict(recording, channel, group.nominal)
             valid = recording.valid
             if max(np.std(real[valid]), np.std(model[valid])) < LEAST_SWING * group.noise[channel]:
-                continue   # it hardly moves, as the force of a free piston
+                continue   # it hardly varies, as the force of a free piston
             output, driven = COMPARED[channel]
             if driven == 'valve_position' and recording.valve_position is None:
                 driven = 'command'
-            where = f'{recording.source}: {output} against what the model makes of {driven}'
+            where = (f'{recording.source}: {output} compared with the response of the model to '
+                     f'{driven}')
             if np.std(model[valid]) == 0.0:
-                raise InputError(f'{where}: the model says that it never moves')
+                raise InputError(f'{where}: that is constant')
             correlation = float(np.corrcoef(real[valid], model[valid])[0, 1])
             slope = float(np.std(real[valid]) / np.std(model[valid]))
             if correlation < -SHAPE_CORRELATION:
                 raise InputError(f'{where}: the sign is reversed (correlation {correlation:.2f}); '
                                  f'check the sign of {output} and of {driven}')
-            least = 1.0 / FACTOR if channel not in ('load', *MOTIONS) else 1.0 / (SOFTER * FACTOR)
+            soft = SOFT_LOAD_FACTOR if channel in ('load', *MOTIONS) else 1.0
+            least = 1.0 / (soft * FACTOR)
             implausible = not 1.0 / LARGEST_FACTOR < slope < LARGEST_FACTOR
             if implausible or (correlation > SHAPE_CORRELATION and not least < slope < FACTOR):
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
                                  f'and of {driven}, or the model')
             shift, shifted = best_delay(real[valid], model[valid], recording.period_s)
             if shifted < LEAST_CORRELATION:
-                raise InputError(f'{where}: nothing in common (correlation {correlation:.2f}): '
+                raise InputError(f'{where}: not correlated (correlation {correlation:.2f}): '
                                  'this is not the actuator of the model, or not '
-                                 'the signal that it says')
+                                 'the signal that its name says')
             early = shift < -_earliest(recording)
             off = (f'{where}: {"late" if shift > 0.0 else "early"} by {abs(shift) * 1e3:.0f} ms '
                    f'(correlation {correlation:.3f}, shifted {shifted:.3f}): the clocks of '
                    f'{output} and {driven}')
-            # With a wrong damping a free load may lead its model too, but correlates less.
-            if (early or shift > LATE_S) and shifted > max(correlation + IMPROVED,
+            # A free load may also lead a model of wrong damping, but is less correlated.
+            if (early or shift > LATEST_S) and shifted > max(correlation + SHIFT_GAIN,
                                                            SHIFTED_CORRELATION):
                 raise InputError(f'{off} differ')
             if early and 1.0 - shifted < 0.5 * (1.0 - correlation):

@@ -1,8 +1,8 @@
 """
 Probabilities of hypotheses from the residuals of their fits.
 
-Two questions: how many effects there are, judged by the error floor, and which ones, judged by
-the noise and the effective sample size. doc/explanation/gap.md, point 5.
+In two steps: how many effects there are, relative to the error floor; and which ones, relative to
+the noise with the effective sample size. See doc/explanation/gap.md.
 """
 
 import itertools
@@ -51,22 +51,24 @@ class Constants(NamedTuple):
 
 
 CONSTANTS = Constants()
-# Of a joint (from seeds 310050 to 310143 of its blind cases) or a static characteristic.
+# Of a joint or a static characteristic; tuned on seeds 310050 to 310143 of blind joints.
 OWN_MODEL = CONSTANTS._replace(unknown_offset=-3.0)
-# Of a servo: its whole response is measured.
+# Of a servo: its output is measured directly, so that formulation errors are small.
 SERVO = OWN_MODEL._replace(exact=0.005, formulation=0.01)
 # Of the simulator, whose error floor is little more than the noise.
 SIMULATOR = CONSTANTS._replace(unknown_offset=-1.4)
-NOISE_SHARE = 0.1   # of the mean square noise: a smaller difference of residuals does not count
+NOISE_SHARE = 0.1   # of the noise variance: smaller differences of residuals do not count
 LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
-USUAL_S = 5.0
-MEASURED = 2.0      # times as surely is more than the error floor unknown, where that was measured
+USUAL_S = 5.0       # length of the held-out data that `Constants` refer to
+# Factor of the slope of `unknown` in the log residual, if the error floor was measured.
+MEASURED = 2.0
 BEYOND_TOLERANCE = 1.1   # log prior odds of an effect against a parameter beyond its tolerance
-USUAL_FACTOR = 2.0       # by which such a parameter differs: the spread of its log
+# Such a parameter has a log-normal prior: its log has a standard deviation of log(USUAL_FACTOR).
+USUAL_FACTOR = 2.0
 
 
 def log_odds_against(ratio: float) -> float:
-    """Return the log prior odds against a parameter at a ratio to its nominal value."""
+    """Return the log prior odds against a parameter with this ratio to its nominal value."""
     return 0.5 * (math.log(ratio) / math.log(USUAL_FACTOR)) ** 2
 
 
@@ -114,10 +116,9 @@ def _log_evidence(e: Evidence, c: Constants) -> dict[Names, float]:
     """
     Return the log evidence of each hypothesis against others with as many effects.
 
-    The log likelihood of the residual, with the effective sample size of that of the best
-    hypothesis. Models whose residual is near the noise are separated sharply; a larger residual
-    is correlated, so its effective sample size is small. The formulation errors of the nominal
-    nonlinearities and of the effects reduce it further.
+    The log likelihood of the residual, with the effective sample size of the best hypothesis. If
+    its residual is near the noise, that is large. A larger residual is correlated, so the
+    effective sample size is small; formulation errors reduce it further.
     """
     evidence = {names: -c.parameter * max(e.parameters[names] - len(names), 0)
                 - BEYOND_TOLERANCE * sum(name.startswith(PARAMETER) for name in names)
@@ -138,7 +139,7 @@ def _evidence_gain(e: Evidence, c: Constants, before: Names, after: Names) -> fl
     """
     Return the gain in log evidence from one set of effects to a larger one.
 
-    Relative to the error floor plus the formulation error of the smaller set.
+    From the residuals relative to the error floor plus the formulation error of the smaller set.
     """
     samples, gain = _effective_samples(e, c), 0.0
     for channel, floor in e.error_floor.items():
@@ -158,7 +159,8 @@ def _formulation_error(e: Evidence, c: Constants, names: Names, channel: str) ->
 
 
 def _effective_samples(e: Evidence, c: Constants) -> float:
-    # Model errors are correlated over a recording, so the information grows with the square root.
+    """Return the effective sample size of a channel's residual, if it is a model error."""
+    # A model error is correlated over a recording: its information grows with the square root.
     return c.samples * math.sqrt(e.held_out_s / USUAL_S)
 
 
@@ -166,8 +168,8 @@ def _evidence_limit(e: Evidence, c: Constants) -> float:
     """
     Return the upper limit of the log evidence against the nominal model.
 
-    It is 0 where the residual of the nominal model is at the error floor, however small that of
-    another hypothesis is.
+    It is 0 if the residual of the nominal model is at the error floor, even if that of another
+    hypothesis is far smaller.
     """
     return 0.5 * _effective_samples(e, c) * sum(
         max(math.log(e.residual[()][channel] / floor), 0.0)
@@ -191,16 +193,16 @@ def unknown_probability(e: Evidence, best: Names, c: Constants) -> float:
 
 def unknown_odds(residual: float, gap: float, c: Constants, slope: float) -> float:
     """
-    Return the log odds of an effect outside the vocabulary, by one channel.
+    Return the log odds of an effect outside the vocabulary, from one channel.
 
     residual: of the best hypothesis; gap: of the nominal model (mean squares, in error floors);
-    slope: with the log of the residual.
+    slope: of the log odds in the log of the residual.
     """
-    over = residual - 1.0
-    if over <= 0.0:
+    excess = residual - 1.0
+    if excess <= 0.0:
         return -math.inf
     return c.unknown_offset + slope * math.log(residual) + c.unknown_gap * math.log(
-        over / max(gap - 1.0, over))
+        excess / max(gap - 1.0, excess))
 
 
 def as_probability(log_odds: float) -> float:
@@ -241,8 +243,8 @@ def with_unknown(chance: Mapping[Names, float], unknown: float, share: float
     """
     Return the probability of every hypothesis with and without something unknown.
 
-    chance: without; unknown: probability of something unknown; share: of the gap (rms) that the
-    effects explain: so likely they are real beside something unknown.
+    chance: probabilities without; unknown: probability of something unknown; share: of the gap
+    (rms) that the effects explain: the probability that they are real if there is an unknown one.
     """
     effects = 1.0 - chance[()]
     beside = {tuple(sorted((*names, UNKNOWN))): unknown * share * p / effects

@@ -1,8 +1,8 @@
 """
-The linear screen: how much each effect, in each form, would lower the cost of a fit.
+The linear screen: by how much each effect, in each form, is expected to lower the cost of a fit.
 
-By the change of the residual that it causes at a start of its size, with all other parameters
-free, by linear least squares, and alone.
+The effect is simulated once at each initial guess. By linear least squares, the best multiple of
+that change of the residual is found, with all other parameters free, and with none.
 """
 
 import math
@@ -17,16 +17,16 @@ from asi_analysis.gap.inference.posterior import Found, Posterior
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.group import channels_of
 
-LARGEST = 3.0   # of an effect's start
+LARGEST_AMOUNT = 3.0   # largest multiple of an effect's initial guess
 RIDGE = 1e-9
-# Fields of contacts and couplings, and how many of their starts, those that change the least, are
-# looked at where the nominal model explains the signals: what is hidden there is small.
-STIFF, SMALLEST = {'backlash_gap', 'coupling_stiffness'}, 2
-STIFF_S = 1e-4   # longest sub-step that they are first simulated with
+# Parameters of contacts and couplings. If the nominal model explains the signals, such an effect
+# is small: then only the first of their initial guesses, the smallest effects, are screened.
+STIFF, SMALL_STARTS = {'backlash_gap', 'coupling_stiffness'}, 2
+STIFF_S = 1e-4   # longest sub-step of their first simulation, s
 
 
 class _Explained:
-    """What parameters of a fit explain of signals, by linear least squares."""
+    """Projection of signals onto the Jacobian of a fit: linear least squares with priors."""
 
     def __init__(self, slopes: Array, precision: Array) -> None:
         self._size = size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
@@ -35,27 +35,35 @@ class _Explained:
 
     def along(self, signal: Array, prior: Array | float = 0.0) -> Array:
         """
-        Return the products of a signal (n samples) with the derivatives of the parameters.
+        Return the inner products of a signal (n samples) with the scaled columns of the Jacobian.
 
-        prior: the slope of the log prior of each, if the signal is the residual.
+        prior: gradient of the negative log prior, if the signal is the residual.
         """
         product: Array = self._scaled.T @ signal + prior / self._size
         return product
 
     def common(self, one: Array, other: Array, keep: list[int]) -> float:
-        """Return the product of what some parameters explain of two signals, of their `along`."""
+        """
+        Return the inner product of the projections of two signals.
+
+        one, other: `along` of each; keep: the parameters that are free.
+        """
         factor = cho_factor(self._square[np.ix_(keep, keep)])
         return float(one[keep] @ cho_solve(factor, other[keep]))
 
 
-def _promise(along: float, size: float) -> float:
-    """Return by how much the best amount of a change of the residual lowers the cost."""
-    amount = min(max(-along / size, 0.0), LARGEST)
+def _gain(along: float, size: float) -> float:
+    """
+    Return by how much the best multiple of a change of the residual lowers the cost.
+
+    along: inner product of residual and change; size: the squared norm of the change.
+    """
+    amount = min(max(-along / size, 0.0), LARGEST_AMOUNT)
     return -amount * along - 0.5 * amount ** 2 * size
 
 
 class Start(NamedTuple):
-    """A form of an effect at one of its starts: its problem and parameters."""
+    """A form of an effect at one of its initial guesses: its posterior and parameters."""
 
     name: str
     variant: Variant
@@ -65,9 +73,9 @@ class Start(NamedTuple):
 
 def _starts(base: Found, small: bool) -> list[Start]:
     """
-    Return every effect in each form at each of its starts, all else as in `base`.
+    Return every effect in each form at each initial guess, all else as in `base`.
 
-    small: of contacts and couplings only those that change the least.
+    small: of contacts and couplings only the smallest effects.
     """
     group, problem = base.problem.group, base.problem
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
@@ -87,11 +95,11 @@ def _starts(base: Found, small: bool) -> list[Start]:
                 (('maximum_substep', shorter),) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)
-            for varied in variant.free:   # one at its starts, the others at their first
+            for varied in variant.free:   # each in turn at all its starts, the others at the first
                 if len(varied.starts) == 1 and varied is not variant.free[0]:
                     continue
-                few = small and varied.field in STIFF
-                for start in varied.starts[:SMALLEST if few else None]:
+                restricted = small and varied.field in STIFF
+                for start in varied.starts[:SMALL_STARTS if restricted else None]:
                     theta = np.array([
                         shares[f.field] if f.field not in own else
                         extended.start(f, start if f is varied else f.starts[0])
@@ -101,14 +109,14 @@ def _starts(base: Found, small: bool) -> list[Start]:
 
 
 class Screened(NamedTuple):
-    """What a screen found: the starts, best first; their highest gain; derivatives by field."""
+    """Result of a screen: starts, best first; their highest gain; Jacobian columns by field."""
 
     ranked: list[Start]
     most: float
     slopes: dict[str, Array]
 
     def best(self, count: int) -> list[Start]:
-        """Return the first start of each form of the first effects; one may be ranked twice."""
+        """Return the best start of each form of the best `count` effects."""
         chosen: dict[str, dict[Variant, Start]] = {}
         for start in self.ranked:
             if start.name in chosen or len(chosen) < count:
@@ -120,7 +128,7 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     """
     Return the effects, ranked by how much they lower the cost of a fit if they are added to it.
 
-    small: what is sought is small.
+    small: only small effects are expected.
     """
     problem, residual = base.problem, base.best.residual
     (mean, precision), slopes = problem.prior, problem.jacobian(base.best.theta)
@@ -128,22 +136,22 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     along_residual = explained.along(residual, precision * (base.best.theta - mean))
 
     def gain(start: Start) -> tuple[float, float]:
-        # With all other parameters free, and alone. Of a large gap the first promises too much:
-        # parameters whose small changes act linearly seem to explain anything.
+        # With all other parameters free, and with none. If the gap is large, the first is too
+        # optimistic: linearised, the other parameters seem to explain anything.
         own = {free.field for free in start.variant.free}
         change = start.problem.residual(start.theta) - residual
         if not np.isfinite(change).all():
             return -math.inf, -math.inf
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
-        along_change, all_of_it = explained.along(change), float(change @ change)
-        size = all_of_it - explained.common(along_change, along_change, keep)
-        if size <= RIDGE * all_of_it:
+        along_change, power = explained.along(change), float(change @ change)
+        size = power - explained.common(along_change, along_change, keep)
+        if size <= RIDGE * power:
             return -math.inf, -math.inf
         along = float(residual @ change)
-        alone = _promise(along, all_of_it)
+        alone = _gain(along, power)
         along -= explained.common(along_residual, along_change, keep)
-        # What other parameters explain by themselves is the same for all but those without one.
-        return 0.5 * explained.common(along_residual, along_residual, keep) + _promise(
+        # Some effects replace a free parameter: hence the gain of the others is added.
+        return 0.5 * explained.common(along_residual, along_residual, keep) + _gain(
             along, size), alone
 
     starts, gains = _starts(base, small), []

@@ -1,5 +1,5 @@
 """
-Uncertainty of fitted parameters: profile likelihood, quadratic about the fit, within the bounds.
+Uncertainty of fitted parameters: the profile of a quadratic log likelihood, within the bounds.
 
 All other parameters are free, so the interval of a parameter includes the tolerances of nominal
 parameters that have a similar effect.
@@ -16,14 +16,16 @@ from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
 from asi_analysis.gap.inference.posterior import Posterior, power
 from asi_analysis.gap.inference.probability import CONSTANTS
 
-RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the cost, at the end of a 95 % interval
+RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the negative log likelihood, at a 95 % limit
 HALVINGS = 24
-THIN = 1e-9       # of the way between bounds, within which a parameter counts as held
-AT_BOUND = 1e-6   # of the way between bounds
+# As shares of a parameter's range: the width in which the profile holds it; the distance from a
+# bound within which it is at that bound.
+HELD_WIDTH = 1e-9
+AT_BOUND = 1e-6
 
 
 class Likelihood(NamedTuple):
-    """Negative log likelihood about a fit: 0.5 step' square step + slope' step, of shares."""
+    """Negative log likelihood about a fit: 0.5 step' square step + slope' step, in shares."""
 
     square: Array
     slope: Array
@@ -31,10 +33,10 @@ class Likelihood(NamedTuple):
 
 def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     """
-    Return the likelihood of the parameters about a fit.
+    Return the quadratic negative log likelihood of the parameters about a fit.
 
-    The weight of a channel is the effective sample size of its residual; its model error counts
-    as `Constants.samples` samples. at_bound: distance within which a parameter is at a bound.
+    A channel has the effective sample size of its residual; its model error that of
+    `Constants.samples`. at_bound: share of the range within which a parameter is at a bound.
     """
     problem, theta = fitted.problem, fitted.theta
     group = problem.group
@@ -49,7 +51,7 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
         residual = residual.reshape(count, -1)
         slopes = slopes.reshape(count, residual.shape[1], -1)
     counts = independent_samples(group, fitted.record)
-    # The held-out parts may be shorter than the fitted ones.
+    # Effective samples are those of the held-out parts; the fitted ones may be longer.
     more = max(sum(float(r.fit.sum()) for r in group.recordings)
                / sum(float(r.held_out.sum()) for r in group.recordings), 1.0)
     sizes = power(group) if isinstance(problem, Posterior) else np.ones(count)
@@ -59,18 +61,18 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
                     + size * model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)
-    # The gradient is zero inside the bounds, but for the tolerance of the optimiser.
+    # Inside the bounds the gradient is zero, up to the tolerance of the optimiser.
     inside = (theta > at_bound) & (theta < 1.0 - at_bound)
     return Likelihood(square, np.where(inside, 0.0, slope))
 
 
 def at_limit(fitted: Fitted) -> dict[str, str]:
     """
-    Return the nominal parameters that rest on a limit of their tolerance: 'low' or 'high'.
+    Return the nominal parameters at a bound of their tolerance: 'low' or 'high', by field.
 
-    Only those that the recordings determine: the interval ends before the middle of the range.
+    Only those that the recordings determine: their 95 % interval is within that half of the range.
     """
-    if isinstance(fitted.problem, Posterior):   # its priors are of no sharp limit
+    if isinstance(fitted.problem, Posterior):   # normal priors have no bounds
         return fitted.at_limit
     found = likelihood(fitted, AT_LIMIT)
     numbers = {free.field: number for number, free in enumerate(fitted.free)}
@@ -83,7 +85,7 @@ def at_limit(fitted: Fitted) -> dict[str, str]:
 
 
 def draw(fitted: Fitted, found: Likelihood, rng: np.random.Generator) -> np.void:
-    """Return the record of a fit drawn from its uncertainty; the range is a weak prior."""
+    """Return a record drawn from the normal distribution of a fit's parameters, within bounds."""
     triangle = np.linalg.cholesky(found.square + np.eye(fitted.theta.size))
     step = np.linalg.solve(triangle.T, rng.standard_normal(fitted.theta.size))
     return fitted.problem.record(np.clip(fitted.theta + step, 0.0, 1.0))
@@ -101,12 +103,12 @@ def interval(fitted: Fitted, found: Likelihood, name: str) -> tuple[float, float
 
 
 def end(found: Likelihood, theta: Array, number: int, bound: float) -> float:
-    """Return the end of the interval towards a bound, by the profile likelihood."""
+    """Return the limit of the 95 % interval towards a bound, by the profile likelihood."""
     low, high = -theta, 1.0 - theta
 
-    def cost(way: float) -> float:
-        step = way * (bound - theta[number])
-        low[number], high[number] = step - THIN, step + THIN
+    def cost(share: float) -> float:
+        step = share * (bound - theta[number])
+        low[number], high[number] = step - HELD_WIDTH, step + HELD_WIDTH
         return -least_step(found.square, found.slope, low, high)[1]
 
     least, below, above = cost(0.0), 0.0, 1.0

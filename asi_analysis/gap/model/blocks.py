@@ -5,11 +5,10 @@ valve:   command -> valve position          (command path and valve)
 force:   valve position, velocity -> force  (hydraulics and seals, then the sensor)
 load:    motion -> force                    (mechanics, then the sensor)
 
-The load is run backwards, from the measured motion to the force that it takes: an error does not
-pile up in an integral, and a closed loop does no harm. It is linear but for friction, backlash and
-compliance, and so computed in the frequency domain, where a derivative is exact.
-All parameters are one record: those of the actuator, and those of the effects, which do nothing
-at zero.
+The load is computed inversely, from the measured motion to the force: errors do not accumulate in
+an integral, and feedback does not bias the fit. Its linear part is computed in the frequency
+domain, where a derivative is exact. All parameters are one record: those of the actuator, and
+those of the effects, which are null at zero.
 """
 
 import math
@@ -22,6 +21,7 @@ from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import second_order, second_order_step
 from asi_actuator.model.valve_characteristic import valve_position
+from asi_actuator.model.valve_flexure import dead_zone
 from asi_actuator.model.valve_hysteresis import (
     FURTHER,
     command_rate,
@@ -39,22 +39,22 @@ from asi_common.jit import FULL, LINEAR, jit
 EFFECT_FIELDS = (
     'command_delay',            # s
     'command_quantum',          # N
-    'command_phase',            # of its steps: 0 has a step's middle at zero, 0.5 an edge
-    'command_truncated',        # 1: cut off towards zero, as a cast to integers does
+    'command_phase',            # of its steps: 0 rounds to the nearest, 0.5 has an edge at zero
+    'command_truncated',        # 1: rounded towards zero, as a cast to integers is
     'command_bias',             # N
     'loop_width',               # N, largest half width of the plays
-    'loop_share',               # of the command that goes through the plays; above 1: see loop
-    'loop_spread',              # 0: all plays equally wide, 1: from nothing to loop_width
+    'loop_share',               # of the command that passes the plays; above 1: see `loop`
+    'loop_spread',              # 0: all plays have loop_width, 1: evenly from 0 to loop_width
     'command_deadband',         # N, half width
-    'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0 all alike
+    'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0: all equal
     'valve_hysteresis_lagged',  # share of its growth with the rate that is a lag instead
-    'valve_lag',                # s, of two lags one after the other
+    'valve_lag',                # s, of two lags in series
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
     'orifice_deadband',         # m, half width
     'orifice_bias',             # m
     'force_limit',              # N, 0: none
-    'corner',                   # how round the corner of a saturation is, 0: hard
+    'corner',                   # roundness of a saturation, see `clip_round`; 0: a hard corner
     'damping_viscous',          # N s/m
     'damping_quadratic',        # N s2/m2
     'damping_opening',          # N s/m at full opening
@@ -65,14 +65,14 @@ EFFECT_FIELDS = (
     'leakage_quadratic',        # N/N at force_scale
     'force_scale',              # N
     'air_time',                 # s, at no force
-    'air_stiffening',           # how much faster at force_scale
+    'air_stiffening',           # at force_scale the time is divided by 1 + this
     'friction_slipping',        # share of the nominal friction that is a Maxwell slip instead
     'friction_level',           # N
     'friction_asymmetry',       # -1 to 1
     'friction_breakaway',       # breakaway over sliding friction, less one
     'friction_stribeck',        # m/s
     'friction_bristle',         # m, deflection of the seals at breakaway
-    'friction_rounding',        # 0: all gives way at once; 0.5: bit by bit; 1: as Dahl's bristle
+    'friction_rounding',        # 0: one slip element; 0.5: spread elements; 1: Dahl's bristle
     'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
     'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
     'viscous',                  # N s/m, at velocity_scale
@@ -80,14 +80,14 @@ EFFECT_FIELDS = (
     'velocity_scale',           # m/s
     'viscous_asymmetry',        # -1 to 1
     'backlash',                 # m, half width
-    'backlash_memory',          # 1: the load stays where it was left, 0: springs back
-    'backlash_floating',        # 1: it goes on by its own inertia, until it touches
-    'load_weight',              # N, part of load_offset that acts on the load behind the gap
-    'contact_time',             # s, in which it then comes to rest; 0: by compliance and damping
+    'backlash_memory',          # without contact: 1: the load stays, 0: it springs back
+    'backlash_floating',        # 1: without contact the load moves by its own inertia
+    'load_weight',              # N, part of load_offset that acts behind the backlash
+    'contact_time',             # s, sets the contact's stiffness; 0: compliance and damping do
     'compliance',               # m/N
     'compliance_damping',       # s
-    'swing_cosine',             # N, with which the load still swings when a recording begins
-    'swing_sine',               # N, the same a quarter of a wave later
+    'swing_cosine',             # N, initial free oscillation of the load
+    'swing_sine',               # N, the same in quadrature
     'piston_share',             # share of the mass before the compliance
     'damping_share',            # share of the load's damping before the compliance
     'disturbance',              # N
@@ -99,30 +99,31 @@ EFFECT_FIELDS = (
     'disturbance_end',          # s
     'sensor_offset',            # N
     'sensor_gain_error',        # N/N
-    'sensor_lag',               # s, of two lags one after the other
+    'sensor_lag',               # s, of two lags in series
     'sensor_lag_split',         # share of the second
     'sensor_drift',             # N/s
     'sensor_drift_curve',       # N/s2
     'sensor_drift_bend',        # N/s3
-    'load_offset',              # N, a constant that a joint's nominal model declares
-    'gravity_sine',             # N m, what gravity has gained since healthy recordings: of sin q
-    'gravity_cosine',           # N m, of cos q
-    'drive_hold',               # s, how late a joint's command acts, held as it is: below a sample
-    'drive_delay',              # s, more than that
-    'drive_lag',                # s, the same; of two poles
+    'load_offset',              # N, constant force of a joint's nominal model
+    'gravity_sine',             # N m sin q, gravity beyond that which was subtracted
+    'gravity_cosine',           # N m cos q
+    'drive_hold',               # s, delay of a held command of a joint, at most a sample
+    'drive_delay',              # s, further delay
+    'drive_lag',                # s, of two lags in series
     'drive_lag_split',          # share of the second
 )
 EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
 
-CONTACT_DAMPING = 0.8   # damping ratio of what touches: it hardly rebounds
+CONTACT_DAMPING = 0.8   # damping ratio of a contact: hardly any rebound
 PLAYS = 4         # elements of a hysteresis, and of a friction
-QUARTILE = 0.38   # four elements evenly spread over the normal law lie at -3, -1, 1, 3 of these
+# The quantiles 1/8, 3/8, 5/8, 7/8 of a normal distribution are about -3, -1, 1, 3 times this.
+QUARTILE = 0.38
 
 
 @jit
 def clip_round(x, corner):
-    """Return x held within -1 to 1, its corner rounded: x / (1 + |x|^n)^(1/n), corner = 1/n."""
+    """Return x saturated at ±1 with a rounded corner: x / (1 + |x|^n)^(1/n), corner = 1/n."""
     size = abs(x)
     if corner <= 0.01 or size < 0.3:
         return min(max(x, -1.0), 1.0)
@@ -132,18 +133,8 @@ def clip_round(x, corner):
 
 
 @jit
-def dead_zone(x, width):
-    """Return x less `width` towards zero."""
-    if x > width:
-        return x - width
-    if x < -width:
-        return x + width
-    return 0.0
-
-
-@jit
 def in_steps(u, quantum, phase, truncated):
-    """Return a command in steps of a quantum; phase, truncated: see EFFECT_FIELDS."""
+    """Return a command, quantised; phase, truncated: see EFFECT_FIELDS."""
     if truncated > 0.5:
         return quantum * int(u / quantum)
     return quantum * (math.floor(u / quantum + 0.5 - phase) + phase)
@@ -154,8 +145,8 @@ def held_command(command, position, step):
     """
     Return the mean of a held command over `step` samples from `position` samples on.
 
-    Before its first sample the command is that sample. The mean, so that a delay moves the result
-    smoothly and can be fitted.
+    Before its first sample the command is constant. The mean, so that the result is a smooth
+    function of a delay, which can then be fitted.
     """
     first = int(math.floor(position))
     last = int(math.floor(position + step))
@@ -170,9 +161,10 @@ def held_command(command, position, step):
 @jit
 def lag_weights(time, h):
     """
-    Return how a first-order lag of `time` s goes on over `h` s: weights of output, input, input.
+    Return the weights of a first-order lag of `time` s for a step of `h` s.
 
-    Of its old output, and of its input before and after; exact for an input that moves straight.
+    Of its last output, and of its input before and after; exact for an input that is linear in
+    time.
     """
     if time <= 0.0:
         return 0.0, 0.0, 1.0
@@ -187,22 +179,22 @@ def valve(command, p, e, period, count, out):
     """
     Put the valve position (m) at each sample into `out`.
 
-    command: n valve commands, N, each held for `period` s; `count` sub-steps a sample.
+    command: n valve commands, N, each held for `period` s; `count` sub-steps per sample.
     """
     h = period / count
     wait = e.command_delay / period
     if p.valve_flexure_model == FULL:
-        # All that follows is invariant in time but for the command, so the delays can be one.
+        # All blocks behind are time-invariant, so the two delays can be one.
         wait += p.valve_flexure_delay / period
     decay = rate_decay(p, h)
     coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
     flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
-    # Of an input that is held over each step, as the command is.
+    # For an input that is held over each step, as the command is.
     keep, _, _ = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
     keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
     start = command[0] + e.command_bias
     widths = spread(e.valve_hysteresis_spread)
-    # What remembers has come from rest: each play lags behind the first command by its width.
+    # Before the recording the plays were at rest.
     plays, fluxes, further = np.zeros(PLAYS), np.zeros(PLAYS), np.zeros(FURTHER)
     magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
     filtered, flux, slow_flux = start, start, start
@@ -246,11 +238,11 @@ def valve(command, p, e, period, count, out):
 @jit
 def magnetised(fluxes, widths, command, filtered, p, e):
     """
-    Return the flux (N) of the nominal hysteresis, whose shape is left open; updates its plays.
+    Return the flux (N) of the nominal hysteresis with free shape parameters; updates its plays.
 
-    The plays of asi_actuator/model/valve_hysteresis.py with widths that spread, and only a part
-    of their growth with the rate, where the rest is a lag: a rounded loop behind a lag measures
-    the same. filtered: state of the rate filter, N.
+    The plays of asi_actuator/model/valve_hysteresis.py with spread widths. Only a part of their
+    growth with the rate remains; the rest is a lag, since a rounded loop with a lag is hardly
+    distinguishable. filtered: state of the rate filter, N.
     """
     if p.valve_hysteresis_model != FULL:
         return valve_hysteresis(0.0, command, filtered, p)
@@ -266,9 +258,9 @@ def magnetised(fluxes, widths, command, filtered, p, e):
 @jit
 def spread(wide):
     """
-    Return the relative sizes of the elements of the nominal hysteresis or friction: 1 in the mean.
+    Return the relative sizes of the elements of the nominal hysteresis or friction, of mean 1.
 
-    After a log-normal law: not wide gives one sharp corner, wide a smooth loop.
+    From a log-normal distribution: 0 gives one sharp corner, a large `wide` a smooth loop.
     """
     sizes = np.exp(QUARTILE * wide * np.arange(1.0 - PLAYS, PLAYS, 2.0))
     return sizes / np.mean(sizes)
@@ -277,24 +269,25 @@ def spread(wide):
 @jit
 def loop(plays, drive, e):
     """
-    Return what is left of a drive (N) after the effects' hysteresis; updates its plays.
+    Return a drive (N) after the effects' hysteresis; updates its plays.
 
-    A sum of plays of evenly spread widths (Prandtl, Ishlinskii), and a share that goes past them;
-    less than nothing where the loop, as one of Bouc and Wen may, first goes back as it turns.
+    A sum of plays of evenly spread widths (Prandtl, Ishlinskii), and a share that bypasses them.
+    That share is negative for a loop whose output first moves back at a turn, as one of Bouc and
+    Wen may.
     """
     if e.loop_width <= 0.0:
         return drive
     through = 0.0
     for i in range(PLAYS):
         radius = e.loop_width * (1.0 - e.loop_spread * (i + 0.5) / PLAYS)
-        plays[i] = min(max(plays[i], drive - radius), drive + radius)
+        plays[i] = play(plays[i], drive, radius)
         through += plays[i] / PLAYS
     return (1.0 - e.loop_share) * drive + e.loop_share * through
 
 
 @jit
 def seized(e):
-    """Return the elements of the effects' friction at rest, and the reach (m) of its slips."""
+    """Return the elements of the effects' friction at rest, and the reach (m) of each slip."""
     apart = min(2.0 * e.friction_rounding, 1.0)
     places = (np.arange(PLAYS) + 0.5) / PLAYS
     return np.zeros(PLAYS + 1), e.friction_bristle * (1.0 + apart * (2.0 * places - 1.0))
@@ -303,11 +296,11 @@ def seized(e):
 @jit
 def slide(elements, reach, moved, velocity, e):
     """
-    Return friction (N) at a velocity (m/s) after a way (m); updates the elements.
+    Return friction (N) at a velocity (m/s) after a displacement (m); updates the elements.
 
-    Generalised Maxwell slip: elements that deform (-1 to 1, in units of their own reach, m) and
-    then slide; and a bristle (the last) that gives way from the first, after Dahl. Breakaway
-    falls to sliding friction over the Stribeck velocity.
+    Generalised Maxwell slip: elements that deform (-1 to 1, in units of their reach, m) and then
+    slide; the last element is a bristle of Dahl. The breakaway force falls to sliding friction
+    over the Stribeck velocity.
     """
     rise = 1.0
     if e.friction_breakaway > 0.0:
@@ -333,8 +326,8 @@ def slipping(elements, sizes, moved, velocity, p):
     """
     Return the nominal friction (N) in another formulation; updates the elements.
 
-    Maxwell slip whose force, not whose deflection, follows the Stribeck curve: after a stop it is
-    at once that of breakaway, where the bristle stays where it slid.
+    Maxwell slip whose force, not whose deflection, follows the Stribeck curve: at a stop it is at
+    once the breakaway force, while that of the bristle stays as it was in sliding.
     """
     reach = 0.5 * (p.friction_stiction_push + p.friction_stiction_pull) / (
         p.friction_presliding_stiffness)
@@ -391,7 +384,7 @@ def cylinder_friction(velocity, p, e, h, out):
 @jit
 def steady_state_force(position, velocity, p, e, h, out):
     """
-    Put the force (N) that valve and motion ask of the fluid into `out`.
+    Put the steady-state hydraulic force (N) of valve position and motion into `out`.
 
     position: of the valve, m; velocity: of the piston, m/s; each `h` s.
     """
@@ -403,7 +396,7 @@ def steady_state_force(position, velocity, p, e, h, out):
 
 @jit
 def fluid_time(p):
-    """Return how late (s) the nominal fluid is."""
+    """Return the time constant (s) of the nominal fluid dynamics."""
     if p.fluid_dynamics_model == FULL:
         return 1.0 / (2.0 * math.pi * p.fluid_dynamics_frequency)
     return 0.0
@@ -412,9 +405,10 @@ def fluid_time(p):
 @jit
 def pressed(hydraulic, before, after, oil, p, e, h):
     """
-    Return the force (N) of the fluid after `h` s in which what is asked of it (N) moved straight.
+    Return the hydraulic force (N) after `h` s.
 
-    oil: how it goes on without leakage and air, as `lag_weights` says.
+    before, after: steady-state force (N) at both ends, linear between; oil: `lag_weights` without
+    leakage and air.
     """
     if e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0:
         return oil[0] * hydraulic + oil[1] * before + oil[2] * after
@@ -428,10 +422,10 @@ def pressed(hydraulic, before, after, oil, p, e, h):
 @jit
 def travel(position, p, e, damping, stiffness, period, count, out):
     """
-    Put the velocity (m/s) at each sample into `out` that piston and load take by themselves.
+    Put the simulated velocity (m/s) of piston and load at each sample into `out`.
 
-    Where no motion was measured. position: n valve positions, m; damping N s/m, stiffness N/m of
-    the load; `count` sub-steps a sample of `period` s, of half a time constant at most.
+    For recordings without a motion. position: n valve positions, m; damping N s/m, stiffness N/m
+    of the load; `count` sub-steps per sample of `period` s, of half a time constant at most.
     """
     h = period / count
     oil = lag_weights(fluid_time(p), h)
@@ -448,7 +442,7 @@ def travel(position, p, e, damping, stiffness, period, count, out):
         for j in range(count):
             z = position[k] + (j + 1.0) / count * (position[k + 1] - position[k])
             before, hydraulic_before = wanted, hydraulic
-            # In the middle of the step, and at its end, the velocity goes on as it did.
+            # The velocity is extrapolated to the middle and to the end of the step.
             wanted, opened = supplied(z, 2.0 * v - v_before, opened, p, e, keep)
             hydraulic = pressed(hydraulic, before, wanted, oil, p, e, h)
             middle = 1.5 * v - 0.5 * v_before
@@ -464,12 +458,12 @@ def force(wanted, rub, acceleration, p, e, period, count, out):
     """
     Put the measured force (N) at each sample into `out`.
 
-    wanted, rub: what `asked` and `seals` give at (n - 1) count + 1 sub-steps; acceleration: of the
-    piston at n samples, m/s2; `count` sub-steps a sample of `period` s.
+    wanted, rub: steady-state hydraulic force and friction (N) at (n - 1) count + 1 sub-steps;
+    acceleration: of the piston at n samples, m/s2; `count` sub-steps per sample of `period` s.
     """
     h = period / count
     ring = np.zeros(RING)
-    # At such steps the second-order filter of the sensor's card does no more than a delay.
+    # At such sub-steps the second-order filter of the sensor's card equals a delay.
     card = CARD_DAMPING / (math.pi * p.force_sensor_card_frequency)
     wait = delay_steps(p.force_sensor_delay + card, h)
     flexure = second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
@@ -479,7 +473,7 @@ def force(wanted, rub, acceleration, p, e, period, count, out):
     slow = lag_weights(e.sensor_lag * (1.0 - e.sensor_lag_split), h)
     slower = lag_weights(e.sensor_lag * e.sensor_lag_split, h)
 
-    # What the sensor feels: not the inertia of the mass before it.
+    # The sensor does not measure the inertia of the mass before it.
     mass = p.force_sensor_mass_share * p.load_mass
     if e.compliance > 0.0:
         mass *= e.piston_share
@@ -516,9 +510,10 @@ def force(wanted, rub, acceleration, p, e, period, count, out):
 @jit
 def supplied(z, v, opened, p, e, keep):
     """
-    Return the force (N) that valve and motion ask of the fluid, and how long the valve was open.
+    Return the steady-state hydraulic force (N) and the lagged opening, by which the supply sags.
 
-    z: valve position, m; v: velocity, m/s; opened: the opening, lagged, of which `keep` is left.
+    z: valve position, m; v: velocity, m/s; opened: the last lagged opening, of which the share
+    `keep` remains.
     """
     opened_by = dead_zone(z + e.orifice_bias, e.orifice_deadband)
     relative = opened_by / p.valve_characteristic_full_opening
@@ -545,7 +540,7 @@ def supplied(z, v, opened, p, e, keep):
 
 @jit
 def reading(sensed, time, p, e):
-    """Return what the sensor reads (N) of a sensed force (N) at a time (s)."""
+    """Return the reading (N) of the sensor for a sensed force (N) at a time (s)."""
     return (p.force_sensor_gain * (1.0 + e.sensor_gain_error) * sensed + p.force_sensor_offset
             + e.sensor_offset + drift(time, e))
 
@@ -555,7 +550,8 @@ def drift(time, e):
     """
     Return the drift (N) of the sensor's zero at a time (s).
 
-    Of third order: of a sensor that warms up in a third of the recording it leaves a hundredth.
+    A cubic polynomial: for a sensor that warms up with a time constant of a third of the
+    recording, its error is a hundredth.
     """
     return time * (e.sensor_drift + time * (e.sensor_drift_curve + time * e.sensor_drift_bend))
 
@@ -565,10 +561,10 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
     """
     Put into `out` the force (N) of the load that is not linear in its motion.
 
-    Friction beyond the sensor and disturbance; into `slack` how far (m) the load is behind the
-    piston for backlash. position m, velocity m/s: of the piston; damping N s/m of the load; start:
-    time of the first sample, s. Friction and backlash remember nothing of before time 0, where
-    the motion is made up.
+    Friction behind the sensor and disturbance; into `slack` the displacement (m) between piston
+    and load by backlash. position m, velocity m/s: of the piston; damping N s/m of the load;
+    start: time of the first sample, s. Friction and backlash start at time 0: before, the motion
+    is extrapolated.
     """
     elements, reach = seized(e)
     left, before = position[0], position[0]
@@ -584,7 +580,7 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
                 total += slide(elements, reach, x - before, v, e)
             total += viscous_force(v, e) + damping * e.viscous_asymmetry * abs(v)
         if e.backlash > 0.0:
-            left = min(max(left, x - e.backlash), x + e.backlash)
+            left = play(left, x, e.backlash)
             seat = e.backlash_memory * left + (1.0 - e.backlash_memory) * dead_zone(x, e.backlash)
             slack[k] = x - seat
         if e.disturbance_frequency > 0.0:
@@ -593,7 +589,7 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
                                                    + 2.0 * math.pi * e.disturbance_phase)
         if pulse:
             time = start + k * period
-            # Edges one sample wide, so that their places can be fitted.
+            # Edges one sample wide, so that their times can be fitted.
             rise = min(max((time - e.disturbance_start) / period + 0.5, 0.0), 1.0)
             fall = min(max((time - e.disturbance_end) / period + 0.5, 0.0), 1.0)
             total -= e.disturbance_pulse * (rise - fall)
@@ -604,14 +600,13 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
 @jit
 def floating(position, velocity, angle, load, gravity, e, period, count, out):
     """
-    Put position (m) and velocity (m/s) of a load behind a gap at each sample into `out`, 2 x n.
+    Put position (m) and velocity (m/s) of a load behind a backlash into `out`, 2 x n samples.
 
-    In the gap it goes on by itself, until it touches.
-    position m, velocity m/s: of the piston, n samples of `period` s in `count` sub-steps; angle:
-    of what turns, where that position is 0, rad; load: its mass kg, damping N s/m, stiffness N/m;
-    gravity: its force of the sine and of the cosine of the angle. What touches is a spring and a
-    damper; with a contact time it pushes and never pulls. By the implicit midpoint, so that a
-    stiff contact stays stable and loses nothing.
+    Without contact it moves freely. position m, velocity m/s: of the piston, n samples of
+    `period` s in `count` sub-steps; angle: of a joint at position 0, rad; load: its mass kg,
+    damping N s/m, stiffness N/m; gravity: amplitudes of sine and cosine of the angle, N m. The
+    contact is a spring and a damper; with a contact time it only pushes. By the implicit midpoint
+    rule, which is stable for a stiff contact and does not dissipate.
     """
     mass, damping, stiffness = load
     h = period / count
@@ -635,7 +630,7 @@ def floating(position, velocity, angle, load, gravity, e, period, count, out):
             share = (j + 1.0) / count
             x_before, v_before = x, v
             v = velocity[k] + share * (velocity[k + 1] - velocity[k])
-            # Straight between samples, and bent as the change of velocity says.
+            # Interpolated between samples with constant acceleration.
             x = (position[k] + share * (position[k + 1] - position[k])
                  - 0.5 * share * (1.0 - share) * period * (velocity[k + 1] - velocity[k]))
             half, moved = 0.5 * (x_before + x), 0.5 * (v_before + v)
@@ -658,14 +653,14 @@ def floating(position, velocity, angle, load, gravity, e, period, count, out):
 
 
 def parts(p: np.void) -> tuple[np.void, np.void]:
-    """Return the actuator's and the effects' part of the plant's record, as compiled code asks."""
+    """Return the actuator's and the effects' part of the plant's record, for compiled code."""
     raw = p.tobytes()
     return (np.frombuffer(raw, ACTUATOR_DTYPE, 1)[0],
             np.frombuffer(raw, EFFECT_DTYPE, 1, ACTUATOR_DTYPE.itemsize)[0])
 
 
 def load_constants(p: np.void) -> tuple[float, float, float]:
-    """Return mass kg, damping N s/m and stiffness N/m of the load, as the sensor feels them."""
+    """Return mass kg (behind the sensor), damping N s/m and stiffness N/m of the load."""
     kind = int(p['load_type'])
     stiffness = (p['load_locked_stiffness'], p['load_stiffness'], 0.0, 0.0)[kind]
     damping = (p['load_locked_damping'], p['load_damping'], 0.0, 0.0)[kind]
@@ -691,7 +686,7 @@ def sensor_response(omega: Array, p: np.void) -> Complex:
 
 
 def drive_inverse(omega: Array, p: np.void) -> Complex:
-    """Return command over force of a joint's drive: the command comes before its force."""
+    """Return the frequency response from force to command of a joint's drive: its inverse."""
     s = 1j * omega
     split = p['drive_lag_split']
     return (np.exp(s * (p['drive_hold'] + p['drive_delay']))
@@ -699,16 +694,16 @@ def drive_inverse(omega: Array, p: np.void) -> Complex:
 
 
 def impedance(omega: Array, p: np.void) -> Complex:
-    """Return force over velocity of the linear load without its spring, N s/m."""
+    """Return the mechanical impedance of the linear load without its spring, N s/m."""
     mass, damping, _ = load_constants(p)
     return mass * 1j * omega + damping
 
 
 def transmitted(omega: Array, p: np.void, slope: float = 0.0) -> Complex:
     """
-    Return the share of a force on a load behind a compliance that the piston takes.
+    Return the frequency response from a force on a load behind a compliance to that on the piston.
 
-    slope: of the load's weight over its position, N/m.
+    slope: of the load's weight by its position, N/m.
     """
     _, damping, stiffness = load_constants(p)
     damping *= 1.0 - float(p['damping_share'])
@@ -720,9 +715,9 @@ def transmitted(omega: Array, p: np.void, slope: float = 0.0) -> Complex:
 
 def swing(time: Array, p: np.void, slope: float = 0.0) -> Array:
     """
-    Return the force (N) of a load that swings freely behind a compliance, at times (s) from 0.
+    Return the force (N) of a load's free oscillation behind a compliance, at times (s) from 0.
 
-    slope: of the load's weight over its position, N/m.
+    slope: of the load's weight by its position, N/m.
     """
     _, damping, stiffness = load_constants(p)
     rest = max(float(p['load_mass'] * (1.0 - p['piston_share'])), 1e-12)
@@ -741,10 +736,10 @@ def swing(time: Array, p: np.void, slope: float = 0.0) -> Array:
 def behind(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,
            slope: float = 0.0) -> Complex:
     """
-    Return the spectrum of the force that a load behind a backlash and a compliance takes.
+    Return the spectrum of the force on the piston of a load behind backlash and compliance.
 
-    velocity, position: spectra of the piston's motion; slack: of how far the load is behind it;
-    slope: of the load's weight over its position, N/m; the weight itself is left out.
+    velocity, position: spectra of the piston's motion; slack: spectrum of the displacement in the
+    backlash; slope: of the load's weight by its position, N/m; the weight itself is left out.
     """
     mass, damping, stiffness = load_constants(p)
     s = 1j * omega

@@ -1,18 +1,25 @@
 """
-Every effect that the diagnosis knows: its block, its parameters, its bounds.
+The forms of each effect of the vocabulary in the block-wise model: parameters, bounds, starts.
 
 A parameter changes one field of the plant's record (blocks.py): it sets it, or scales its nominal
 value. Bounds and starts are in units of a `scale` of the recording ('command', 'force' ...), so
 that they fit any actuator. An effect may have several variants: where it acts (friction before or
-after the force sensor) or how (missing from reality, though the nominal model has it).
+behind the force sensor) or how (an own term, or a change of a nominal parameter).
 """
 
 import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-COMMAND_PATH, VALVE, HYDRAULICS, MECHANICS, SENSOR = BLOCKS = (
-    'command_path', 'valve', 'hydraulics', 'mechanics', 'sensor')
+from asi_actuator.model.effects import (
+    COMMAND_PATH,
+    EFFECT,
+    HYDRAULICS,
+    MECHANICS,
+    SENSOR,
+    VALVE,
+)
+
 NO_GAP, UNKNOWN = 'no_gap', 'unknown'
 
 
@@ -33,13 +40,13 @@ class Free(NamedTuple):
     scale: str = ''
     unit: str = ''
     prior: float = math.inf   # standard deviation about the nominal value, in units of `scale`
-    anew: bool = False        # fits of effects begin at all of its starts, too
+    anew: bool = False        # fits with effects also begin at each of its starts
 
 
-# Channels of a motion that the simulator predicts; as it was measured.
+# Channels of a measured motion that the simulator predicts.
 MOTIONS = ('velocity', 'position')
 
-# Fields with an own value in each recording.
+# Fields that have a value for each recording.
 OF_A_RECORDING = (
     'load_offset', 'disturbance', 'disturbance_wave', 'disturbance_frequency', 'disturbance_phase',
     'disturbance_pulse', 'disturbance_start', 'disturbance_end', 'sensor_offset', 'sensor_drift',
@@ -56,7 +63,7 @@ def of_recording(field: str, number: int) -> str:
 
 
 def in_each(frees: tuple[Free, ...], count: int) -> tuple[Free, ...]:
-    """Return free parameters for `count` recordings; fields of a recording once for each."""
+    """Return free parameters for `count` recordings: one for each, of `OF_A_RECORDING`."""
     return tuple(each for free in frees for each in (
         (free._replace(field=of_recording(free.field, number), scale=of_recording(
             free.scale, number) if free.scale.startswith('residual_') else free.scale)
@@ -67,8 +74,8 @@ class Variant(NamedTuple):
     """
     One form of an effect.
 
-    channels: those it acts on: 'valve', 'force', 'load'; fixed: fields it sets; needs: fields of
-    the nominal record that must not be zero; joined: only together with another effect.
+    channels: those that it acts on: 'valve', 'force', 'load'; fixed: fields that it sets; needs:
+    fields of the nominal record that must not be zero; joined: only combined with another effect.
     """
 
     free: tuple[Free, ...]
@@ -82,8 +89,8 @@ class Effect(NamedTuple):
     """
     An effect of the vocabulary.
 
-    exact: whether it has one established law (a gain, a corner, a linear lag), unlike effects with
-    memory, contact, randomness or fluid flow.
+    exact: whether textbooks formulate it in one way only (a gain, a corner, a linear lag), unlike
+    effects with memory, contact, randomness or fluid flow.
     """
 
     name: str
@@ -114,7 +121,7 @@ def _scaled(field: str, low: float = 0.0, high: float = 5.0,
 
 
 def _friction(*more: Free, joined: bool = False) -> tuple[Variant, ...]:
-    """Return a kind of friction beyond the force sensor and before it."""
+    """Return the forms of a friction effect: behind the force sensor and before it."""
     level = Free('friction_level', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N')
     # The breakaway distance of seals and bearings: from microns to half a millimetre.
     bristle = Free('friction_bristle', 2e-6, 5e-4, (5e-5, 1e-5), '', 'm')
@@ -133,20 +140,26 @@ _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
                       Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'),
                       Free('friction_falling', 1.0, 2.0, (1.5,)))
 
+
+def _effect(name: str, variants: tuple[Variant, ...], exact: bool = False) -> Effect:
+    """Return an effect of the vocabulary, whose block is declared with the physics."""
+    return Effect(name, EFFECT[name].block, EFFECT[name].description, variants, exact)
+
+
 EFFECTS: tuple[Effect, ...] = (
-    Effect('transport_delay', COMMAND_PATH, 'the command arrives later', (
+    _effect('transport_delay', (
         Variant((Free('command_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's'),),
                 VALVE_SIDE),
         Variant((_scaled('valve_flexure_delay', 0.0, 1.0, (0.3,)),), VALVE_SIDE,
                 needs=('valve_flexure_model', 'valve_flexure_delay')),
     )),
-    Effect('command_quantisation', COMMAND_PATH, 'the command comes in steps', (
+    _effect('command_quantisation', (
         *(Variant((Free('command_quantum', 0.999, 1.001, (1.0,), guess, 'N'),), VALVE_SIDE, fixed)
           for guess, fixed in (('residual_step', (('command_phase', 0.0),)),
                               ('residual_step_edge', (('command_phase', 0.5),)),
                               ('residual_step_zero', (('command_truncated', 1.0),)))),
     )),
-    Effect('valve_hysteresis', VALVE, 'the valve lags behind a turning command', (
+    _effect('valve_hysteresis', (
         Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),
                  Free('loop_share', 0.0, 2.0, (0.95,)), Free('loop_spread', 0.0, 1.0, (0.3, 0.9))),
                 VALVE_SIDE),
@@ -154,32 +167,32 @@ EFFECTS: tuple[Effect, ...] = (
                  _scaled('valve_hysteresis_lag_time')), VALVE_SIDE,
                 needs=('valve_hysteresis_model', 'valve_hysteresis_radius')),
     )),
-    Effect('valve_deadband', VALVE, 'a small command does not move the valve, or moves no oil', (
+    _effect('valve_deadband', (
         Variant((Free('command_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'command',
                       'N'),), VALVE_SIDE),
         Variant((Free('orifice_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'valve_position',
                       'm'),), FORCE_SIDE),
     ), exact=True),
-    Effect('valve_saturation', VALVE, 'the valve opens, or passes oil, only so far', (
+    _effect('valve_saturation', (
         Variant((Free('valve_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'valve_position', 'm'),
                  Free('corner', 0.0, 0.25, (0.05,))), VALVE_SIDE),
         Variant((Free('force_limit', 0.2, 3.0, (0.5, 0.7, 0.85, 0.95), 'force', 'N'),
                  Free('corner', 0.0, 0.25, (0.05,))), FORCE_SIDE),
     ), exact=True),
-    Effect('valve_bias', VALVE, 'the valve is off its centre at no command', (
+    _effect('valve_bias', (
         Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
         Variant((Free('orifice_bias', -0.7, 0.7, (0.02, -0.02), 'valve_position', 'm'),),
                 FORCE_SIDE),
     ), exact=True),
-    Effect('valve_lag', VALVE, 'the valve follows with a lag, less at high frequency', (
+    _effect('valve_lag', (
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
-        # Of a servo without a load of its own, what is beyond one lag is called dead time.
+        # Without a load (a servo) a second lag is called dead time instead.
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
                  Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE, needs=('load_mass',)),
         Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
                 needs=('valve_flexure_model',)),
     ), exact=True),
-    Effect('hydraulic_damping', HYDRAULICS, 'force lost to the oil that a motion drives', (
+    _effect('hydraulic_damping', (
         Variant((Free('damping_viscous', -2.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m'),
                  Free('damping_quadratic', -2.0, 2.0, (0.02,), 'damping_quadratic', 'N s2/m2'),
                  Free('damping_opening', -2.0, 2.0, (0.02,), 'damping', 'N s/m')), FORCE_SIDE),
@@ -188,52 +201,51 @@ EFFECTS: tuple[Effect, ...] = (
                  _scaled('hydraulic_damping_saturation_velocity', 0.3, 3.0, (1.0,))),
                 FORCE_SIDE, needs=('hydraulic_damping_model',)),
     )),
-    Effect('supply_pressure', HYDRAULICS, 'less supply pressure, or it sags with the valve open',
-           (Variant((Free('supply_drop', -0.6, 0.9, (0.1,)),
-                     Free('supply_sag', 0.0, 3.0, (0.05, 0.5)),   # of a valve that is wide open
-                     Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
-            )),
-    Effect('internal_leakage', HYDRAULICS, 'oil leaks past the piston, more at a higher force', (
+    _effect('supply_pressure', (
+        Variant((Free('supply_drop', -0.6, 0.9, (0.1,)),
+                 Free('supply_sag', 0.0, 3.0, (0.05, 0.5)),   # at full opening
+                 Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
+    )),
+    _effect('internal_leakage', (
         Variant((Free('leakage_linear', 0.0, 3.0, (0.1,)),
                  Free('leakage_quadratic', 0.0, 3.0, (0.1,))), FORCE_SIDE),
     )),
-    Effect('entrained_air', HYDRAULICS, 'the force builds up late, above all a small one', (
+    _effect('entrained_air', (
         Variant((Free('air_time', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('air_stiffening', 0.0, 20.0, (1.0,))), FORCE_SIDE),
     )),
-    Effect('coulomb_friction', MECHANICS, 'a constant force against the motion', (
+    _effect('coulomb_friction', (
         *_friction(),
         Variant((_scaled('friction_coulomb', 0.0, 8.0),), FORCE_SIDE, needs=('friction_model',)),
     )),
-    Effect('stiction', MECHANICS, 'more force to break away than to slide', (
+    _effect('stiction', (
         *_STICKING,
         Variant((_scaled('friction_stiction_push'), _scaled('friction_stiction_pull')),
                 FORCE_SIDE, needs=('friction_model',)),
     )),
-    Effect('friction_asymmetry', MECHANICS, 'more friction one way than the other',
-           (*_ASYMMETRIC, *_ASYMMETRIC_TOO)),
-    Effect('viscous_friction', MECHANICS, 'a force against the motion in proportion to it', (
+    _effect('friction_asymmetry', (*_ASYMMETRIC, *_ASYMMETRIC_TOO)),
+    _effect('viscous_friction', (
         Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
                  Free('viscous_exponent', 0.8, 1.2, (1.0,))), LOAD_SIDE),
         Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
                  Free('viscous_exponent', 0.8, 1.2, (1.0,))), FORCE_SIDE,
                 (('friction_inside', 1.0),)),
     )),
-    Effect('backlash', MECHANICS, 'the piston moves a little before the load does', (
+    _effect('backlash', (
         *(Variant((Free('backlash', 0.001, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
                   (('backlash_memory', memory), ('piston_share', 1.0))) for memory in (0.0, 1.0)),
-        # Its mass goes on by itself in the gap; what touches gives way a little.
+        # Within the backlash its mass moves freely; the contact is compliant.
         Variant((Free('backlash', 0.001, 0.7, (0.004, 0.02, 0.06, 0.15), 'position', 'm'),
                  Free('compliance', 1e-4, 0.1, (0.02, 0.002), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.005, (0.0002,), '', 's'),
                  Free('piston_share', 0.01, 0.99, (0.4,))), LOAD_SIDE,
                 (('backlash_floating', 1.0),)))),
-    Effect('load_compliance', MECHANICS, 'the load gives way between piston and mass', (
+    _effect('load_compliance', (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's'),
                  Free('piston_share', 0.0, 0.8, (0.1, 0.5))), LOAD_SIDE),
     ), exact=True),
-    Effect('disturbance_force', MECHANICS, 'something else pushes the load', (
+    _effect('disturbance_force', (
         Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
         Variant((Free('disturbance_wave', 0.0, 1.0, (0.1,), 'force', 'N'),
                  Free('disturbance_phase', 0.5, 1.5, (1.0,), 'residual_phase', 'turns'),
@@ -243,27 +255,27 @@ EFFECTS: tuple[Effect, ...] = (
                  Free('disturbance_start', 0.997, 1.003, (1.0,), 'residual_start', 's'),
                  Free('disturbance_end', 0.997, 1.003, (1.0,), 'residual_end', 's')), LOAD_SIDE),
     ), exact=True),
-    Effect('sensor_offset', SENSOR, 'the force sensor does not read zero at no force', (
+    _effect('sensor_offset', (
         Variant((Free('sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), BOTH),
     ), exact=True),
-    Effect('sensor_gain', SENSOR, 'the force sensor reads in proportion too much or too little', (
+    _effect('sensor_gain', (
         Variant((Free('sensor_gain_error', -0.7, 1.0, (0.05, -0.05)),), BOTH),
     ), exact=True),
-    Effect('sensor_lag', SENSOR, 'the force sensor follows late', (
+    _effect('sensor_lag', (
         Variant((Free('sensor_lag', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('sensor_lag_split', 0.0, 0.5, (0.1,))), BOTH),
     ), exact=True),
-    Effect('sensor_drift', SENSOR, 'the zero of the force sensor wanders', (
+    _effect('sensor_drift', (
         Variant((Free('sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
                  Free('sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2'),
                  Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'N/s3')), BOTH),
     )),
 )
-# Of a joint that turns, against healthy recordings: else gravity is of its nominal model.
+# Of a joint that turns, if compared with healthy recordings: else gravity is in its nominal model.
 GRAVITY = Effect('gravity', MECHANICS, 'the joint carries more or less weight', (
     Variant(tuple(Free(f'gravity_{part}', -2.0, 2.0, (0.05, -0.05), 'force', 'N')
                   for part in ('sine', 'cosine')), LOAD_SIDE),), exact=True)
-# Of a static characteristic alone (static.py): the block, and whether it has one law.
+# Effects of a static characteristic only (static.py): the block, and `Effect.exact`.
 OF_STATIC = {'gain_asymmetry': (VALVE, True), 'curvature': (VALVE, False)}
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}
@@ -289,7 +301,7 @@ def block_of(name: str) -> str | None:
 
 
 def has_one_law(name: str) -> bool:
-    """Return whether an effect has one law; see `Effect`."""
+    """Return whether an effect has one law: `exact` of `Effect`."""
     if name in OF_STATIC:
         return OF_STATIC[name][1]
     return name.startswith(PARAMETER) or name == GRAVITY.name or BY_NAME[name].exact

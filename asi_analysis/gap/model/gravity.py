@@ -1,8 +1,8 @@
 """
-Gravity, spring and constant force of a joint: identified by least squares, and taken off.
+Gravity, spring and constant force of a joint: identified by least squares, and subtracted.
 
-Gravity acts on a joint that turns, m g l sin q; a spring c q may hold any. Both are made by the
-position, inertia and friction by the motion; they are identified together.
+Gravity acts on a joint that turns, m g l sin q; a spring c q on any joint. Both depend on the
+position, inertia and friction on the motion; all are identified together.
 """
 
 from collections.abc import Sequence
@@ -21,24 +21,24 @@ from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
 
-BIASED: Final = 0.5        # of the standard deviation of a force: a larger mean is removed
-# Gravity and spring: share of the residual power without them, below which they are there.
-LEFT_WITHOUT: Final = 0.7
-INDEPENDENT: Final = 0.1   # share of their force that nothing else can make
-# What friction may be made of beside them: full from this share of the usual speed on, larger
-# below it; elements that give way over these shares of the range of motion.
+BIASED: Final = 0.5        # a mean force above this multiple of its standard deviation is removed
+# Gravity or spring is accepted if the residual power is below this share of that without it.
+ACCEPTED_RESIDUAL: Final = 0.7
+INDEPENDENT: Final = 0.1   # least share of their force (rms) that is independent of other terms
+# Regressors of friction: Coulomb friction, fully developed from this share of the rms speed on;
+# breakaway below it; elements of a Maxwell slip model, whose slip is this share of the range.
 CREEP: Final = 0.05
-SLIPS: Final = (0.002, 0.02, 0.1)
+SLIP_RANGES: Final = (0.002, 0.02, 0.1)
 GRAVITY_SHAPES, SPRING = ('sine', 'cosine'), ('spring',)
-SIGNED: Final = ('rate', 'constant', *GRAVITY_SHAPES)   # the others push against the motion
+SIGNED: Final = ('rate', 'constant', *GRAVITY_SHAPES)   # coefficients of the others are positive
 
 
 class ByPosition(NamedTuple):
     """
-    What a joint's position makes: gravity, sine * sin q + cosine * cos q (N m), and a spring.
+    Forces that depend on a joint's position: gravity sine sin q + cosine cos q (N m), a spring.
 
-    given: the stiffness (N/m or N m/rad) was; residual_share: residual power with them, as a share
-    of that without; ambiguous: another choice leaves about as little.
+    given: the stiffness (N/m or N m/rad) was given; residual_share: residual power with them, as
+    a share of that without; ambiguous: another choice fits about as well.
     """
 
     sine: float = 0.0
@@ -61,15 +61,14 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
     """
     Return the gravity of a joint that turns, and the spring of any.
 
-    stiffness: of the spring, if that is given; rattling: they act on the load behind that
-    backlash, if any.
+    stiffness: of the spring, if that is given; rattling: the backlash behind which they act.
 
     Gravity is a sin q + b cos q, a spring c q; a, b and c are identified together with inertia,
-    damping, friction and offset, by least squares on the fitted parts. A joint has them if, on the
-    held-out parts, they leave less than LEFT_WITHOUT of the residual power (where that exceeds
-    the power of RIGID_ERROR), by a force that the other terms cannot make: in a single sine wave,
-    a spring cannot be told from an inertia. Of several choices that leave about as little, the
-    simplest is returned.
+    damping, friction and offset, by least squares on the fitted parts. They are accepted if they
+    lower the residual power of the held-out parts below ACCEPTED_RESIDUAL of that without them
+    (which must exceed that of RIGID_ERROR), by a force that is independent of the other terms: in
+    a single sine wave, a spring cannot be distinguished from an inertia. Of several choices that
+    fit about as well, the simplest is returned.
     """
     turns, unknown = turns_measured(recordings, runs), stiffness is None
     if not any(r.held_out.any() for r in recordings) or any(
@@ -83,7 +82,7 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
         return np.vstack([np.column_stack([each[name] for name in names])[getattr(r, part)]
                           for each, r in zip(shapes, recordings, strict=True)])
 
-    # A stiffness that was given may be a little off.
+    # A given stiffness may be slightly wrong.
     sought = {'force', *GRAVITY_SHAPES, *SPRING * (not stiffness)}
     always = [name for name in shapes[0] if name not in sought]
 
@@ -110,11 +109,12 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
     found = {more: each for more in choices if (each := fitted(more)) is not None}
     without = found[()][0]
     least = RIGID_ERROR ** 2 * float(np.var(stacked('held_out', ['force'])))
+    most = ACCEPTED_RESIDUAL * without
     needed = {more: each for more, each in found.items()
-              if each[0] < LEFT_WITHOUT * without > LEFT_WITHOUT * least} or {(): found[()]}
+              if each[0] < most and without > least} or {(): found[()]}
     least = min(residual for residual, _ in needed.values())
     close = [more for more, (residual, _) in needed.items()
-             if not least < LEFT_WITHOUT * residual]
+             if not least < ACCEPTED_RESIDUAL * residual]
     residual, values = found[close[0]]
     spring = stiffness or (values['spring'] if SPRING[0] in close[0] else 0.0)
     sine, cosine = (values.get(name, 0.0) for name in GRAVITY_SHAPES)
@@ -135,7 +135,7 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByP
     for run, r in zip(runs, recordings, strict=True):
         if run.position_m is None or r.motion is None or r.force is None or r.force_judged is None:
             raise InputError(f'{run.source}: without the position the gravity of the joint '
-                             'cannot be taken off')
+                             'cannot be subtracted')
         angle = _angle(r, float(np.nanmean(run.signal('position'))))
         torque = (found.sine * np.sin(angle) + found.cosine * np.cos(angle))[inner_samples(r)]
         taken.append(replace(r, force=r.force - torque,
@@ -150,9 +150,9 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByP
 def from_one_origin(recordings: Sequence[Recording], runs: Sequence[Run], stiffness: float
                      ) -> list[Recording]:
     """
-    Return recordings whose spring is counted from the middle of the first one's motion.
+    Return recordings whose spring is relaxed at the middle of the first one's motion.
 
-    The fit counts each position from its own middle.
+    The position of each recording is relative to its own middle.
     """
     if not stiffness:
         return list(recordings)
@@ -172,14 +172,14 @@ def inner_samples(recording: Recording) -> slice:
 
 
 def _angle(recording: Recording, middle: float) -> Array:
-    """Return the position (rad) that was measured, smoothed; its middle was the origin."""
+    """Return the measured position (rad), smoothed; middle: of its motion, the origin since."""
     assert recording.motion is not None
     return recording.motion.position + middle
 
 
 @jit
 def _slip(position: Array, reach: float) -> Array:
-    """Return the deflection (-1 to 1) of an element that gives way over a reach, then slides."""
+    """Return the deflection (-1 to 1) of a Maxwell slip element that slides after a reach."""
     out = np.zeros(position.size)
     for k in range(1, position.size):
         out[k] = min(max(out[k - 1] + (position[k] - position[k - 1]) / reach, -1.0), 1.0)
@@ -189,10 +189,10 @@ def _slip(position: Array, reach: float) -> Array:
 def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float,
             rattling: Rattling | None) -> dict[str, Array]:
     """
-    Return the force of a joint less that of its spring (N/m), and what it may be made of, by name.
+    Return the force of a joint without that of a given spring (N/m), and its regressors, by name.
 
-    The rate of the force makes a short delay or lag of it, which would else bias the gravity.
-    rattling: position and damping are those of the load behind that gap, if any.
+    The rate of the force stands for a short delay or lag, which would otherwise bias gravity.
+    rattling: position and damping are those of the load behind that backlash.
     """
     motion, inner, force = recording.motion, inner_samples(recording), recording.force_judged
     assert motion is not None and force is not None
@@ -203,7 +203,7 @@ def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float,
         load, speed = load_motion(motion, recording.period_s, rattling)
         angle = angle + load - motion.position
         behind = {'inertia_behind': np.gradient(speed, recording.period_s)}
-    slips = [_slip(angle, share * float(np.ptp(angle)) + 1e-30) for share in SLIPS]
+    slips = [_slip(angle, share * float(np.ptp(angle)) + 1e-30) for share in SLIP_RANGES]
     shapes = {name: judged(each[inner], motion) for name, each in {
         'inertia': motion.acceleration, **behind, 'damping': speed,
         'friction': np.tanh(speed / (CREEP * usual)),
@@ -223,8 +223,8 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
     """
     Return recordings without a large mean force (pressure, gravity), and notes.
 
-    The error is relative to the varying part of the force. It is the mean of `of`, but if their
-    means differ by more than that, each recording has its own.
+    The model error is relative to the varying part of the force. The mean of `of` is subtracted;
+    each recording's own, if those of `of` differ by more than twice the standard deviation.
     """
     def means(each: Sequence[Recording]) -> list[float]:
         return [float(r.force[r.valid].mean()) for r in each if r.force is not None]
@@ -238,5 +238,5 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
                        taken={**r.taken, 'constant': r.taken.get('constant', 0.0) + mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
-    return shifted, ['a constant force is taken off, load_offset counts from there: '
+    return shifted, ['a constant force is subtracted, load_offset is relative to it: '
                      + ', '.join(f'{mean:.4g}' for mean in dict.fromkeys(taken))]

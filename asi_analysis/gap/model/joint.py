@@ -1,12 +1,11 @@
 """
 A rigid joint or drive as nominal model, in the block language of the actuator.
 
-Commanded by its force (or torque, or a voltage or current in proportion): a mass with viscous
-friction and a constant offset and, where the recording needs them, a spring and, if it turns,
-gravity, identified from the recording where no values are given. Commanded by its position: an
-ideal servo, or one of second order (`servo.py`). Where command and force are both measured, the
-drive between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N,
-kg.
+Commanded by its force (or torque, or a proportional voltage or current): a mass with viscous
+friction and a constant force and, if the recording needs them, a spring and, if it turns, gravity.
+Values that are not given are identified from the recording. Commanded by its position: an ideal
+servo, or one of second order (`servo.py`). If command and force are both measured, the drive
+between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,38 +54,38 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
                            'valve_characteristic.full_opening': 0.01}
 # Parameters with another range than the actuator's: the inertia of a joint may be very small.
 OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
-# A coil that does nothing; range of frequency and damping of a servo, from those identified first.
-AT_ONCE_HZ = 1e9
-OF_A_SERVO = (0.2, 5.0)
-SERVO_SHARE = 0.1   # of the motion: tracking error above which the servo has a gap
-SECOND_ORDER = 0.002   # of its tracking error: model error of a servo of second order
+# A coil without effect; bounds of a servo's frequency and damping, relative to those identified.
+NO_LAG_HZ = 1e9
+SERVO_BOUNDS = (0.2, 5.0)
+SERVO_SHARE = 0.1   # tracking error, as a share of the motion, above which the servo has a gap
+SECOND_ORDER = 0.002   # model error of a servo of second order, as a share of its tracking error
 SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
-SERVO_RESIDUAL = 2.0   # or so many times the residual of a delay and a lag, if that is less
+SERVO_RESIDUAL = 2.0   # or this multiple of the residual of a delay and a lag, if that is less
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
-QUASI_STATIC = 0.05 # share of the inertia in the force, below which it cannot be identified
-TYPICAL = 0.3       # share of the force that mass or damper may make and friction mask
-MOST = 10.0         # times what was identified: a load behind a spring is hardly seen
-ONE_WAY = 0.02      # share of the time in which a joint may move the other way, for the noise
-# A load behind a compliance may swing when a recording begins; friction may be before it.
-BEHIND = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
+QUASI_STATIC = 0.05 # share of the inertia in the force below which it cannot be identified
+TYPICAL = 0.3       # share of the force that inertia or damping may have, masked by friction
+MOST = 10.0         # upper bound of a parameter, as a multiple of the value identified first
+ONE_WAY = 0.02      # share of the time in which noise may reverse a motion in one direction
+# A load behind a compliance may oscillate at the start of a recording; damping may be before it.
+LOAD_SWING = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
           Free('damping_share', 0.0, 1.0, (0.5,)))
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play in series.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
                       ('valve',), (('loop_share', 1.0), ('loop_spread', 0.0)))
 # Delay and lag of a slow machine's position loop: ten times those of a valve.
-SLOW = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
+SLOW_LOOP = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
         for field in ('command_delay', 'valve_lag')}
 
 
 def drive_of(runs: Sequence[Run]) -> str:
     """
-    Return what commands a joint: 'force' or 'position'.
+    Return what commands a joint: 'force', 'position' or 'drive', as `prepare` takes it.
 
-    A recorded command is a force. Without one, a joint whose motion misses its reference by more
-    than a tenth is a position servo; else its measured force drives it. Without motion, force
-    follows a reference or command of force as a servo does.
+    A recorded command is a force. Without one, a joint with a tracking error of more than a tenth
+    is a position servo; else its measured force is the input. Without a motion, the force is the
+    output of a servo whose input is a reference or command.
     """
     run = runs[0]
     present = run.signals()
@@ -114,10 +113,10 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     """
     Return the groups of channels that a joint has, and notes.
 
-    healthy: recordings that servo, gravity, spring and mean force are identified on; none: `runs`;
-    weight: what their fit adds to that gravity, N m of sin q and of cos q; hidden: what the
-    position makes is in every fit, although it does not show without an effect; band_hz: up to
-    which the force is judged at most.
+    healthy: recordings from which servo, gravity, spring and mean force are identified; none:
+    `runs`; weight: gravity that their fit adds to it, N m of sin q and of cos q; hidden: gravity
+    or a spring is in every fit, even if not identified without an effect; band_hz: the highest
+    frequency at which the force is compared.
     """
     recordings = prepare(runs, drive, held_out, band_hz)
     of = prepare(healthy, drive) if healthy else recordings
@@ -134,7 +133,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness),
                         rattling)
     found = found._replace(sine=found.sine + weight[0], cosine=found.cosine + weight[1])
-    if rattling is not None:   # what gravity makes of it in the middle of the motion is taken off
+    if rattling is not None:   # the weight beyond gravity at the middle of the motion
         middle = float(np.nanmean((healthy or runs)[0].signal('position')))
         rattling = rattling._replace(weight=rattling.weight - found.sine * np.sin(middle)
                                      - found.cosine * np.cos(middle))
@@ -160,15 +159,15 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
 
 
 def _not_identifiable(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[str]:
-    """Return notes of what cannot be identified from recordings of a joint."""
+    """Return notes about parameters that recordings of a joint do not determine."""
     notes = []
     if any(run.position_m is None for run in runs):
         notes.append('without the position neither gravity nor a spring is looked for')
     ways = [np.sign(np.quantile(r.motion.velocity[inner_samples(r)], [ONE_WAY, 1.0 - ONE_WAY]))
             for r in recordings if r.motion is not None]
     if ways and (np.all(np.array(ways) > 0.0) or np.all(np.array(ways) < 0.0)):
-        notes.append('the joint moves one way only: its friction cannot be told from a constant '
-                     'load')
+        notes.append('the joint moves one way only: its friction cannot be distinguished from a '
+                     'constant load')
     return notes
 
 
@@ -192,10 +191,10 @@ def _without_hidden_compliance(group: Group) -> Group:
 def _identified_servo(recordings: Sequence[Recording]
                       ) -> tuple[list[Servo], Steps | None, float]:
     """
-    Return the servos that recordings may need, the steps of its reference and a model error.
+    Return the servos that may fit recordings, the reference's quantisation and a model error.
 
-    That of a drive without dynamics (rms, as a share of the motion) is small where a delay and a
-    lag, which are effects then, leave hardly more than noise.
+    That of a drive without dynamics (rms, as a share of the motion): small if the residual of a
+    delay and a lag, which are effects then, is hardly more than noise.
     """
     if not all(any(part.any() for part in parts) for parts in (
             [r.fit for r in recordings], [r.held_out for r in recordings])):
@@ -204,7 +203,7 @@ def _identified_servo(recordings: Sequence[Recording]
     slow = slow_servo(decimated)
     steps = steps_of(decimated, slow)
     stepped = in_steps(decimated, steps)
-    if steps:   # they were placed without the response of second order, which moves them
+    if steps:   # estimated with a lag of first order: refined with a servo of second order
         steps = placed_by(second_order(stepped), decimated, steps)
         stepped = in_steps(decimated, steps)
         slow = slow_servo(stepped)
@@ -218,31 +217,31 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
            servos: Sequence[Servo] = (), steps: Steps | None = None,
            model_error: float = SERVO_ERROR) -> Group:
     """
-    Return the group of a drive that should follow its command at once, or as a servo does.
+    Return the group of a drive that should follow its command at once, or as a servo.
 
-    steps: in which it seems to take its reference.
-    proportional: by a gain that is identified, not by one. servos: without limits the first is the
-    block that is a flexure in the actuator: its frequency and damping are free in every fit, since
-    a lag or a delay beside them looks much like another servo; fits of effects begin at all.
+    proportional: its gain is identified, and not 1; steps: quantisation of its reference. servos:
+    without limits, the first one takes the place of the actuator's flexure. Its frequency and
+    damping are free in every fit, since a lag or a delay beside it resembles another servo; fits
+    with effects start from each of them.
     """
     nominal = plant_record(IDEAL)
     dynamics: tuple[Free, ...] = ()
     if servos and not servos[0].limited:
         servo = servos[0]
         nominal['valve_flexure_model'] = FULL
-        nominal['valve_flexure_coil_frequency'] = AT_ONCE_HZ
+        nominal['valve_flexure_coil_frequency'] = NO_LAG_HZ
         nominal['valve_flexure_delay'] = 0.0
         nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
         nominal['valve_flexure_damping_ratio'] = servo.damping
         dynamics = tuple(
-            Free(f'valve_flexure_{name}', *OF_A_SERVO, tuple(
+            Free(f'valve_flexure_{name}', *SERVO_BOUNDS, tuple(
                 getattr(each, own) / getattr(servo, own) for each in servos), 'nominal', anew=True)
             for name, own in (('natural_frequency', 'pulsation'), ('damping_ratio', 'damping')))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:
         nominal['valve_characteristic_gain'] = _gain(recordings)
-    # The gain was identified without a lag, and is far too small if there is one.
+    # The gain was identified without a lag: with one it is biased towards zero.
     low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
     own = {'backlash': (LOST_MOTION,)} | ({'command_quantisation': (stepping(steps),)}
@@ -250,7 +249,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     effects = tuple(effect._replace(variants=own[effect.name])
                     if effect.name in own and not proportional else
                     effect._replace(variants=tuple(
-        variant._replace(free=tuple(_near(SLOW.get(free.field, free), servos)
+        variant._replace(free=tuple(_near(SLOW_LOOP.get(free.field, free), servos)
                                     for free in variant.free),
                          needs=() if dynamics else variant.needs)
         for variant in effect.variants
@@ -266,8 +265,8 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
 
 
 def stepping(steps: Steps) -> Variant:
-    """Return the steps of a reference, whose origin is not known, from where they were found."""
-    # One turn more, so that none is below its bound.
+    """Return quantisation as an effect, with initial guesses of quantum and phase."""
+    # The phase is periodic: one turn is added to keep it positive.
     return Variant((Free('command_quantum', 0.998 * steps.quantum, 1.002 * steps.quantum,
                          (steps.quantum,), '', 'N'),
                     Free('command_phase', 0.95 + steps.phase, 1.05 + steps.phase,
@@ -275,16 +274,16 @@ def stepping(steps: Steps) -> Variant:
 
 
 def _near(free: Free, servos: Sequence[Servo]) -> Free:
-    """Return a free parameter that begins where servos without limits were identified with it."""
+    """Return a free delay or lag with further initial guesses: those identified with a servo."""
     own = {'command_delay': 'delay', 'valve_lag': 'lag'}.get(free.field, '')
-    near = [getattr(each, own) for each in servos if own and not each.limited]
+    guess = [getattr(each, own) for each in servos if own and not each.limited]
     if free.field == 'valve_lag_split' and any(each.lag for each in servos):
-        near = [LAG_SPLIT]
-    return free._replace(starts=(*filter(None, near), *free.starts))
+        guess = [LAG_SPLIT]
+    return free._replace(starts=(*filter(None, guess), *free.starts))
 
 
 def _gain(recordings: Sequence[Recording]) -> float:
-    """Return force over command, by least squares."""
+    """Return the gain from command to force, by least squares."""
     command = np.concatenate([r.command[r.fit] for r in recordings if r.command is not None])
     force = np.concatenate([r.valve_position[r.fit] for r in recordings
                             if r.valve_position is not None])
@@ -295,11 +294,11 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
                force_measured: bool, weighs: bool, healthy: bool, springs: bool,
                rattling: Rattling | None) -> Group:
     """
-    Return the group that compares the force with what the motion takes.
+    Return the group that compares the measured force with that of the motion.
 
-    weighs: it has gravity, which each fit adjusts, or which, with healthy recordings, may have
-    changed; springs: it has a spring whose stiffness is not given; rattling: where the fit of a
-    backlash begins.
+    weighs: the joint has gravity, which is free in every fit or, with healthy recordings, an
+    effect; springs: it has a spring whose stiffness is not given; rattling: initial guess of a
+    backlash.
     """
     rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
@@ -307,28 +306,28 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     for name in OF_ANY_SIZE & given.keys():
         nominal[name.replace('.', '_')] = given[name]
     identified, typical = _identified(recordings, float(nominal['load_stiffness']), springs)
-    near = rattling_mechanics(rattling, springs) if rattling else {}
+    guess = rattling_mechanics(rattling, springs) if rattling else {}
     nuisance = []
     for name, field in (('load.mass', 'load_mass'), ('load.damping', 'load_damping'),
                         ('load.stiffness', 'load_stiffness')):
         if name in given:
-            if nominal[field] > 0.0:   # a share of nothing is nothing
+            if nominal[field] > 0.0:   # 0 has no relative tolerance
                 nuisance.append(Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
         elif field in identified:
-            # Identified without friction; the true value may be far off.
-            value = near.get(field, identified[field])
+            # Identified without friction, so it may be far from the true value.
+            value = guess.get(field, identified[field])
             nominal[field] = value
             most = MOST * max(value, identified[field], TYPICAL * typical[field])
             nuisance.append(Free(field, 0.0, most, (value,), anew=rattling is not None))
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
-    # At a constant speed the damping explains the mean force, which may have been removed.
-    # So may gravity, of which that of the middle was a constant force.
+    # At a constant speed damping explains the mean force, and so does gravity at the middle of
+    # the motion; but a mean force may have been removed.
     largest = max(1.0, 2.0 * abs(start)) + 2.0 * (weighs and not healthy)
     nuisance.append(Free('load_offset', -largest, largest, (start,), 'force'))
     period = max(recording.period_s for recording in recordings)
-    # A held command acts half a sample late, and its stamp may be off by as much; a force may be
-    # sampled before the next command.
+    # A held command has a mean delay of half a sample, and its time stamp may be off by as much;
+    # a force may be sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
     travel = max(float(np.ptp(r.motion.position[inner_samples(r)]))
                  for r in recordings if r.motion)
@@ -344,10 +343,10 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
 
 def rattling_in(rattling: Rattling | None) -> list[Variant]:
     """
-    Return forms of a backlash whose load flies, touches, and hardly rebounds.
+    Return forms of a backlash within which the load moves freely; a contact hardly rebounds.
 
-    rattling: where it was found; None if it was not. The joint's damping is the load's; in the
-    second form the motor has damping, too.
+    rattling: initial guess, or None. The joint's damping is the load's; in the second form the
+    motor has damping, too.
     """
     if rattling is None:
         gap = Free('backlash', 0.001, 0.7, (0.004, 0.015, 0.05, 0.15), 'position', 'm')
@@ -364,14 +363,14 @@ def rattling_in(rattling: Rattling | None) -> list[Variant]:
 
 
 def rattling_mechanics(rattling: Rattling, springs: bool) -> dict[str, float]:
-    """Return mass, damping and, of a joint on a spring, stiffness of a joint that rattles."""
+    """Return mass, damping and, if it has a spring, stiffness of a joint with that backlash."""
     return {'load_mass': rattling.mass / rattling.share,
             'load_damping': rattling.decay * rattling.mass} | (
                 {'load_stiffness': max(rattling.stiffness, 0.0)} if springs else {})
 
 
 def _rattling(recordings: Sequence[Recording], runs: Sequence[Run]) -> Rattling | None:
-    """Return how the load of a joint rattles, by the first recording; None if it does not."""
+    """Return the initial guess of a backlash, from one recording; None without backlash."""
     for run, recording in zip(runs, recordings, strict=True):
         motion = recording.motion
         if (recording.fit.any() and recording.held_out.any() and motion is not None
@@ -384,12 +383,12 @@ def _rattling(recordings: Sequence[Recording], runs: Sequence[Run]) -> Rattling 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
                   rattling: Sequence[Variant]) -> tuple[Effect, ...]:
     """
-    Return the effects that may be at work between the force and the motion of a joint.
+    Return the candidate effects between the force and the motion of a joint.
 
     period: of the samples, s; travel: range of motion, m or rad; mass_given: the mass is known, so
     that a gain error of the force can be identified; force_measured: not only commanded. Effects
-    that equal free parameters of the nominal model are left out: a constant disturbance is an
-    offset. So is the constant part of asymmetric friction, which is fitted without an offset.
+    that equal free parameters of the nominal model are left out: a constant disturbance equals an
+    offset. So does the constant part of asymmetric friction, which is fitted without an offset.
     """
     covered = {'disturbance', 'sensor_offset'}
     if not mass_given:
@@ -400,7 +399,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     low, high = (share * travel for share in BRISTLE)
     wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
              'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
-             # Slower than that is no force sensor, but a load that gives way.
+             # A slower response is that of a compliant load, not of a force sensor.
              'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
 
     def applies(variant: Variant) -> bool:
@@ -413,7 +412,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
                      if free.field != 'friction_asymmetry' or not variant.joined)
         uneven = any(each.field == 'friction_asymmetry' for each in free)
         behind = any(each.field == 'compliance' for each in free) and not variant.fixed
-        return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *BEHIND * behind))
+        return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *LOAD_SWING * behind))
 
     effects = [effect._replace(variants=variants) for effect in EFFECTS
                if (variants := tuple(
@@ -422,7 +421,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     if not force_measured:
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
                 for field in ('drive_delay', 'drive_lag')}
-        # A second pole only if it needs one: a form with more parameters is less probable.
+        # Two forms, since each parameter makes a form less probable.
         forms: dict[str, list[tuple[Free, ...]]] = {
             'transport_delay': [(late['drive_delay'],)],
             'valve_lag': [(late['drive_lag'],),
@@ -435,10 +434,10 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
 def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
                 ) -> tuple[dict[str, float], dict[str, float]]:
     """
-    Return mass, damping and offset by least squares on the fitted parts, none below zero.
+    Return mass, damping, offset and stiffness by least squares on the fitted parts.
 
-    And the values of each with which it would make the whole force by itself. stiffness: that is
-    given; springs: one is identified too.
+    And the value of each with which it alone would explain the whole force (rms). All but the
+    offset are positive. stiffness: the given one, or 0; springs: one is identified.
     """
     rows, right = [], []
     for recording in recordings:

@@ -1,4 +1,4 @@
-"""The nominal model with what was found put in, as a ROS parameter file for the actuator node."""
+"""The improved model: nominal parameters and found effects, as parameters of the actuator node."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -12,7 +12,7 @@ from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 from asi_common.record import as_number, field_name
 
-# Fields of the effects that are a parameter of the simulator as they are.
+# Fields of the effects that equal a parameter of the simulator.
 DIRECT: Final = {
     'command_delay': 'command_path.delay',
     'command_quantum': 'command_path.quantum',
@@ -35,7 +35,7 @@ DIRECT: Final = {
     'sensor_drift': 'force_sensor.drift',
     'sensor_drift_curve': 'force_sensor.drift_curve',
 }
-# Fields that `improved` turns into parameters, or that only say what shape a size has.
+# Fields that `improved` turns into parameters, and those of a shape only.
 TURNED: Final = frozenset({
     *DIRECT, 'command_phase', 'command_truncated', 'loop_width', 'loop_share', 'loop_spread',
     'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening', 'friction_level',
@@ -45,14 +45,14 @@ TURNED: Final = frozenset({
     'piston_share', 'disturbance', 'disturbance_wave', 'disturbance_frequency',
     'disturbance_phase', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
     'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split', 'sensor_lag_split'})
-# Parameters that predictions set for themselves.
-OF_PREDICTIONS: Final = ('maximum_substep', 'force_sensor.noise', 'force_sensor.drop_rate')
-ROUNDED: Final = 0.75   # friction that gives way more gradually than this is a Dahl bristle
+# Parameters that predictions set themselves.
+NOT_IDENTIFIED: Final = ('maximum_substep', 'force_sensor.noise', 'force_sensor.drop_rate')
+DAHL_ROUNDING: Final = 0.75   # friction_rounding above which friction is written as Dahl's
 NO_STIFFENING_N: Final = 1e5
 
 
 def effect_fields(values: Mapping[str, Value]) -> dict[str, float]:
-    """Return the fields of effects that a nominal model holds already, by its parameters."""
+    """Return the fields of effects that the parameters of a nominal model contain already."""
     fields = {field: float(values[name]) for field, name in DIRECT.items()}
     rounding = values['command_path.rounding']
     fields['command_phase'] = 0.5 if rounding == 'edge' else 0.0
@@ -79,9 +79,9 @@ def effect_fields(values: Mapping[str, Value]) -> dict[str, float]:
 
 def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
     """
-    Return what the effects of a plant's record change in the actuator's parameters.
+    Return the actuator's parameters that the effects of a plant's record change.
 
-    values: all parameters of the actuator by dotted name, the record's nominal ones put in.
+    values: all parameters of the actuator by dotted name, with the record's nominal ones.
     """
     changed: dict[str, Value] = {name: float(p[field]) for field, name in DIRECT.items()
                                  if p[field] != 0.0 and field != 'supply_time'}
@@ -111,7 +111,7 @@ def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
         stiffening = float(p['air_stiffening'])
         changed['fluid_dynamics.air_force'] = (
             float(p['force_scale']) / stiffening if stiffening > 0.0 else NO_STIFFENING_N)
-    changed |= _friction(p, values) | _coupling(p) | _push(p)
+    changed |= _friction(p, values) | _coupling(p) | _external_force(p)
     if p['sensor_offset'] != 0.0:
         changed['force_sensor.offset'] = float(p['force_sensor_offset'] + p['sensor_offset'])
     if p['sensor_gain_error'] != 0.0:
@@ -121,7 +121,7 @@ def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _friction(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the friction of the effects, on top of a nominal one, as the simulator's."""
+    """Return nominal friction plus that of the effects, as parameters of the simulator."""
     changed: dict[str, Value] = {}
     full = values['friction.model'] == 'full'
     if (p['friction_level'] > 0.0 or p['viscous'] > 0.0) and not full:
@@ -140,12 +140,12 @@ def _friction(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
         if not full and p['friction_bristle'] > 0.0:
             changed['friction.presliding_stiffness'] = level * high / float(p['friction_bristle'])
             changed['friction.presliding_damping'] = 0.0
-            changed['friction.presliding_slip'] = float(p['friction_rounding'] > ROUNDED)
+            changed['friction.presliding_slip'] = float(p['friction_rounding'] > DAHL_ROUNDING)
     return changed
 
 
 def _coupling(p: np.void) -> dict[str, Value]:
-    """Return compliance and backlash as the simulator's."""
+    """Return compliance and backlash as parameters of the simulator."""
     changed: dict[str, Value] = {}
     if p['backlash'] > 0.0:
         changed['backlash.gap'] = 2.0 * float(p['backlash'])
@@ -158,8 +158,8 @@ def _coupling(p: np.void) -> dict[str, Value]:
     return changed
 
 
-def _push(p: np.void) -> dict[str, Value]:
-    """Return the largest of constant, wave and pulse as the simulator's push: it has one."""
+def _external_force(p: np.void) -> dict[str, Value]:
+    """Return the largest disturbance as the simulator's external force: it has only one."""
     sizes = {name: abs(float(p[name]))
              for name in ('disturbance', 'disturbance_wave', 'disturbance_pulse')}
     name = max(sizes, key=lambda name: sizes[name])
@@ -176,11 +176,11 @@ def _push(p: np.void) -> dict[str, Value]:
 
 
 def left_out(p: np.void, values: Mapping[str, Value]) -> list[str]:
-    """Return the fields of effects at work that the simulator has no parameter for."""
+    """Return the fields of effects in a record for which the simulator has no parameter."""
     pushes = [name for name in ('disturbance', 'disturbance_wave', 'disturbance_pulse')
               if p[name] != 0.0]
     names = [name for name in EFFECT_FIELDS if p[name] != 0.0 and name not in TURNED]
-    # The nominal friction is in the cylinder; another behind the sensor has no place of its own.
+    # All friction of the simulator is at one location: the cylinder, not behind the sensor.
     if (p['friction_level'] > 0.0 and p['friction_inside'] < 0.5
             and values['friction.model'] == 'full'):
         names.append('friction_inside')
@@ -192,7 +192,7 @@ def _of_simulator(p: np.void, model: Mapping[str, Value]) -> dict[str, Value]:
     changed: dict[str, Value] = {}
     for parameter in ACTUATOR_PARAMETERS:
         found = p[field_name(parameter.name)]
-        if parameter.name in OF_PREDICTIONS or found == as_number(
+        if parameter.name in NOT_IDENTIFIED or found == as_number(
                 parameter, model.get(parameter.name, parameter.default)):
             continue
         changed[parameter.name] = (parameter.choices[int(found)] if parameter.choices else
@@ -201,7 +201,7 @@ def _of_simulator(p: np.void, model: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _allowed(name: str, value: Value) -> Value:
-    """Return a value within what its parameter allows."""
+    """Return a value, limited to the range of its parameter."""
     parameter = next(p for p in ACTUATOR_PARAMETERS if p.name == name)
     if not isinstance(parameter.default, float):
         return value
@@ -211,9 +211,9 @@ def _allowed(name: str, value: Value) -> Value:
 def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
                    ) -> tuple[dict[str, Value], list[str]]:
     """
-    Return the improved parameters, and what of the effects they cannot hold.
+    Return the improved parameters, and the fields of effects for which there is none.
 
-    model: nominal parameters by dotted name; records: the verdict's, one a group of channels.
+    model: nominal parameters by dotted name; records: of the verdict, one for each group.
     """
     values = dict(model)
     if all(map(of_simulator, records)):

@@ -19,17 +19,14 @@ from asi_analysis.gap.prepare import Recording
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 
-# Largest sub-steps. Lags are exact for inputs that are linear between samples, so the force needs
-# no smaller step than the first; delays and dry friction of the nominal model take the second, the
-# hysteresis of the full model, whose width depends on the rate of the command, the third.
+# Longest sub-steps. Lags are exact for inputs that are linear between samples.
 FORCE_STEP_S = 5e-4
-STEP_S = 2.5e-4
-FINER = 2
-HYSTERESIS_STEP_S = 2e-4
-# Of the simulated load: the hydraulic damping acts with a delay of 0.16 ms.
-TRAVEL_STEP_S = 1e-4
-CONTACT_STEP_S = 1e-4   # of a load with contact
-RATTLING_STEP_S = 2.5e-4   # and of one that comes to rest at it
+STEP_S = 2.5e-4           # of the valve, for its delay
+FRICTION_FACTOR = 2       # dry friction and the sensor: so many for each of those of the force
+HYSTERESIS_STEP_S = 2e-4  # of the full hysteresis, whose width depends on the command's rate
+TRAVEL_STEP_S = 1e-4      # of the simulated load: hydraulic damping acts after 0.16 ms
+CONTACT_STEP_S = 1e-4     # of a load with contacts
+RATTLING_STEP_S = 2.5e-4  # of a load whose contacts last
 # Fields that the cached parts of a prediction depend on, and the number of cached parts.
 FRICTION_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('friction_', 'viscous')))
@@ -60,7 +57,7 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output of a channel: n samples, in the channel's unit."""
     if channel == 'static':
         return static_blocks.predict(recording, p)
-    p = _in_recording(p, recording.number)
+    p = _of_recording(p, recording.number)
     if simulator.of_simulator(p):
         return simulator.predict(recording, channel, p)
     if channel == 'load':
@@ -75,14 +72,14 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     fine = FULL in (p['force_sensor_model'], p['friction_model'])
     count = recording.sub_steps(FORCE_STEP_S)
     steady_force = _cached(
-        recording, STEADY_FORCE_FIELDS, p, (position, velocity), lambda: _finely_run(
+        recording, STEADY_FORCE_FIELDS, p, (position, velocity), lambda: _at_sub_steps(
             blocks.steady_state_force, recording, p, (position, velocity), count))
     if fine:   # friction changes faster than valve and motion
-        steady_force, count = _finely(steady_force, FINER), FINER * count
-    friction = _cached(recording, FRICTION_FIELDS, p, (velocity,), lambda: _finely_run(
+        steady_force, count = _interpolated(steady_force, FRICTION_FACTOR), FRICTION_FACTOR * count
+    friction = _cached(recording, FRICTION_FIELDS, p, (velocity,), lambda: _at_sub_steps(
         blocks.cylinder_friction, recording, p, (velocity,), count))
     out = np.empty(recording.fit.size)
-    # The smoothed motion, where there is one: noise grows with each derivative.
+    # Of the smoothed motion, if there is one: differentiation amplifies noise.
     motion = recording.motion
     acceleration = (np.gradient(velocity, recording.period_s) if motion is None else
                     motion.acceleration[motion.pad:motion.pad + out.size])
@@ -92,7 +89,7 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
 
 
 def for_recordings(p: np.void, count: int) -> np.void:
-    """Return a record with the fields of a recording once for each of `count` recordings."""
+    """Return a record in which each field of `OF_A_RECORDING` is there for `count` recordings."""
     if count == 1:
         return p
     names = [(field, of_recording(field, number)) for number in range(1, count)
@@ -105,8 +102,8 @@ def for_recordings(p: np.void, count: int) -> np.void:
     return wide
 
 
-def _in_recording(p: np.void, number: int) -> np.void:
-    """Return a record with the values that its fields have in one recording."""
+def _of_recording(p: np.void, number: int) -> np.void:
+    """Return a record with the fields of `OF_A_RECORDING` set to those of one recording."""
     if number == 0:
         return p
     own = p.copy()
@@ -118,9 +115,10 @@ def _in_recording(p: np.void, number: int) -> np.void:
 
 def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
     """
-    Return the propagated noise of a channel: the mean square from the noise of its inputs.
+    Return the mean square noise of a predicted channel that comes from its measured inputs.
 
-    The inputs are valve position and motion. A lag reduces it, an inverted lag increases it.
+    These are valve position and motion. A lag attenuates their noise, an inverted lag amplifies
+    it.
     """
     if channel in ('valve', 'static') or simulator.of_simulator(p):
         return 0.0
@@ -160,30 +158,30 @@ def _cached(recording: Recording, fields: tuple[str, ...], p: np.void,
     """
     Return a part of a prediction, from the cache if nothing that it depends on has changed.
 
-    A numerical derivative changes one parameter, which acts on one part.
+    A finite difference changes one parameter, which acts on one part only.
     """
     key = (fields[0], *(float(p[name]) for name in fields),
            *(hash(signal.tobytes()) for signal in signals))
-    known = recording.cache
-    if key not in known:
-        while len(known) >= CACHE_SIZE:
-            del known[next(iter(known))]
-        known[key] = make()
-    known[key] = known.pop(key)   # the latest last
-    return known[key]
+    cache = recording.cache
+    if key not in cache:
+        while len(cache) >= CACHE_SIZE:
+            del cache[next(iter(cache))]
+        cache[key] = make()
+    cache[key] = cache.pop(key)   # the latest last
+    return cache[key]
 
 
-def _finely_run(part: Callable[..., None], recording: Recording, p: np.void,
+def _at_sub_steps(part: Callable[..., None], recording: Recording, p: np.void,
                 signals: tuple[Array, ...], count: int) -> Array:
-    """Return a part of the force at `count` sub-steps a sample."""
+    """Return a part of the force at `count` sub-steps per sample."""
     out = np.empty((recording.fit.size - 1) * count + 1)
-    part(*(_finely(signal, count) for signal in signals), *blocks.parts(p),
+    part(*(_interpolated(signal, count) for signal in signals), *blocks.parts(p),
          recording.period_s / count, out)
     return out
 
 
-def _finely(signal: Array, count: int) -> Array:
-    """Return a signal at `count` sub-steps a sample, by linear interpolation."""
+def _interpolated(signal: Array, count: int) -> Array:
+    """Return a signal at `count` sub-steps per sample, by linear interpolation."""
     rise = np.diff(signal)[:, None] * (np.arange(count) / count)
     return np.append((signal[:-1, None] + rise).ravel(), signal[-1])
 
@@ -193,9 +191,9 @@ def _valve(recording: Recording, p: np.void) -> Array:
     out = np.empty(recording.fit.size)
     longest = HYSTERESIS_STEP_S if p['valve_hysteresis_model'] == FULL else STEP_S
     if p['valve_flexure_model'] != FULL:
-        # Without a lag only the mean over a sample depends smoothly on the delay.
+        # Without a lag, sub-steps would make the output a discontinuous function of the delay.
         longest = recording.period_s
-    else:   # that of a slow servo
+    else:   # a slow servo allows longer ones
         longest = max(longest, SUB_STEP / (2.0 * np.pi * p['valve_flexure_natural_frequency']))
     blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
                  recording.sub_steps(longest), out)
@@ -238,8 +236,8 @@ def _load(recording: Recording, p: np.void) -> Array:
         extra += damping * moved[1] + stiffness * moved[0]
         passed = np.fft.rfft(gravity[0] * np.sin(moved[0] + middle)
                              + gravity[1] * np.cos(moved[0] + middle))
-        # By its momentum: a contact may be over between two samples.
-        linear = 1j * motion.omega * _read(motion.omega, p) * (
+        # From its momentum, since a contact may be shorter than a sample.
+        linear = 1j * motion.omega * _reading(motion.omega, p) * (
             (1.0 - p['force_sensor_mass_share']) * mass * motion.velocity_spectrum
             + (p['load_mass'] - mass) * np.fft.rfft(moved[1]))
     else:
@@ -247,7 +245,7 @@ def _load(recording: Recording, p: np.void) -> Array:
                          np.fft.rfft(slack), p, slope)
         if p['compliance'] > 0.0:   # the weight is beyond it
             passed *= blocks.transmitted(motion.omega, p, slope)
-    total = motion.judge * (linear + (np.fft.rfft(extra) + passed) * _read(motion.omega, p)
+    total = motion.judge * (linear + (np.fft.rfft(extra) + passed) * _reading(motion.omega, p)
                             - np.fft.rfft(taken))
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
@@ -261,16 +259,16 @@ def _load(recording: Recording, p: np.void) -> Array:
 
 
 def _gravity(recording: Recording, p: np.void) -> Array:
-    """Return the gravity of a joint, N m of the sine and of the cosine of its angle."""
+    """Return the gravity of a joint: amplitudes (N m) of sine and cosine of its angle."""
     return np.array([recording.taken.get(f'gravity_{part}', 0.0) + p[f'gravity_{part}']
                      for part in ('sine', 'cosine')])
 
 
 def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:
     """
-    Return the gravity of a joint (N m), what of it was taken off the force, and its slope (N m).
+    Return the gravity of a joint, the part of it that was subtracted from the force, its slope.
 
-    Both along the motion, the slope over the position at its middle.
+    The first two along the motion, N m; the slope by the angle at the middle of it, N m/rad.
     """
     motion, taken = recording.motion, recording.taken
     assert motion is not None
@@ -287,22 +285,22 @@ def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:
     return made, off, now[0] * math.cos(middle) - now[1] * math.sin(middle)
 
 
-def _read(omega: Array, p: np.void) -> Complex:
-    """Return the response from the force on the load to the reading, or to the command."""
+def _reading(omega: Array, p: np.void) -> Complex:
+    """Return the frequency response from the force on the load to the sensor's, or the command."""
     return blocks.sensor_response(omega, p) * blocks.drive_inverse(omega, p)
 
 
 def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,
             slope: float = 0.0) -> Complex:
-    """Return the spectrum of the force of the linear load for a motion, as read."""
+    """Return the spectrum of the measured force of the linear load for a motion."""
     if p['compliance'] > 0.0 or p['backlash'] > 0.0:
-        return blocks.behind(omega, velocity, position, slack, p, slope) * _read(omega, p)
+        return blocks.behind(omega, velocity, position, slack, p, slope) * _reading(omega, p)
     _, _, stiffness = blocks.load_constants(p)
-    return (blocks.impedance(omega, p) * velocity + stiffness * position) * _read(omega, p)
+    return (blocks.impedance(omega, p) * velocity + stiffness * position) * _reading(omega, p)
 
 
 def measured(recording: Recording, channel: str) -> Array:
-    """Return the measured output of a channel."""
+    """Return the measured output of a channel, n samples."""
     signal = {'valve': recording.valve_position, 'static': recording.valve_position,
               'force': recording.force,
               'load': recording.force_judged, 'velocity': recording.raw_velocity,
@@ -313,9 +311,9 @@ def measured(recording: Recording, channel: str) -> Array:
 
 def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
     """
-    Return what a prediction misses, n samples in the channel's unit; of a motion, in its band.
+    Return the error of a prediction, n samples in the channel's unit; of a motion, in its band.
 
-    A mass that begins and ends to slide rings above that, which the force does not show.
+    Above that band a mass rings when it begins or ends to slide, which the force does not show.
     """
     error = measured(recording, channel) - predict(recording, channel, p)
     if channel not in MOTIONS or recording.motion is None:

@@ -1,11 +1,11 @@
 """
-The load of a geared joint that rattles in its gap: half width and share of the mass, roughly.
+Initial guess of the backlash of a geared joint: its half width, and the share of the mass behind.
 
-A fit finds them only from nearby: with another gap the load flies and touches at other times. But
-what the load does follows from the measured motion of the motor, the gap and the pull on the load,
-whatever the masses, and the force is linear in all masses and constants: so gaps are tried in turn
-(backlash with two masses: Nordin and Gutman, Automatica 38, 2002). Without this a gap would hide
-gravity and spring, which act on the load, not on the motor.
+The cost has many local minima: with another width, contacts occur at other times. But the motion
+of the load follows from the measured motion of the motor, the width and the force per mass on the
+load; then the force is linear in the masses and constants. So a grid of widths is tried (backlash
+with two masses: Nordin and Gutman, Automatica 38, 2002). Without this, backlash would hide gravity
+and spring, which act on the load, not on the motor.
 """
 
 import math
@@ -19,33 +19,34 @@ from asi_analysis.gap.model import blocks
 from asi_analysis.gap.motion import Motion, judged
 from asi_analysis.gap.prepare import Recording
 
-# Gaps that are tried, half widths as a share of the range of motion; then around the best.
+# Half widths that are tried, as shares of the motion's size; then factors of the best.
 GAPS: Final = np.geomspace(0.003, 0.09, 14)
-NEARBY: Final = (0.8, 0.9, 1.0, 1.1, 1.25)
+GAP_FACTORS: Final = (0.8, 0.9, 1.0, 1.1, 1.25)
 CONTACT_S: Final = 0.004
 STEP_S: Final = 1e-3
-# Of the mass and the damping: what is behind the gap, before that is known; its damping per mass.
+# First guesses: share of the mass behind the backlash; its damping over mass, 1/s, at most ...
 SHARE: Final = 0.6
 DECAY: Final = 0.5
 MOST_DECAY: Final = 5.0
-# Shares of the constant load that may act on the load, and how they are refined.
+# Shares of the constant force that act behind the backlash: first guesses and their refinement.
 WEIGHTS: Final = (0.0, 0.5, 1.0)
-FINER: Final = (-0.25, 0.0, 0.25)
+WEIGHT_STEPS: Final = (-0.25, 0.0, 0.25)
 ROUNDS: Final = 3
-SHARES: Final = (0.05, 0.95)
-LIGHTEST: Final = 0.1   # share of the mass: with less it would be some other force
-# Share of the force's power left by a rigid joint, below which no gap is looked for; and of that,
-# what a gap may leave to be believed.
-RIGID: Final = 4e-4
-LEFT: Final = 0.7
-CREEP: Final = 0.05   # of the usual speed: friction is full from there on
+SHARE_BOUNDS: Final = (0.05, 0.95)
+LEAST_SHARE: Final = 0.1   # of the mass behind the backlash: less is another effect
+# No backlash is looked for if the residual power of a rigid joint is below this share of the
+# force's; it is accepted if its residual power is below this share of that of the rigid joint.
+RIGID_RESIDUAL: Final = 4e-4
+MOST_RESIDUAL: Final = 0.7
+CREEP: Final = 0.05   # share of the rms speed at which Coulomb friction is fully developed
 
 
 class Rattling(NamedTuple):
     """
-    Half width m of a gap and what is behind it: share of the mass, kg, N of the constant load.
+    Half width m of a backlash, and what is behind it.
 
-    Stiffness N/m of its spring, damping over mass 1/s; constant load N in all.
+    share: of the mass; mass: kg; weight: constant force N on it; stiffness of its spring N/m;
+    decay: damping over mass 1/s. constant: the constant force on motor and load, N.
     """
 
     gap: float
@@ -58,22 +59,22 @@ class Rattling(NamedTuple):
 
 
 class _Trial(NamedTuple):
-    """Powers left of fitted and held-out parts; load as fitted; share of the constant on it."""
+    """Residual power of fitted and held-out parts; the load; its share of the constant force."""
 
-    left: float
+    residual: float
     held_out: float
     load: Rattling
     weighs: float
 
     def changed(self, factor: float, more: float) -> tuple[Rattling, float]:
-        """Return the load with another gap and share of the constant load."""
+        """Return the load with another backlash and share of the constant force."""
         weighs = self.weighs + more
         return self.load._replace(gap=factor * self.load.gap,
                                   weight=weighs * self.load.constant), weighs
 
 
 def load_motion(motion: Motion, period: float, load: Rattling) -> Array:
-    """Return position and velocity (2 x n) of a load behind its gap."""
+    """Return position (m) and velocity (m/s) of a load behind its backlash: 2 x n."""
     effects = np.zeros(1, blocks.EFFECT_DTYPE)[0]
     effects['backlash'], effects['contact_time'] = load.gap, CONTACT_S
     effects['load_weight'] = load.weight / load.mass
@@ -85,10 +86,10 @@ def load_motion(motion: Motion, period: float, load: Rattling) -> Array:
 
 
 class _Force:
-    """The force of a recording, and what a joint with a gap makes of its motion."""
+    """The force of a recording, fitted by that of a joint with a backlash."""
 
     def __init__(self, recording: Recording, late: float) -> None:
-        """Late: s, by which the force acts later than it is recorded."""
+        """Late: the delay of the force behind its record, s."""
         assert recording.motion is not None and recording.force_judged is not None
         self.recording, self.motion = recording, recording.motion
         motion = self.motion
@@ -108,15 +109,19 @@ class _Force:
         return np.fft.irfft(spectrum * self.motion.judge, self.motion.velocity.size)[self.inner]
 
     def rigid(self) -> _Trial:
-        """Return what a joint without a gap leaves."""
+        """Return the fit without backlash."""
         return self._trial(np.array([self.motion.position, self.motion.velocity]), Rattling(0.0))
 
     def tried(self, load: Rattling, weighs: float) -> _Trial:
-        """Return what a joint with a gap leaves."""
+        """Return the fit with this backlash."""
         return self._trial(load_motion(self.motion, self.recording.period_s, load), load, weighs)
 
     def _trial(self, moved: Array, load: Rattling, weighs: float = 0.0) -> _Trial:
-        """Return the force fitted by masses, damping, spring, friction and constant."""
+        """
+        Return the fit of the force by masses, damping, spring, friction and a constant.
+
+        moved: position (m) and velocity (m/s) of the load; weighs: its share of the constant.
+        """
         motion = self.motion
         velocity = np.fft.rfft(moved[1])
         columns = np.vstack([
@@ -126,7 +131,7 @@ class _Force:
         size = np.sqrt(np.mean(columns ** 2, axis=1)) + 1e-30
         fit = self.recording.fit
         rows, right = (columns / size[:, None])[:, fit], self.force[fit]
-        # The same problem by its triangle.
+        # The same problem, smaller, by Cholesky factorisation.
         triangle = np.linalg.cholesky(rows @ rows.T + 1e-9 * fit.sum() * np.eye(size.size)).T
         low = np.where(np.isin(np.arange(size.size), (2, 5)), -np.inf, 0.0)
         values = lsq_linear(triangle, np.linalg.solve(triangle.T, rows @ right), (low, np.inf),
@@ -134,7 +139,7 @@ class _Force:
         error = self.force - values @ columns
         behind, damping, stiffness, before, _, constant = map(float, values)
         total = behind + before + 1e-30
-        share = min(max(behind / total, SHARES[0]), SHARES[1])
+        share = min(max(behind / total, SHARE_BOUNDS[0]), SHARE_BOUNDS[1])
         mass = share * total
         left, held_out = (float(np.mean(error[part] ** 2))
                           for part in (fit, self.recording.held_out))
@@ -145,13 +150,13 @@ class _Force:
 
 def rattling_of(recording: Recording, late: float) -> Rattling | None:
     """
-    Return how the load of a joint rattles in its gap; None if that explains no more than friction.
+    Return the backlash of a joint; None if it does not explain the force better than friction.
 
-    late: s, by which the force acts later than it is recorded.
+    late: the delay of the force behind its record, s.
     """
     force = _Force(recording, late)
     rigid = force.rigid()
-    if rigid.held_out < RIGID * force.power:
+    if rigid.held_out < RIGID_RESIDUAL * force.power:
         return None
     mass = SHARE * rigid.load.mass / rigid.load.share
     loads = [(Rattling(share * force.scale, SHARE, mass, weighs * rigid.load.constant, stiffness),
@@ -160,8 +165,9 @@ def rattling_of(recording: Recording, late: float) -> Rattling | None:
     best = rigid
     for number in range(1 + ROUNDS):
         if number:
-            loads = [best.changed(factor, more) for factor in NEARBY
-                     for more in (FINER if number % 2 else (0.0,))]
-        best = min((best, *(force.tried(*each) for each in loads)), key=lambda each: each.left)
-    there = best.held_out < LEFT * rigid.held_out and LIGHTEST < best.load.share < SHARES[1]
-    return best.load if there else None
+            loads = [best.changed(factor, more) for factor in GAP_FACTORS
+                     for more in (WEIGHT_STEPS if number % 2 else (0.0,))]
+        best = min((best, *(force.tried(*each) for each in loads)), key=lambda each: each.residual)
+    explained = best.held_out < MOST_RESIDUAL * rigid.held_out
+    plausible = LEAST_SHARE < best.load.share < SHARE_BOUNDS[1]
+    return best.load if explained and plausible else None

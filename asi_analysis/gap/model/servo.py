@@ -3,7 +3,7 @@ The servo of a joint that follows a reference: second order, with limits of spee
 
     a = clip(w^2 (r - x) - 2 d w v, ± acceleration),  v = clip(v, ± rate)
 
-It is the nominal model where it leaves far less than what a delay and a lag of first order leave.
+It is the nominal model if its residual is far smaller than that of a delay with a first-order lag.
 """
 
 import math
@@ -19,34 +19,35 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
 
-# Share of the held-out power that a delay and a lag leave, below which a second order is taken;
-# and of that of the unlimited servo, below which its limits are.
+# A servo of second order is accepted if its held-out residual power is below this share of that of
+# a delay and a lag; its limits, if theirs is below this share of that without limits.
 LEFT_BY_LAG: Final = 0.5
 LEFT_UNLIMITED: Final = 0.7
-ALMOST: Final = 3.0           # times the noise (rms) of the output
-NOISE: Final = 1.5            # of the output's noise power: what is below it needs no model
-# Angle of the fastest motion in one sub-step, rad, and most sub-steps of a sample.
+ALMOST: Final = 3.0           # a residual (rms) below this multiple of the noise is model error
+NOISE: Final = 1.5            # a residual power below this multiple of the noise needs no servo
+# Natural frequency times sub-step, rad, and the most sub-steps of a sample.
 SUB_STEP: Final = 0.02
 MOST_SUB_STEPS: Final = 64
-# Starts: times of the response, in samples, and damping ratio.
+# Initial guesses: 1 / natural frequency, in samples; damping ratio, and its bounds.
 TIMES: Final = (1.5, 5.0, 15.0, 50.0, 150.0)
 DAMPING: Final = 0.8
 DAMPINGS: Final = (0.05, 3.0)
-LAG: Final = 20.0             # a damping ratio at which a servo is a lag of first order
+LAG: Final = 20.0             # damping ratio at which a servo equals a lag of first order
 LONGEST_DELAY: Final = 1.0    # s
 LATE: Final = ('delay', 'lag')
 TOLERANCE: Final = 0.2        # of the gain
 LAG_SPLIT: Final = 0.35       # share of the second pole of a lag
-FASTER: Final = (2.0, 4.0)    # times as fast as beside a delay is a servo beside a lag
-# Samples of all recordings that are used; of longer ones every second, third ...
+# Initial guesses: natural frequency of a servo with a lag, over that of a servo with a delay.
+FASTER: Final = (2.0, 4.0)
+# The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
 
 class Servo(NamedTuple):
     """
-    Frequency rad/s, damping ratio, largest rate and acceleration (inf: none), delay and lag s.
+    Natural frequency rad/s, damping ratio, limits of rate and acceleration, delay s, lag s.
 
-    Rate and acceleration in units of the reference over s and s2. The lag has two poles.
+    Limits in units of the reference per s and per s2, inf: none. The lag has two poles.
     """
 
     pulsation: float
@@ -78,7 +79,7 @@ def _follow(reference, start, period, steps, pulsation, damping, rate, accelerat
 
 
 def follow(servo: Servo, reference: Array, start: float, period: float) -> Array:
-    """Return what a servo makes of a reference held for a period (s), from rest at `start`."""
+    """Return the response of a servo at rest at `start` to a reference held for a period (s)."""
     time = period * np.arange(reference.size)
     late = np.interp(time - servo.delay, time, reference) if servo.delay else reference
     for share in (LAG_SPLIT, 1.0 - LAG_SPLIT) if servo.lag else ():
@@ -91,12 +92,12 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
 
 
 def left_of(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
-    """Return what a servo leaves of the output."""
+    """Return the residual of a servo's output on a part: 'fit' or 'held_out'."""
     return left_by([_response(servo, r) for r in recordings], recordings, part)
 
 
 def left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: str) -> Array:
-    """Return what responses leave, but for a gain near 1 and an offset, by the fitted parts."""
+    """Return the residual of responses, with a gain near 1 and an offset from the fitted parts."""
     outputs = [r.valve_position for r in recordings if r.valve_position is not None]
     x, y = (np.concatenate([each[r.fit] for each, r in zip(signals, recordings, strict=True)])
             for signals in (responses, outputs))
@@ -110,9 +111,9 @@ def left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: s
 
 def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) -> Servo:
     """
-    Return the servo with its `free` fields fitted, all but the delay by their logarithm.
+    Return the servo with its `free` fields fitted, all but delay and lag on a logarithmic scale.
 
-    Above a natural frequency of a radian a sample, or of the limits, nothing is told apart.
+    A natural frequency above 1 rad per sample, or above that of the limits, is not identifiable.
     """
     period = min(r.period_s for r in recordings)
     bounds = {'pulsation': (-20.0, -math.log(period)), 'rate': (-40.0, 40.0),
@@ -136,11 +137,12 @@ def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) 
 
 
 def _power(servo: Servo, recordings: Sequence[Recording], part: str = 'held_out') -> float:
+    """Return the mean square residual of a servo."""
     return float(np.mean(left_of(servo, recordings, part) ** 2))
 
 
 def _best(recordings: Sequence[Recording], damping: float, free: Sequence[str]) -> Servo:
-    """Return the servo fitted from the best of fast and slow ones, without a delay and with."""
+    """Return the best fit of a servo, from initial guesses without and with a delay."""
     period = max(r.period_s for r in recordings)
     faster = 2.0 * LAG if damping == LAG else 1.0
 
@@ -154,17 +156,17 @@ def _best(recordings: Sequence[Recording], damping: float, free: Sequence[str]) 
 
 
 def slow_servo(recordings: Sequence[Recording]) -> Servo:
-    """Return a delay and a lag of first order, as a servo, fitted."""
+    """Return the fit of a delay with a lag of first order, as a servo."""
     return _best(recordings, LAG, ('pulsation', 'delay'))
 
 
 def second_order(recordings: Sequence[Recording]) -> Servo:
-    """Return a servo of second order with a delay, fitted."""
+    """Return the fit of a servo of second order with a delay."""
     return _best(recordings, DAMPING, ('pulsation', 'damping', 'delay'))
 
 
 def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
-    """Return what a servo leaves of held-out parts (rms), if that is hardly more than noise."""
+    """Return a servo's residual on held-out parts (rms), if hardly more than noise; else inf."""
     left = math.sqrt(_power(servo, recordings))
     noise = max(r.noise['valve_position'] for r in recordings)
     return left if left < ALMOST * noise else math.inf
@@ -172,10 +174,10 @@ def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
 
 def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     """
-    Return servos of second order: the one that recordings need, and others much like it.
+    Return servos of second order: the one that fits best, and similar ones as further starts.
 
-    Some have a delay and some a lag; none if these alone leave about as little. slow: these,
-    fitted.
+    Some have a delay, others a lag. An empty list if a delay with a lag of first order fits about
+    as well. slow: the fit of that.
     """
     recordings = thinned(recordings)
     at_once = float(np.mean(left_by([r.command for r in recordings if r.command is not None],
@@ -200,7 +202,7 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
 
 
 def _with_lag(delayed: Servo) -> Iterator[Servo]:
-    """Yield servos with a lag that are much like one with a delay."""
+    """Yield servos with a lag whose responses are similar to that of one with a delay."""
     for faster in FASTER:
         yield delayed._replace(pulsation=faster * delayed.pulsation, delay=0.0,
                                lag=delayed.delay + 1.0 / delayed.pulsation)
@@ -212,13 +214,13 @@ def _with_lag(delayed: Servo) -> Iterator[Servo]:
 
 
 def thinned(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return the samples of recordings that a servo is fitted to."""
+    """Return recordings with at most MOST_SAMPLES samples, to fit a servo to."""
     every = math.ceil(sum(r.fit.size for r in recordings) / MOST_SAMPLES)
     return [_thinned(r, every) for r in recordings]
 
 
 def _thinned(r: Recording, every: int) -> Recording:
-    """Return every so many samples of what a servo is fitted to."""
+    """Return a recording with every `every`-th sample of what a servo is fitted to."""
     assert r.command is not None and r.valve_position is not None
     return replace(r, period_s=every * r.period_s, command=r.command[::every],
                    valve_position=r.valve_position[::every], fit=r.fit[::every],
@@ -226,6 +228,7 @@ def _thinned(r: Recording, every: int) -> Recording:
 
 
 def _response(servo: Servo, recording: Recording) -> Array:
+    """Return the response of a servo to the command, from the measured initial value."""
     assert recording.command is not None and recording.valve_position is not None
     return follow(servo, recording.command, float(recording.valve_position[0]),
                   recording.period_s)
@@ -234,22 +237,22 @@ def _response(servo: Servo, recording: Recording) -> Array:
 def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
                ) -> tuple[list[Recording], list[str]]:
     """
-    Return recordings whose command is what a servo with limits makes of it, and notes.
+    Return recordings whose command has passed through a servo with limits, and notes.
 
-    Its delay is left to the effects. servo: None, if a delay and a lag do. One without limits is
-    left to the fit.
+    The servo's delay stays an effect. A servo without limits is part of the fits instead. servo:
+    None, if a delay and a lag suffice.
     """
     if servo is None:
         return recordings, []
     note = (f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
             f'ratio {servo.damping:.3g}')
     if not servo.limited:
-        return recordings, [f'{note}, where the fit begins']
+        return recordings, [f'{note}, the initial guess of the fit']
     at_once = servo._replace(delay=0.0, lag=0.0)
     limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
         ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
         if math.isfinite(value)]
-    # A command acts from its sample on: at the next one the ideal servo has it.
+    # A command acts from its sample on, so an ideal servo has reached it at the next sample.
     moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
     return ([replace(r, command=each, taken=at_once._asdict())
              for r, each in zip(recordings, moved, strict=True)], [', '.join((note, *limits))])

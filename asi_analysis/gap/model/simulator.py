@@ -1,10 +1,10 @@
 """
 The simulator as the predictor: its own steps, run on the recorded command.
 
-Where the valve position was measured, its error is added to the simulated position, period by
-period: between samples the simulator's valve moves, and nothing is interpolated. Piston and load
-are simulated open loop from the measured state at the start: the output-error form of the
-prediction-error method (Ljung, System Identification, 2nd ed., ch. 7).
+If the valve position was measured, its residual is added to the simulated position, period by
+period; between samples the simulated valve moves, so nothing is interpolated. Piston and load are
+simulated open loop from the initial state: the output-error form of the prediction-error method
+(Ljung, System Identification, 2nd ed., ch. 7).
 """
 
 import math
@@ -34,22 +34,23 @@ from asi_analysis.gap.prepare import Recording
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 
-# Sub-steps that are tried, the longest first, and their largest error, in error floors (rms).
+# Sub-steps that are tried, the longest first, and their largest integration error (rms), as a
+# share of the rms error floor.
 SUBSTEPS_S, SUBSTEP_ERROR = (5e-4, 2.5e-4, 1e-4, 5e-5), 0.2
 # Fields that the valve position depends on.
 VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startswith((
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
-# Predictions that are kept, of each kind: at least one for each thread; and their most bytes.
-CACHED, CACHED_BYTES = 2 + len(os.sched_getaffinity(0)), 2 ** 28
-PLACE_ERROR = 0.002  # of velocity and position (rms), when the mean position is compared
-LEAST_KEPT = 0.5   # of a missed part's power that is not noise: below it, all of it is noise
+# The most predictions that are cached, of each kind (at least one for each thread), and bytes.
+CACHE_SIZE, CACHE_BYTES = 2 + len(os.sched_getaffinity(0)), 2 ** 28
+POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
+LEAST_SHARE = 0.5   # gain of the Wiener filter below which all power is taken for noise
 
 
 @jit
 def _valve(state, command, p, period):
-    """Return the valve positions (m) after the jump and each sub-step of n periods."""
+    """Return the valve positions (m) after the command's jump and each sub-step of n periods."""
     steady = prepare(p, period)
     positions = np.empty((command.size, steady.substeps + 1))
     for k in range(command.size):
@@ -60,10 +61,10 @@ def _valve(state, command, p, period):
 @jit
 def _follow(state, deflection, unit, error, p, period, out):
     """
-    Fill `out` (force, velocity, position; n samples) along positions of the valve (m).
+    Fill `out` (force, velocity, position; n samples) for given positions of the valve (m).
 
-    deflection: in each period after the jump and each sub-step, N; unit: m/N; error: of the
-    position in each period, m.
+    These are unit * deflection + error. deflection: after the command's jump and each sub-step of
+    a period, N; unit: m/N; error: in each period, m.
     """
     steady = prepare(p, period)
     positions = np.empty(deflection.shape[1])
@@ -75,42 +76,44 @@ def _follow(state, deflection, unit, error, p, period, out):
 
 
 def simulator_record(nominal: Mapping[str, Value]) -> np.void:
-    """Return the record of nominal parameters that predictions start from: without noise."""
+    """Return the record of nominal parameters for predictions: without noise."""
     p = as_record(nominal)
     p['force_sensor_noise'] = p['force_sensor_drop_rate'] = 0.0
     return p
 
 
 def by_simulator(nominal: Mapping[str, Value]) -> bool:
-    """Return whether the simulator itself predicts: not for simplified nominal models."""
+    """Return whether the simulator itself is the predictor: not of simplified nominal models."""
     return all(nominal.get(f'{block}.model', 'full') == 'full' for block in (
         'valve_hysteresis', 'valve_flexure', 'hydraulic_damping', 'friction')) and (
             nominal.get('load.type') != 'prescribed')
 
 
 def of_simulator(p: np.void) -> bool:
-    """Return whether a record is the simulator's own (perhaps with values of each recording)."""
+    """Return whether a record is the simulator's, perhaps with fields of each recording."""
     return 'loop_width' not in (p.dtype.names or ())
 
 
 def _actuator(p: np.void) -> np.void:
+    """Return the actuator's own fields of a record."""
     return np.frombuffer(p.tobytes(), ACTUATOR_DTYPE, 1)[0].copy()
 
 
 def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Array]) -> Array:
-    known = recording.cache.setdefault(kind, {})   # of several threads
-    made = known.get(key)
+    """Return a prediction from the recording's cache, or made and kept there."""
+    cached = recording.cache.setdefault(kind, {})   # several threads use it
+    made = cached.get(key)
     if made is None:
         made = make()
-        while known and (len(known) >= CACHED or len(known) * made.nbytes > CACHED_BYTES):
+        while cached and (len(cached) >= CACHE_SIZE or len(cached) * made.nbytes > CACHE_BYTES):
             with suppress(KeyError, RuntimeError):
-                del known[next(iter(known))]
-        known[key] = made
+                del cached[next(iter(cached))]
+        cached[key] = made
     return made
 
 
 def simulated_valve(recording: Recording, p: np.void) -> Array:
-    """Return the valve position (m, n samples) that the recorded command gives."""
+    """Return the valve position (m, n samples) simulated from the recorded command."""
     return metres_per_newton(p) * _deflection(recording, p)[:-1, -1]
 
 
@@ -122,10 +125,10 @@ def metres_per_newton(p: np.void) -> float:
 
 def _deflection(recording: Recording, p: np.void) -> Array:
     """
-    Return the valve's deflection (N of valve command) that the recorded command gives.
+    Return the valve's deflection (N of valve command) simulated from the recorded command.
 
-    In the period before the recording and in each of its n periods, after the command's jump and
-    after each sub-step. It is the same for all gains of the valve, and kept.
+    Rows: the period before the recording and its n periods; columns: after the command's jump and
+    after each sub-step. It does not depend on the gain of the valve, and is cached.
     """
     q, command = _actuator(p), recording.command
     q['valve_flexure_travel_limit'] /= metres_per_newton(p)
@@ -145,7 +148,7 @@ def _deflection(recording: Recording, p: np.void) -> Array:
 
 
 def estimated_valve(recording: Recording, p: np.void) -> Array | None:
-    """Return the measured valve position (m, n samples), with less noise by the simulator."""
+    """Return the valve position (m, n samples), estimated from measurement and simulation."""
     if recording.valve_position is None:
         return None
     return less_noisy_valve(recording, simulated_valve(recording, p))[0]
@@ -153,20 +156,20 @@ def estimated_valve(recording: Recording, p: np.void) -> Array | None:
 
 def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, float]:
     """
-    Return the measured valve position (m, n samples) with less noise, and what is left of that.
+    Return the valve position (m, n samples), estimated with a prediction, and its error (m, rms).
 
-    A Wiener filter of what the predicted position misses: where its power is that of the noise,
-    the predicted position is kept. What is left (m, rms) is the noise that passes, and what of
-    the prediction's error does not.
+    The prediction plus its Wiener-filtered residual: at frequencies where the residual has the
+    power of the noise, the prediction is kept. The error is the noise that passes the filter, and
+    the part of the prediction's error that does not.
     """
     assert recording.valve_position is not None
     missed = recording.valve_position - predicted
-    if not recording.at_rest:   # what it was before still shows
+    if not recording.at_rest:   # the response to commands before the recording
         missed[:int(BURN_IN_S / recording.period_s)] = 0.0
     frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
     noise = 2.0 * recording.noise['valve_position'] ** 2
     keep = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
-    keep[keep <= LEAST_KEPT] = 0.0
+    keep[keep <= LEAST_SHARE] = 0.0
     left = keep ** 2 * noise + (1.0 - keep) ** 2 * np.maximum(power - noise, 0.0)
     spectrum = np.fft.rfft(missed)
     keep = np.interp(np.fft.rfftfreq(missed.size), frequency, keep)
@@ -182,7 +185,7 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
         out, error = np.empty((3, recording.fit.size)), np.zeros(recording.fit.size)
         if recording.valve_estimate is not None:
             error = recording.valve_estimate - unit * deflection[:-1, -1]
-            error[:-1] = 0.5 * (error[:-1] + error[1:])   # over a period: the mean of both ends
+            error[:-1] = 0.5 * (error[:-1] + error[1:])   # in a period: the mean of both ends
         _follow(state, deflection[1:], unit, error, _actuator(p), recording.period_s, out)
         return out
 
@@ -194,9 +197,10 @@ def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p
                      floor: Mapping[str, float], shortest: float
                      ) -> tuple[list[Recording], float]:
     """
-    Return recordings with the corrections of a longer sub-step (s), and that sub-step.
+    Return recordings with corrections for the longest possible sub-step (s), and that sub-step.
 
-    Its error is at most a part of the error floor (mean square, by channel).
+    Its integration error is at most SUBSTEP_ERROR. floor: error floor by channel, mean square;
+    shortest: sub-step that needs no correction, s.
     """
     exact = _predictions(recordings, channels, p, shortest)
     for substep in SUBSTEPS_S:
@@ -212,22 +216,22 @@ def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p
 def corrected(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
               substep: float, exact: Sequence[Mapping[str, Array]] | float) -> list[Recording]:
     """
-    Return recordings with the corrections of a longer sub-step (s) at a record.
+    Return recordings with corrections for the integration error of a sub-step (s) at a record.
 
-    The error of the longer sub-step hardly depends on the parameters, so that of `p` is added to
-    all predictions. exact: the sub-step (s) that needs none, or what it predicts.
+    That error hardly depends on the parameters, so the correction at `p` is added to all
+    predictions. exact: the sub-step (s) that needs no correction, or its predictions.
     """
     if isinstance(exact, float):
         exact = _predictions(recordings, channels, p, exact)
-    rough = _predictions(recordings, channels, p, substep)
+    uncorrected = _predictions(recordings, channels, p, substep)
     return [replace(recording, corrected_substep_s=substep, cache={}, corrections={
         channel: fine[channel] - coarse[channel] for channel in channels})
-        for recording, fine, coarse in zip(recordings, exact, rough, strict=True)]
+        for recording, fine, coarse in zip(recordings, exact, uncorrected, strict=True)]
 
 
 def _predictions(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
                  substep: float) -> list[dict[str, Array]]:
-    """Return what a record predicts with a sub-step (s), uncorrected, by recording and channel."""
+    """Return the predictions with a sub-step (s), uncorrected, by recording and channel."""
     q = p.copy()
     q['maximum_substep'] = substep
     return [{channel: predict(replace(recording, corrections={}), channel, q)
@@ -244,25 +248,26 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     if channel == 'force':
         return force + correction
     if channel == 'velocity':
-        return velocity + correction + _out_of_place(recording, position, p)
+        return velocity + correction + _mean_position_error(recording, position, p)
     assert recording.raw_position is not None
     off = np.mean((position - recording.raw_position)[recording.valid])
     return position + correction - (1.0 - 1.0 / math.sqrt(recording.valid.sum())) * off
 
 
-def _out_of_place(recording: Recording, position: Array, p: np.void) -> float:
+def _mean_position_error(recording: Recording, position: Array, p: np.void) -> float:
     """
-    Return by how much the mean of a simulated position (m) is off, as a velocity (m/s).
+    Return the error of the mean of a simulated position (m), scaled to a velocity (m/s).
 
-    Of a load on a spring, which a constant force displaces. In proportion to the errors of both,
-    so that the mean counts as one sample: so well is it known where the position counts from.
+    A constant force displaces a load on a spring, which its velocity does not show. The error is
+    scaled by the uncertainties of both and weighted as a single sample, since the zero of the
+    position is uncertain.
     """
     motion = recording.motion
     if motion is None or not motion.measured or load_spring(_actuator(p))[0] == 0.0:
         return 0.0
     inner = slice(motion.pad, motion.pad + position.size)
     real, valid = motion.position[inner], recording.valid
-    errors = [math.hypot(recording.noise.get(name, 0.0), PLACE_ERROR * float(np.std(values)))
+    errors = [math.hypot(recording.noise.get(name, 0.0), POSITION_ERROR * float(np.std(values)))
               for name, values in (('velocity', motion.velocity[inner]), ('position', real))]
     off = float(np.mean((position - real)[valid])) / math.sqrt(valid.sum())
     return errors[0] / max(errors[1], 1e-300) * off
@@ -270,10 +275,10 @@ def _out_of_place(recording: Recording, position: Array, p: np.void) -> float:
 
 def missed_force(recording: Recording, p: np.void) -> Array:
     """
-    Return the force (N, n samples) that is missed if a motion is not the simulated one.
+    Return the force (N, n samples) that explains the error of a simulated motion.
 
-    Less the measured one: what moves the load by the difference of the velocities, less the
-    difference of the forces; within the band in which motion and force are judged.
+    The force that moves the load by the difference of simulated and measured velocity, minus the
+    difference of the forces; in the band in which motion and force are compared.
     """
     motion = recording.motion
     assert motion is not None and recording.force is not None
@@ -287,13 +292,13 @@ def missed_force(recording: Recording, p: np.void) -> Array:
 
     s = 1j * np.maximum(motion.omega, motion.omega[1])
     mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
-    takes = (mass * s + damping + stiffness / s) * spectrum(velocity - measured)
-    total = motion.judge * (takes - spectrum(force - recording.force))
+    needed = (mass * s + damping + stiffness / s) * spectrum(velocity - measured)
+    total = motion.judge * (needed - spectrum(force - recording.force))
     return np.fft.irfft(total, velocity.size + 2 * motion.pad)[inner]
 
 
 def valve_response(recording: Recording, p: np.void, samples: int, count: int) -> Any:
-    """Return the linear frequency response of the valve: `samples` of its impulse response."""
+    """Return the linear frequency response of the valve, from `samples` of its step response."""
     q = _actuator(p)
     q['valve_hysteresis_model'] = OFF
     for name in ('command_path_quantum', 'valve_flexure_deadband', 'valve_flexure_bias',

@@ -1,8 +1,8 @@
 """
-The state in which a recording begins: at rest, or in motion.
+The initial state of a recording: at rest, or in motion.
 
-What was measured tells most of it. What was not (the flux of the magnetic circuit, the deflection
-of the seals) and the errors of what was are free in every fit, in each recording by itself.
+Most of it is measured. The rest (flux of the magnetic circuit, deflection of the seals) and the
+measurement errors of position and velocity are free in every fit, for each recording.
 """
 
 import math
@@ -18,17 +18,18 @@ from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import START_S, Recording
 from asi_common.jit import FULL
 
-# The first two as shares of what the loop of the hysteresis, or a seal, can hold; m; m/s.
+# Flux as a share of the hysteresis's half width, seal's deflection as a share of its largest; m;
+# m/s.
 FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
     'start_flux', 'start_seal', 'start_position', 'start_velocity')
 MEMORIES = (FLUX, SEAL)
-# Of the measured range: the bounds of position and velocity, and what a line through the first
-# samples, which other parts of the motion pass too, may miss (a standard deviation).
+# As shares of the measured range: the bounds of position and velocity, and the standard deviation
+# of their initial values from a line through the first samples.
 WIDE, MISSED = 3.0, 0.3
 
 
 def with_start_fields(p: np.void, recordings: Sequence[Recording]) -> np.void:
-    """Return a record with the fields of the start, if a recording begins in motion."""
+    """Return a record with the fields of the initial state, if a recording begins in motion."""
     if all(recording.at_rest for recording in recordings):
         return p
     wide = np.zeros(1, np.dtype(p.dtype.descr + [(name, np.float64) for name in START_FIELDS]))[0]
@@ -39,7 +40,7 @@ def with_start_fields(p: np.void, recordings: Sequence[Recording]) -> np.void:
 
 def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequence[str]
                      ) -> list[Free]:
-    """Return the free parameters of the recordings that begin in motion."""
+    """Return the free initial states of the recordings that begin in motion."""
     found: list[Free] = []
     for recording in recordings:
         if recording.at_rest or not recording.fit.any():
@@ -60,7 +61,7 @@ def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequ
 
 
 def _fitted(recording: Recording, p: np.void, name: str) -> float:
-    """Return a field of the start; 0 of a recording that nothing was fitted on."""
+    """Return a field of the initial state; 0 for a recording that is not fitted."""
     return float(p[name]) if name in (p.dtype.names or ()) and recording.fit.any() else 0.0
 
 
@@ -68,7 +69,7 @@ def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.v
     """
     Return the valve's state some time before a recording, and the commands (N) since then.
 
-    Where it begins in motion, its first command is taken to have been held.
+    If the recording begins in motion, its first command is assumed to have been held.
     """
     state = np.zeros(1, STATE_DTYPE)[0]
     if recording.at_rest:
@@ -79,7 +80,7 @@ def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.v
 
 
 def _first(values: Array, period: float) -> float:
-    """Return a signal at the first of its samples, by a line through those of START_S."""
+    """Return a signal at its first sample, by a line through those of the first START_S."""
     count = max(int(START_S / period), 2)
     return float(np.polyfit(np.arange(count), values[:count], 1)[1])
 
@@ -90,7 +91,7 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
     if recording.at_rest:
         return state
     state['valve_position'] = valve[0]
-    # The supply has sagged as it does on average.
+    # The supply pressure is in steady state at the mean opening.
     opening = np.abs(valve) / p['valve_characteristic_full_opening']
     state['supply_load'] = np.minimum(opening, 1.0).mean()
     motion = recording.motion

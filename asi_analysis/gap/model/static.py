@@ -45,24 +45,24 @@ OUTPUTS: Final = ('pressure', 'force', 'velocity', 'position', 'valve_position')
 GIVEN: Final = ('gain', 'offset')   # the nominal parameters
 MOST_SAMPLES: Final = 6000          # of all recordings; of more, means of neighbours are taken
 FEWEST, FEWEST_OF_A_PART = 100, 30   # samples
+DEADBAND_END: Final = 0.97    # share of the half range within which a dead band must end
 # Of the coarse search for a dead band and for two slopes: samples, half widths and centres.
-END: Final = 0.97    # of the range: where a dead band must have ended
 SEARCHED: Final = 400
 WIDTHS: Final = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45)
 CENTRES: Final = tuple(round(0.08 * number, 2) for number in range(-10, 11))
-MODEL_ERROR: Final = 0.003          # of the output (rms): general error of any model
-LINE: Final = 0.5     # of the power: a line of so much is a disturbance, no noise
+MODEL_ERROR: Final = 0.003          # rms error of any model, as a share of the output's rms
+LINE: Final = 0.5     # share of the power above which a spectral line is a disturbance, not noise
 # Numbers of parts of a recording; prime, so that no cycle fits.
 DIVISIONS: Final = (13, 17, 19, 23, 29, 31, 37, 41, 43)
 SHORTEST_PART_S: Final = 0.2
 BINS: Final = 6
-STRETCHES: Final = 12   # of a cycle, in which noise is measured
-HELD: Final = 0.5     # of the time: an input that rests for so long comes in steps itself
-CLEAR: Final = 2.0    # times its noise (rms) that the output must move
-RELATED: Final = 0.3   # of the output's power: what must follow from the input
-LEAST_NOISE: Final = 1e-6   # of the output (rms)
-FAINT: Final = 5e-4   # of its range: noise of a measured input that needs no smoothing
-SMOOTHED: Final = 0.01   # of a cycle: over which an input is smoothed at most
+STRETCHES: Final = 12   # of a recording: the noise is the median over them
+AT_REST_SHARE: Final = 0.5   # share of the time at rest above which an input is itself in steps
+LEAST_SIGNAL: Final = 2.0    # least rms of the output, as a multiple of its noise
+LEAST_EXPLAINED: Final = 0.3   # least share of the output's power that a curve explains
+LEAST_NOISE: Final = 1e-6   # as a share of the output's rms
+SMALL_NOISE: Final = 5e-4   # noise of an input that needs no smoothing, as a share of its range
+LONGEST_MEAN: Final = 0.01   # longest moving average of an input, as a share of its cycle
 
 # Sizes of effects that count from the origin of a signal.
 ABSOLUTE: Final = {'deadband_centre': 'input', 'asymmetry_centre': 'input',
@@ -163,12 +163,13 @@ def static_signals(run: Run, wanted_in: str | None = None, wanted_out: str | Non
     return given, got
 
 
-def _unrepeated(given: Array, got: Array, slope: float) -> float:
+def _noise_between_cycles(given: Array, got: Array, slope: float) -> float:
     """
-    Return what does not repeat of an output whose input does (rms): noise of any colour.
+    Return the noise (rms), of any colour, of an output whose input is periodic; 0: unknown.
 
-    Half of the difference of neighbouring cycles, without its trend and a single strong line,
-    which are drift and disturbance; by its median, for a pulse is none either. 0: unknown.
+    From the difference of neighbouring cycles, which has twice its power. Drift and disturbances
+    are not noise: a trend is removed, a pulse does not change the median, and with a single
+    strong line the noise is unknown.
     """
     lag = cycle(given)
     if not lag:
@@ -176,7 +177,7 @@ def _unrepeated(given: Array, got: Array, slope: float) -> float:
     apart = (got[lag:] - got[:-lag] - slope * (given[lag:] - given[:-lag])) / math.sqrt(2.0)
     time = np.linspace(-1.0, 1.0, apart.size)
     place = (given[lag:] - given.mean()) / np.ptp(given)
-    # What changes with the time or the place from cycle to cycle is an effect, no noise.
+    # A smooth change with time or input from cycle to cycle is an effect, not noise.
     known = np.stack([np.ones_like(time), time, place, place * time, place ** 2, place ** 3])
     apart = apart - known.T @ np.linalg.lstsq(known.T, apart, rcond=None)[0]
     spectrum = np.fft.rfft(apart * np.hanning(apart.size))
@@ -184,22 +185,22 @@ def _unrepeated(given: Array, got: Array, slope: float) -> float:
     near = slice(max(top - 2, 0), top + 3)
     if np.sum(np.abs(spectrum[near]) ** 2) > LINE * np.sum(np.abs(spectrum) ** 2) and top > 2:
         return 0.0
-    # The second half, for what was before the recording dies away in the first; and within short
-    # stretches, for a pulse is no noise.
+    # The lower one of both halves, since the first holds the response to what came before the
+    # recording; and the median over short stretches, since a pulse is not noise.
     halves = (float(np.median(np.abs(part - np.median(part)))) / 0.6745
               for part in np.array_split(apart, 2))
     stretches = np.median([np.std(part) for part in np.array_split(apart, STRETCHES)])
     return min(*halves, float(stretches))
 
 
-def _step(got: Array) -> float:
-    """Return the step in which a signal was recorded; 0: it took too many values to have one."""
+def _resolution(got: Array) -> float:
+    """Return the quantisation step of a recorded signal; 0: it is not quantised."""
     levels = np.unique(got[np.isfinite(got)])
     return float(np.median(np.diff(levels))) if 1 < levels.size < SHARED * got.size else 0.0
 
 
-def _shared(given: Array, got: Array) -> float:
-    """Return the share of an output's power that is a curve of the input and of its way."""
+def _explained_by_input(given: Array, got: Array) -> float:
+    """Return the share of an output's power explained by curves of the input, up and down."""
     place = (given - given.mean()) / np.ptp(given)
     way = np.sign(np.gradient(given))
     curve = np.stack([place ** power for power in range(5)])
@@ -210,19 +211,19 @@ def _shared(given: Array, got: Array) -> float:
 
 def _smooth(given: Array) -> tuple[Array, float]:
     """
-    Return a measured input without its noise, and what noise is left (rms).
+    Return a measured input after a moving average, and its remaining noise (rms).
 
-    A mean over so many samples that the noise is faint; over SMOOTHED of a pass at most.
+    The average is as long as SMALL_NOISE needs, and at most LONGEST_MEAN of a cycle.
     """
-    # Of a staircase with short treads, fourth differences see the steps; first ones do not.
+    # Fourth differences take the steps of a staircase for noise; the median of the first does not.
     noise = min(noise_of(given),
                 float(np.median(np.abs(np.diff(given)))) / 0.6745 / math.sqrt(2.0))
     span = float(np.ptp(given))
-    if noise < FAINT * span or _step(given) > 0.0:
+    if noise < SMALL_NOISE * span or _resolution(given) > 0.0:
         return given, 0.0
     turns = turning_points(given)
-    most = SMOOTHED * float(np.median(np.diff(turns))) * 2.0 if len(turns) > 1 else 1.0
-    width = int(min((noise / (FAINT * span)) ** 2, most))
+    most = LONGEST_MEAN * float(np.median(np.diff(turns))) * 2.0 if len(turns) > 1 else 1.0
+    width = int(min((noise / (SMALL_NOISE * span)) ** 2, most))
     if width < 2:
         return given, noise
     width += 1 - width % 2
@@ -231,14 +232,14 @@ def _smooth(given: Array) -> tuple[Array, float]:
     return np.convolve(padded, np.ones(width) / width, 'valid'), noise / math.sqrt(width)
 
 
-def _thinned(values: Array, every: int) -> Array:
-    """Return the means of so many neighbours."""
+def _decimated(values: Array, every: int) -> Array:
+    """Return a signal decimated by a factor: means of `every` neighbours."""
     count = values.size // every
     return values[:count * every].reshape(count, every).mean(axis=1)
 
 
-def _parts(given: Array, period: float) -> tuple[Mask, Mask]:
-    """Return which samples to fit on and to hold out: alike in where, and which way, it moves."""
+def _balanced_parts(given: Array, period: float) -> tuple[Mask, Mask]:
+    """Return which samples to fit on and to hold out: both cover the input's range both ways."""
     place = np.clip(((given - given.min()) / np.ptp(given) * BINS).astype(int), 0, BINS - 1)
     place = 2 * place + (np.gradient(given) > 0.0)
     every = np.maximum(np.bincount(place, minlength=2 * BINS), 1)
@@ -259,9 +260,9 @@ def _middle(signals: Sequence[Array]) -> float:
 def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str, got: str
                       ) -> list[Recording]:
     """
-    Return runs ready for the diagnosis: input and output from the middle of their ranges.
+    Return runs ready for the diagnosis: input and output relative to the middle of their ranges.
 
-    `taken` holds these: input, output. Raises InputError for what cannot be judged.
+    `taken` holds these middles: input, output. Raises InputError if a run cannot be diagnosed.
     """
     read: list[tuple[float, Array, Array]] = []
     for run in runs:
@@ -275,26 +276,26 @@ def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str,
     whole = any(held_out)
     for run, out, (period, x, y) in zip(runs, held_out, read, strict=True):
         if x.size < FEWEST:
-            raise InputError(f'{run.source}: {x.size} samples; a characteristic takes {FEWEST}')
+            raise InputError(f'{run.source}: {x.size} samples; a characteristic needs {FEWEST}')
         smooth, left = _smooth(x)
         slope = float(np.polyfit((x - x.mean()) / np.ptp(x), y, 1)[0]) / float(np.ptp(x))
         there = recorded(run, 'static', period, x.size)
         raw = y
         if every > 1:
-            smooth, y = _thinned(smooth, every), _thinned(y, every)
-            there = _thinned(there.astype(float), every) > 0.99
+            smooth, y = _decimated(smooth, every), _decimated(y, every)
+            there = _decimated(there.astype(float), every) > 0.99
             left /= math.sqrt(every)
-        # An input in steps has corners everywhere, which are no noise.
+        # The corners of an input in steps are not noise.
         noise = min(noise_of(y), noise_of(y - slope * smooth))
-        if float(np.std(y)) < CLEAR * noise:
+        if float(np.std(y)) < LEAST_SIGNAL * noise:
             raise InputError(f'{run.source}: {got} hardly moves: {np.std(y):.3g} with noise of '
                              f'{noise:.3g} (rms)')
-        noise = max(_unrepeated(smooth, y, slope) or math.hypot(noise, slope * left),
-                    _step(raw) / math.sqrt(12.0 * every), LEAST_NOISE * float(np.std(y)))
-        if (shared := _shared(smooth, y)) < RELATED:
+        noise = max(_noise_between_cycles(smooth, y, slope) or math.hypot(noise, slope * left),
+                    _resolution(raw) / math.sqrt(12.0 * every), LEAST_NOISE * float(np.std(y)))
+        if (explained := _explained_by_input(smooth, y)) < LEAST_EXPLAINED:
             raise InputError(f'{run.source}: {got} does not follow from {given}: a curve of it '
-                             f'explains {100.0 * shared:.2g} %')
-        fit, held = (mask & there for mask in _parts(smooth, period * every))
+                             f'explains {100.0 * explained:.2g} %')
+        fit, held = (mask & there for mask in _balanced_parts(smooth, period * every))
         report = np.zeros_like(fit) if whole else reported(held)
         held = held & ~report
         if whole and out:
@@ -343,7 +344,7 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
     p = for_recordings(p, count)
     nuisance = [Free('offset', -5.0, 5.0, (shift / scale['valve_position'],), 'valve_position')
                 ] if 'offset' not in known else []
-    effects = list(_with_guesses(recordings))
+    effects = list(_with_initial_guesses(recordings))
     if 'gain' not in known:
         nuisance.append(Free('gain', -10.0, 10.0, (slope / scale['slope'],), 'slope'))
     else:
@@ -351,7 +352,7 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
         effects.append(GAIN)
     if 'offset' in known:
         effects.append(OFFSET)
-    if all(at_rest(r) > HELD for r in recordings):
+    if all(at_rest(r) > AT_REST_SHARE for r in recordings):
         effects = [each for each in effects if each.name != 'command_quantisation']
     if count > 1:
         effects = [freed([each], lambda free: (*free, SHIFT))[0]
@@ -367,8 +368,8 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
                  ), notes_of(runs, recordings)
 
 
-def _with_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
-    """Return the effects; dead band and two slopes begin where a coarse search finds them."""
+def _with_initial_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
+    """Return the effects, with initial guesses of dead band and two slopes by a coarse search."""
     x, y = (np.concatenate([getattr(r, name)[r.known] for r in recordings])
             for name in ('command', 'valve_position'))
     every = max(x.size // SEARCHED, 1)
@@ -391,7 +392,7 @@ def _with_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
 
 
 def scales(recordings: Sequence[Recording]) -> dict[str, float]:
-    """Return the units of the bounds of effects: half ranges, and a quarter of a usual pass."""
+    """Return the units of the bounds of effects: half ranges, and half of a median pass (s)."""
     def half(name: str) -> float:
         return max(0.5 * float(np.ptp(np.concatenate([getattr(r, name) for r in recordings]))),
                    1e-300)
@@ -406,7 +407,7 @@ def scales(recordings: Sequence[Recording]) -> dict[str, float]:
 
 
 def like(group: Group, run: Run) -> Recording:
-    """Return another recording of the same device, ready; from the origins of those of a group."""
+    """Return another recording of the same device, ready, with the origins of a group."""
     found = static_recordings([run], [False], *static_signals(run))[0]
     here, there = found.taken, group.recordings[0].taken
     assert found.command is not None and found.valve_position is not None
@@ -415,19 +416,19 @@ def like(group: Group, run: Run) -> Recording:
 
 
 def zero_of(group: Group, field: str) -> float:
-    """Return what a size of an effect counts from: the middle of a range, of a position in it."""
+    """Return the origin from which an effect's parameter counts; 0 unless it is a position."""
     signal = ABSOLUTE.get(field.partition('@')[0])
     return float(group.recordings[0].taken[signal]) if signal else 0.0
 
 
 def at_the_end(group: Group, p: np.void) -> bool:
-    """Return whether a dead band reaches to the end of the range: then it is a limit."""
+    """Return whether a dead band reaches the end of the range: then it is a saturation."""
     edge = abs(float(p['deadband_centre'])) + float(p['command_deadband'])
-    return bool(p['command_deadband'] > 0.0) and edge > END * group.scale['command']
+    return bool(p['command_deadband'] > 0.0) and edge > DEADBAND_END * group.scale['command']
 
 
 def as_limit(p: np.void) -> tuple[np.void, str]:
-    """Return a record with a limit in place of a dead band at an end, and the limit's field."""
+    """Return a record with a saturation in place of a dead band at an end, and its field."""
     p, sign = p.copy(), math.copysign(1.0, float(p['deadband_centre']))
     edge = float(p['deadband_centre'] - sign * p['command_deadband'])
     level = float(p['base'] + p['offset'])   # of the output within the dead band
@@ -438,17 +439,17 @@ def as_limit(p: np.void) -> tuple[np.void, str]:
 
 
 def notes_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[str]:
-    """Return what recordings of a characteristic cannot tell."""
-    notes = [f'{run.source}: {got} comes in steps of {step:.3g} {run.unit(got)}, which count as '
-             'noise' for run in runs for got in [static_signals(run)[1]]
-             if (step := _step(run.signal(got)))]
+    """Return notes of what recordings of a characteristic cannot determine."""
+    notes = [f'{run.source}: {got} is quantised in steps of {step:.3g} {run.unit(got)}, which '
+             'count as noise' for run in runs for got in [static_signals(run)[1]]
+             if (step := _resolution(run.signal(got)))]
     if one_rate(recordings):
-        notes.append('the input moves at one rate only: lag and delay cannot be told for certain '
-                     'from hysteresis; the same input at another rate separates them')
+        notes.append('the input moves at one rate only: lag and delay cannot be distinguished '
+                     'reliably from hysteresis; the same input at another rate separates them')
     if max(len(passes(r)) for r in recordings) < 2:
         notes.append('the input never comes back: hysteresis does not show, and a drift looks '
                      'like another gain; go up and down at least twice')
     elif not any(cycle(r.command) for r in recordings if r.command is not None):
-        notes.append('the input does not repeat: noise that is not white cannot be told from an '
-                     'unknown effect; repeat the same cycle')
+        notes.append('the input does not repeat: noise that is not white cannot be distinguished '
+                     'from an unknown effect; repeat the same cycle')
     return notes

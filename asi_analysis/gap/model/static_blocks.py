@@ -1,7 +1,7 @@
 """
 The equations of a static characteristic with its effects, compiled.
 
-Input and output count from the middle of their ranges, in their own units. The hysteresis is a
+Input and output are relative to the middle of their ranges, in their units. The hysteresis is a
 sum of plays (Prandtl-Ishlinskii; Krejci, Hysteresis, Convexity and Dissipation, 1996) whose width
 may change along the input.
 """
@@ -11,8 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from asi_actuator.model.valve_flexure import dead_zone
+from asi_actuator.model.valve_hysteresis import play
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.blocks import dead_zone, lag_weights
+from asi_analysis.gap.model.blocks import drift, lag_weights
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
@@ -20,27 +22,27 @@ from asi_common.jit import jit
 PLAYS: Final = 8
 FIELDS: Final = (
     'gain', 'offset',           # of the nominal line; the offset beyond `base`
-    'base',                     # what the given line has at the middle of the input's range
+    'base',                     # output of the given line at the middle of the input's range
     'reach', 'size',            # half ranges of input and output
     'command_delay',            # s
     'command_quantum',          # of the input
     'command_phase',            # turns
-    'command_edge',             # share of a step over which the input goes from one to the next
-    'loop_width',               # of the input: half of the hysteresis
-    'loop_share',               # of the input that passes through plays
-    'loop_spread',              # 0: one play; 1: of all widths up to twice the mean
-    'loop_skew',                # how much wider at the upper end than in the middle
-    'loop_start',               # -1 to 1: where in its plays the input begins
-    'command_deadband',         # of the input: half of it
+    'command_edge',             # width of the edge of a step, as a share of the step
+    'loop_width',               # of the input: half width of the hysteresis
+    'loop_share',               # of the input that passes the plays
+    'loop_spread',              # 0: one play; 1: widths evenly from 0 to twice the mean
+    'loop_skew',                # relative increase of the width from the middle to the upper end
+    'loop_start',               # -1 to 1: initial position of the input in its plays
+    'command_deadband',         # of the input: half width
     'deadband_centre',          # of the input
     'deadband_slope',           # share of the gain within it
-    'bend',                     # 1: two slopes, 2: curvature; names only what does not go together
+    'bend',                     # 1: two slopes, 2: curvature; a label: they exclude each other
     'gain_asymmetry',           # -1 to 1
     'asymmetry_centre',         # of the input
     'curve_square', 'curve_cube', 'curve_fourth', 'curve_fifth',
     'limit_above', 'limit_below',       # of the output; 0: none
-    'corner',                   # share of the half range over which a limit is rounded
-    'valve_lag',                # s, of two lags one after the other
+    'corner',                   # width over which a limit is rounded, as a share of the half range
+    'valve_lag',                # s, of two lags in series
     'valve_lag_split',          # share of the second
     'sensor_offset', 'sensor_drift', 'sensor_drift_curve', 'sensor_drift_bend',
     'disturbance_wave', 'disturbance_phase', 'disturbance_frequency',   # turns, Hz
@@ -51,7 +53,7 @@ DTYPE: Final = np.dtype([(name, np.float64) for name in FIELDS])
 
 @jit
 def _late(values, place):
-    """Return a signal at a fractional sample, its ends held."""
+    """Return a signal at a fractional sample number, constant beyond its ends."""
     last = values.shape[0] - 1
     if place <= 0.0:
         return values[0]
@@ -64,7 +66,7 @@ def _late(values, place):
 
 @jit
 def _stepped(place, edge):
-    """Return the nearest whole number, with edges that rise over a share of a step."""
+    """Return the nearest integer, with linear edges that are `edge` wide."""
     whole = math.floor(place + 0.5)
     part = place - whole
     beyond = abs(part) - 0.5 + 0.5 * edge
@@ -75,7 +77,7 @@ def _stepped(place, edge):
 
 @jit
 def _round_limit(distance, corner):
-    """Return by how much a limit lowers what is `distance` above it, rounded over `corner`."""
+    """Return by how much a saturation lowers a value `distance` above it, rounded by `corner`."""
     if corner <= 0.0 or abs(distance) > 30.0 * corner:
         return max(distance, 0.0)
     return corner * math.log1p(math.exp(distance / corner))
@@ -106,7 +108,7 @@ def characteristic(given, p, period, out):
                 radius = radii[i] * wider
                 if k == 0:
                     plays[i] = u + p.loop_start * radius
-                plays[i] = min(max(plays[i], u - radius), u + radius)
+                plays[i] = play(plays[i], u, radius)
                 held += plays[i]
             v = (1.0 - share) * u + share * held / PLAYS
         if p.command_deadband > 0.0:
@@ -130,8 +132,7 @@ def characteristic(given, p, period, out):
         second = keep_2 * second + old_2 * again + new_2 * first
         before = y
         time = k * period
-        added = p.sensor_offset + time * (
-            p.sensor_drift + time * (p.sensor_drift_curve + time * p.sensor_drift_bend))
+        added = p.sensor_offset + drift(time, p)
         if p.disturbance_wave != 0.0:
             added += p.disturbance_wave * math.sin(
                 2.0 * math.pi * (p.disturbance_frequency * time + p.disturbance_phase))
@@ -141,7 +142,7 @@ def characteristic(given, p, period, out):
 
 
 def predict(recording: Recording, p: np.void) -> Array:
-    """Return the output predicted from the recorded input, both from the middle of their range."""
+    """Return the output predicted from the recorded input: n samples."""
     own = np.zeros(1, DTYPE)[0]
     for name in FIELDS:
         own[name] = p[of_recording(name, recording.number) if name in OF_A_RECORDING else name]

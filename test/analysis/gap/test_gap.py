@@ -323,7 +323,7 @@ def _late(run: Run, samples: int) -> Run:
     (lambda r: _late(r, -50), 'force.*early by (4[89]|50)'),
     (lambda r: dataclasses.replace(r, valve_position_m=1e-5 * np.sin(
         np.cumsum(np.random.default_rng(2).normal(0.0, 0.1, len(r))))),
-     'valve_position.*nothing in common'),
+     'valve_position.*not correlated'),
     (lambda r: dataclasses.replace(r, force_n=1e-3 * r.force_n), 'force.*factor of 0.001'),
     (lambda r: dataclasses.replace(r, position_m=1e3 * r.position_m, velocity_m_s=None),
      'position.*factor of 0.00'),

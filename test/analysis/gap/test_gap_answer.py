@@ -8,6 +8,7 @@ import pytest
 from documented import problems
 from test_gap import TEXTBOOK, recorded
 
+from asi_actuator.model.effects import BLOCKS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.command import diagnose as asi_diagnose
@@ -22,7 +23,7 @@ from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.findings.localisation import by_block, explained
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
-from asi_analysis.gap.model.effects import BLOCKS, BY_NAME
+from asi_analysis.gap.model.effects import BY_NAME
 from asi_analysis.gap.words import between, in_words, sentences, unit_of, with_id
 
 
@@ -117,7 +118,7 @@ def test_a_size_has_three_digits_and_its_interval(value, low, high, text):
 
 @pytest.mark.parametrize(('separation', 'missing', 'words', 'command'), [
     (8.0, [], 'record this: chirp (asi run)', True),
-    (3e-6, [], 'no recording of these signals tells them apart: measure the pressure', False),
+    (3e-6, [], 'no recording of these signals separates them: measure the pressure', False),
     (3e-6, ['position'], 'record the position too', False),
     (8.0, ['position'], 'record the position too; record this: chirp (asi run)', True)])
 def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, words, command):
@@ -132,7 +133,7 @@ def test_model_is_what_the_bag_tells_unless_another_is_given():
     run = dataclasses.replace(recorded(), information={'actuator': recorded_values})
     assert recorded_model([run]) == recorded_values
     with pytest.warns(InputWarning, match='recorded with the load spring, .* has the load locked'):
-        with pytest.raises(InputError, match='check the unit|nothing in common'):
+        with pytest.raises(InputError, match='check the unit|not correlated'):
             asi_diagnose([run], {**TEXTBOOK, 'load.type': 'locked'})
     spoilt = dataclasses.replace(run, information={'actuator': {'load.type': 'cloud'}})
     with pytest.raises(InputError, match='real: metadata of the run: load.type'):

@@ -292,7 +292,7 @@ def sprung(middle: float = 0.0, seed: int = 0, friction: float = 0.1, unit: str 
 @pytest.mark.parametrize(('unit', 'middles', 'given'), [
     ('rad', (0.0,), {}), ('m', (0.3,), {}), ('rad', (0.7, -0.5), {}), ('m', (0.0, 1.0), {}),
     ('rad', (0.0, 1.0), {'load.stiffness': 2.2})])
-@pytest.mark.filterwarnings('ignore:.*constant force is taken off')
+@pytest.mark.filterwarnings('ignore:.*constant force is subtracted')
 def test_a_spring_is_of_the_nominal_joint_and_friction_is_found_beside_it(unit, middles, given):
     runs = [sprung(middle, seed, 0.2, unit) for seed, middle in enumerate(middles)]
     with pytest.warns(InputWarning, match='spring') if not given else contextlib.nullcontext():
@@ -389,7 +389,7 @@ def test_what_one_way_and_no_position_cannot_tell_is_said(missing):
         diagnose([run], {}, 'joint')
     said = ' '.join(str(each.message) for each in remarks)
     assert ('neither gravity nor a spring is looked for' in said) == missing
-    assert ('cannot be told from a constant load' in said) != missing
+    assert ('cannot be distinguished from a constant load' in said) != missing
 
 
 @pytest.mark.parametrize(('gain', 'offset', 'verdict'), [

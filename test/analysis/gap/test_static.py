@@ -181,7 +181,7 @@ def test_neither_a_perfect_line_nor_a_coarse_converter_is_a_gap():
     assert asked(perfect).verdict == 'no_gap'
     coarse = asked(replace(perfect, pressure_pa=1e4 * np.round(perfect.pressure_pa / 1e4)))
     assert coarse.verdict == 'no_gap'
-    assert any('comes in steps of 1e+04 Pa, which count as noise' in n for n in coarse.notes)
+    assert any('quantised in steps of 1e+04 Pa, which count as noise' in n for n in coarse.notes)
 
 
 def test_a_bump_is_unknown():
