@@ -1,9 +1,12 @@
 """What `colcon build` makes of the package, as users with a ROS 2 installation do; with `ros2`."""
 
+import contextlib
 import importlib.util
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -47,14 +50,24 @@ def start(prefix: Path, ros_environment: dict[str, str], tmp_path: Path) -> Iter
 
     def start_executable(*command: str) -> NodeProcess:
         # Not in the root of the repository, where the package would be found without install.
-        script = f'cd {tmp_path} && . {prefix.parent}/setup.bash && exec "$@"'
+        # In a session of its own: `ros2` waits for what it has started, which a Ctrl-C in a
+        # terminal ends too.
+        script = f'cd {tmp_path} && . {prefix.parent}/setup.bash && exec setsid "$@"'
         started.append(NodeProcess(['bash', '-c', script, 'bash', *command], environment,
                                    tmp_path / f'{len(started)}.log'))
         return started[-1]
 
     yield start_executable
     for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.kill()
+
+
+def interrupt(process: NodeProcess) -> int:
+    """Press Ctrl-C; return the exit status."""
+    os.killpg(process.pid, signal.SIGINT)
+    return process.exit_status()
 
 
 def test_everything_is_where_ros_looks_for_it(prefix: Path) -> None:
@@ -93,6 +106,13 @@ def test_installed_nodes_run_with_the_installed_parameter_files(
     assert Path(module).is_relative_to(prefix) and Path(package) == prefix
 
 
+@pytest.fixture
+def no_daemon(ros_environment: dict[str, str]) -> Iterator[None]:
+    """End the daemon that `ros2` has started in the test's domain."""
+    yield
+    subprocess.run(['ros2', 'daemon', 'stop'], env=ros_environment, check=False)
+
+
 def lines_of_readme() -> list[str]:
     """Return what the README has a user type after the build, without the comments."""
     section = (ROOT / 'README.md').read_text().split('## The ROS 2 way')[1]
@@ -106,6 +126,7 @@ def test_the_lines_of_the_readme_are_found() -> None:
 
 
 @needs_ros2
+@pytest.mark.usefixtures('no_daemon')
 def test_each_line_of_the_readme_does_what_it_says(start: Callable, tmp_path: Path) -> None:
     actuator, controller, *turned, echo, record, play = lines_of_readme()
     nodes = [start(*shlex.split(line)) for line in (actuator, controller)]
@@ -116,13 +137,13 @@ def test_each_line_of_the_readme_does_what_it_says(start: Callable, tmp_path: Pa
         assert (process.exit_status(), process.text.strip()) == (0, 'Set parameter successful')
     echoed = start(*shlex.split(echo))
     echoed.wait_for('frame_id')
-    assert echoed.stop() in (0, 130)   # of ros2 itself: older ones end with 0
+    assert interrupt(echoed) in (0, 130)   # of ros2 itself: older ones end with 0
     recorder = start(*shlex.split(record))
     bag = tmp_path / 'my_run'
     wait_until(lambda: sum(file.stat().st_size for file in bag.glob('*.mcap')) > 100_000,
                'messages in the bag', lambda: recorder.text)
     for process in (recorder, *nodes):
-        assert process.stop() == 0 and 'Traceback' not in process.text, process.text
+        assert interrupt(process) == 0 and 'Traceback' not in process.text, process.text
     assert 'lost' not in recorder.text
     run = read_bag(bag)
     assert run.force_n is not None and run.force_n.max() > 50.0
@@ -136,6 +157,7 @@ def test_each_line_of_the_readme_does_what_it_says(start: Callable, tmp_path: Pa
 
 
 @needs_ros2
+@pytest.mark.usefixtures('no_daemon')
 @pytest.mark.parametrize('file', sorted(
     path.name for path in (ROOT / 'config').glob('*.yaml')
     if '/**/asi_' in path.read_text()))
@@ -154,7 +176,7 @@ def test_launch_with_a_parameter_file_is_as_run_with_it(
                        f'the {name}', lambda: ''.join(each.text for each in processes))
         found = [dumped(f'/asi_{name}') for name in ('actuator', 'controller')]
         for each in processes:
-            assert each.stop() == 0, each.text
+            assert interrupt(each) == 0, each.text
         return found
 
     assert both(start(*LAUNCH, f'params_file:={path}')) == both(*(
@@ -167,7 +189,7 @@ def test_ctrl_c_of_launch_ends_all_and_the_bag_is_whole(start: Callable, tmp_pat
     launched = start(*LAUNCH, 'mode:=realtime', 'reference:=sine', 'record:=my_run')
     wait_until(lambda: sum(file.stat().st_size for file in tmp_path.glob('my_run/*.mcap'))
                > 100_000, 'messages in the bag', lambda: launched.text)
-    assert launched.stop() == 0
+    assert interrupt(launched) == 0
     for word in ('Traceback', 'SIGTERM', 'SIGKILL', 'process has died'):
         assert word not in launched.text
     assert len(read_bag(tmp_path / 'my_run')) > 0
