@@ -113,6 +113,18 @@ def no_daemon(ros_environment: dict[str, str]) -> Iterator[None]:
     subprocess.run(['ros2', 'daemon', 'stop'], env=ros_environment, check=False)
 
 
+def said(start: Callable, *command: str) -> str:
+    """Return what a call of `ros2` prints, once it finds the node that it is about."""
+    def found() -> NodeProcess | None:
+        process = start(*command)
+        status = process.exit_status()
+        if 'Node not found' in process.text:   # it looks for half a second
+            return None
+        assert status == 0, process.text
+        return process
+    return str(wait_until(found, ' '.join(command)).text)
+
+
 def lines_of_readme() -> list[str]:
     """Return what the README has a user type after the build, without the comments."""
     section = (ROOT / 'README.md').read_text().split('## The ROS 2 way')[1]
@@ -133,11 +145,10 @@ def test_each_line_of_the_readme_does_what_it_says(start: Callable, tmp_path: Pa
     for node in nodes:
         node.wait_for('Hz')
     for line in turned:
-        process = start(*shlex.split(line))
-        assert (process.exit_status(), process.text.strip()) == (0, 'Set parameter successful')
+        assert said(start, *shlex.split(line)).strip() == 'Set parameter successful'
     echoed = start(*shlex.split(echo))
     echoed.wait_for('frame_id')
-    assert interrupt(echoed) in (0, 130)   # of ros2 itself: older ones end with 0
+    interrupt(echoed)   # its exit status is that of ros2
     recorder = start(*shlex.split(record))
     bag = tmp_path / 'my_run'
     wait_until(lambda: sum(file.stat().st_size for file in bag.glob('*.mcap')) > 100_000,
@@ -147,7 +158,6 @@ def test_each_line_of_the_readme_does_what_it_says(start: Callable, tmp_path: Pa
     assert 'lost' not in recorder.text
     run = read_bag(bag)
     assert run.force_n is not None and run.force_n.max() > 50.0
-    assert run.information['controller']['compensator'] == 'lead4'
     about, played = (shlex.split(part) for part in play.split('&&'))
     if start('ros2', 'bag', '--help').exit_status() != 0:
         assert about[:3] + played[:3] == ['ros2', 'bag', 'info', 'ros2', 'bag', 'play']
@@ -166,9 +176,8 @@ def test_launch_with_a_parameter_file_is_as_run_with_it(
     path = prefix / 'share' / 'asi_actuator' / 'config' / file
 
     def dumped(node: str) -> dict:
-        said = start('ros2', 'param', 'dump', node)
-        assert said.exit_status() == 0, said.text
-        return dict(yaml.safe_load(said.text)[node]['ros__parameters'])
+        text = said(start, 'ros2', 'param', 'dump', node)
+        return dict(yaml.safe_load(text)[node]['ros__parameters'])
 
     def both(*processes: NodeProcess) -> list[dict]:
         for name in ('actuator', 'controller'):
