@@ -6,8 +6,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from contextlib import suppress
+from types import FrameType
 from typing import Any, Final, NoReturn
+
+from asi_common.executable import end_at_once
 
 INTERRUPTED: Final = 130
 AGAIN_S: Final = 0.05
@@ -22,13 +24,18 @@ def asi() -> int:
     sys.unraisablehook = _repeat_signal
     main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
     try:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, _raise if before is signal.default_int_handler else before)
         status = main()
+<<<<<<< HEAD
         if status == INTERRUPTED:   # nothing is left to print; unloading libraries takes a second
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError, ValueError):
                     stream.flush()
             os._exit(status)
+=======
+        if status == INTERRUPTED:
+            end_at_once(status)
+>>>>>>> h/i18
         return status
     except KeyboardInterrupt:
         return _interrupted()
@@ -37,7 +44,25 @@ def asi() -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+<<<<<<< HEAD
 def _repeat_signal(ignored: Any) -> None:
+=======
+def _raise(_: int, frame: FrameType | None) -> None:
+    """
+    Raise KeyboardInterrupt; of a process that imports, end it.
+
+    Modules of others lose it at their import, or make another error of it: pybind11 makes an
+    ImportError, a class with descriptors a RuntimeError.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename.startswith('<frozen importlib'):
+            _interrupted()
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _not_lost(ignored: Any) -> None:
+>>>>>>> h/i18
     """Send a SIGINT again whose KeyboardInterrupt Python ignored, as in callbacks of imports."""
     if ignored.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(ignored)

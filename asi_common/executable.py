@@ -1,4 +1,4 @@
-"""Signals while modules are imported, and while numba compiles: a process ends at once."""
+"""How a process ends: at once while it imports or compiles, and without unloading libraries."""
 
 import os
 import select
@@ -6,21 +6,34 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
-from typing import Final
+from contextlib import contextmanager, suppress
+from typing import Final, NoReturn
 
 # Interval (s) at which a process that has been told to end checks whether it still compiles.
 LOOK_S: Final = 0.05
 
 
-def end_quietly_while_importing() -> None:
+def end_quietly() -> None:
     """
-    Make SIGINT and SIGTERM end this process with status 0 and without a traceback.
+    Make SIGINT and SIGTERM end this process at once, with status 0 and without a traceback.
 
-    The imports of a node take a second or more; after them it installs its own handlers.
+    For what serves until then: before its imports, which take a second or more and after which it
+    installs its own handlers.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
+
+
+def end_at_once(status: int) -> NoReturn:
+    """
+    End this process with a status when all is said and written.
+
+    To unload the libraries, as Python does at its end, takes a second on a busy machine.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status)
 
 
 def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b'',

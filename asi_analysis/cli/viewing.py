@@ -1,6 +1,5 @@
 """Commands that show a loop: live, view."""
 
-import contextlib
 import os
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ import typer
 from asi_analysis.cli.options import Bag, command
 from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
+from asi_common.executable import end_quietly
 
 
 @command('live', 'asi live --simulate')
@@ -29,16 +29,16 @@ def live(
         import nicegui  # noqa: F401
     except ImportError:
         raise InputError('asi live needs NiceGUI: pip install "asi_actuator[live]"') from None
-    with contextlib.suppress(KeyboardInterrupt):   # that is how it ends, also while it starts
-        with bar() as progress:
-            progress('starting', None)
-            import rclpy
+    end_quietly()   # that is how it ends, also while it starts
+    with bar() as progress:
+        progress('starting', None)
+        import rclpy
 
-            from asi_analysis.viewing.page import serve
-            from asi_common.node.executor import choose_transport
-        os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
-        serve(port, namespace, simulate, browser)
+        from asi_analysis.viewing.page import serve
+        from asi_common.node.executor import choose_transport
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
+    serve(port, namespace, simulate, browser)
 
 
 @command('view', 'asi view runs/demo/lead_lag/bag')

@@ -9,6 +9,7 @@ import contextlib
 import json
 import os
 import random
+import signal
 import socket
 import time
 from collections.abc import Awaitable, Callable
@@ -27,6 +28,8 @@ from asi_analysis.viewing.link import LinkError
 from asi_analysis.viewing.processes import ask
 from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed, unit_of
+from asi_common.executable import end_at_once, end_quietly
+from asi_common.node.executor import SIGNALS
 
 HOST: Final = '127.0.0.1'
 SCRIPT: Final = Path(__file__).with_name('charts.js')
@@ -47,7 +50,7 @@ GENERAL: Final = 'general'
 
 def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     """
-    Serve the page until Ctrl-C, a KeyboardInterrupt.
+    Serve the page until SIGINT or SIGTERM, which end this process with status 0.
 
     simulate: start an actuator and a controller too. Raises InputError if the port is in use.
     """
@@ -59,7 +62,20 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
             raise InputError(f'--port {port} cannot be used: {error.strerror}; '
                              'name another one') from None
     session = Session(namespace, simulate)
+<<<<<<< HEAD
     # On a busy machine the loop, whose processes are started already, goes first.
+=======
+
+    def leave(*_: object) -> None:
+        end_quietly()   # at once if it comes again
+        session.close()
+        end_at_once(0)
+
+    # The server ends when it gets one, and sends it again at its own end.
+    for number in SIGNALS:
+        signal.signal(number, leave)
+    # On a busy machine the loop, which is on its way already, comes before the page.
+>>>>>>> h/i18
     os.nice(NICE)
     # Other host names are refused, against DNS rebinding by a foreign page.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])

@@ -26,7 +26,7 @@ NICE: Final = 10
 
 
 class NodeProcess:
-    """A node of ours in a process; `stop` ends it as Ctrl-C does."""
+    """A node of ours in a process; `end` lets it end as Ctrl-C does, `wait` waits for that."""
 
     def __init__(self, name: str, namespace: str, **parameters: Any):
         """Start actuator, controller or recorder with parameters."""
@@ -38,9 +38,12 @@ class NodeProcess:
                  f'sys.exit({name}())', '--ros-args', *given, *space],
                 stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent)
 
-    def stop(self) -> None:
-        """End it and wait for that."""
+    def end(self) -> None:
+        """Let it end; again does nothing more."""
         self.process.terminate()   # of SIGINT, a Python that only begins prints a traceback
+
+    def wait(self) -> None:
+        """Wait until it has ended, or kill it if that takes too long."""
         try:
             self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:

@@ -51,11 +51,20 @@ class Session:
         self.effect = ''
         self.hidden = False
 
+    def end_nodes(self) -> None:
+        """Let the processes that were started end, all at once; does not wait for that."""
+        for node in self._started():
+            node.end()
+
     def close(self) -> None:
-        """Leave the loop, and end the processes that were started."""
+        """Leave the loop, end the processes that were started, and wait for that."""
+        self.end_nodes()
         self.link.close()
-        for node in [*([self.recorder] if self.recorder else []), *self.nodes]:
-            node.stop()
+        for node in self._started():
+            node.wait()
+
+    def _started(self) -> list[NodeProcess]:
+        return [*([self.recorder] if self.recorder else []), *self.nodes]
 
     @property
     def nominal(self) -> dict[str, dict[str, Any]]:
@@ -108,5 +117,6 @@ class Session:
             self.recorder = NodeProcess('recorder', self.namespace, output=self.bag)
             return f'recording to {self.bag}'
         recorder, self.recorder = self.recorder, None
-        await asyncio.to_thread(recorder.stop)
+        recorder.end()
+        await asyncio.to_thread(recorder.wait)
         return f'recorded: {self.bag}'

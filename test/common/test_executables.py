@@ -108,6 +108,36 @@ def test_ctrl_c_while_asi_imports_ends_it_with_one_line() -> None:
     assert (process.returncode, complaint) == (130, 'asi: interrupted\n')
 
 
+# A library that makes another error of any exception while it is imported, as pybind11 does.
+LOST_AT_IMPORT = """
+import signal
+import sys
+import asi_analysis.cli
+from asi_analysis.command import asi
+
+class Lossy:
+    def find_spec(self, name, path=None, target=None):
+        if name == 'lossy':
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except BaseException:
+                raise ImportError('initialization failed') from None
+
+def main():
+    import lossy
+
+sys.meta_path.insert(0, Lossy())
+asi_analysis.cli.main = main
+sys.exit(asi())
+"""
+
+
+def test_ctrl_c_is_not_lost_in_an_import_of_a_command() -> None:
+    result = subprocess.run([sys.executable, '-c', LOST_AT_IMPORT], capture_output=True, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)}, timeout=PATIENCE_S)
+    assert (result.returncode, result.stderr) == (130, 'asi: interrupted\n')
+
+
 # A Ctrl-C that comes while Python ignores exceptions.
 IGNORED = """
 import signal

@@ -1,9 +1,6 @@
 """The live page in headless Chromium, over real nodes; skipped where there is no Chromium."""
 
-import socket
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -71,37 +68,6 @@ class Tab:
             return curves if len(curves) == 1 + len(CHARTS) and condition(curves) else None
         found: Curves = wait_until(shown, what)
         return found
-
-
-@pytest.fixture
-def serve(ros_environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-          ) -> Iterator[Callable[..., tuple[int, NodeProcess]]]:
-    """Return a function that starts `asi live` with options: to its port and process."""
-    monkeypatch.chdir(tmp_path)
-    started: list[NodeProcess] = []
-
-    def start(*arguments: str) -> tuple[int, NodeProcess]:
-        with socket.socket() as free:
-            free.bind(('127.0.0.1', 0))
-            port = free.getsockname()[1]
-        command = [sys.executable, '-m', 'asi_analysis.cli', 'live', '--no-browser',
-                   '--port', str(port), *arguments]
-        # NiceGUI takes a process with this variable for a test of its own.
-        environment = {name: value for name, value in ros_environment.items()
-                       if name != 'PYTEST_CURRENT_TEST'}
-        process = NodeProcess(command, environment, tmp_path / f'live-{port}.log')
-        started.append(process)
-
-        def listens() -> bool:
-            with socket.socket() as probe:
-                return probe.connect_ex(('127.0.0.1', port)) == 0 or process.poll() is not None
-        wait_until(listens, 'the page')
-        assert process.poll() is None, process.text
-        return port, process
-
-    yield start
-    for process in started:
-        process.kill()
 
 
 def last(curve: list[list[float]]) -> float:

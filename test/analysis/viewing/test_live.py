@@ -5,7 +5,7 @@ import contextlib
 import re
 import socket
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -243,6 +243,40 @@ def test_a_frame_has_the_points_of_each_curve_and_goes_to_pages_of_ours_alone() 
             socket.send_text('1e9')
             with pytest.raises(WebSocketDisconnect):
                 socket.receive_bytes()
+
+
+@contextlib.contextmanager
+def open_tab(port: int) -> Iterator[socket.socket]:
+    """Hold a connection for frames, as a tab does, that asks for none."""
+    with socket.create_connection(('127.0.0.1', port)) as tab:
+        here = f'127.0.0.1:{port}'
+        tab.sendall(f'GET /frames HTTP/1.1\r\nHost: {here}\r\nOrigin: http://{here}\r\n'
+                    'Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n'
+                    'Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n'.encode())
+        assert b'101' in tab.recv(1000)
+        yield tab
+
+
+def processes(text: str) -> list[str]:
+    """Return the command lines of the processes that have a text in their environment."""
+    found = []
+    for folder in Path('/proc').glob('[0-9]*'):
+        with contextlib.suppress(OSError):   # it has ended meanwhile
+            if text.encode() in (folder / 'environ').read_bytes():
+                found.append((folder / 'cmdline').read_text().replace('\0', ' '))
+    return found
+
+
+def test_ctrl_c_ends_the_page_and_all_that_it_started_with_a_tab_open(
+        serve: Callable[..., tuple[int, NodeProcess]], ros_environment: dict[str, str],
+        tmp_path: Path) -> None:
+    ros_environment['ASI_TEST'] = mark = f'of {tmp_path}'
+    port, process = serve('--simulate')
+    process.wait_for('lockstep at')
+    with open_tab(port):
+        assert len(processes(mark)) == 3
+        assert process.stop() == 0 and 'Traceback' not in process.text, process.text
+    assert not processes(mark)
 
 
 def test_a_port_in_use_and_a_missing_library_are_said(
