@@ -26,16 +26,8 @@ def asi() -> int:
     try:
         signal.signal(signal.SIGINT, _raise if before is signal.default_int_handler else before)
         status = main()
-<<<<<<< HEAD
-        if status == INTERRUPTED:   # nothing is left to print; unloading libraries takes a second
-            for stream in (sys.stdout, sys.stderr):
-                with suppress(OSError, ValueError):
-                    stream.flush()
-            os._exit(status)
-=======
         if status == INTERRUPTED:
             end_at_once(status)
->>>>>>> h/i18
         return status
     except KeyboardInterrupt:
         return _interrupted()
@@ -44,9 +36,6 @@ def asi() -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-<<<<<<< HEAD
-def _repeat_signal(ignored: Any) -> None:
-=======
 def _raise(_: int, frame: FrameType | None) -> None:
     """
     Raise KeyboardInterrupt; of a process that imports, end it.
@@ -61,8 +50,7 @@ def _raise(_: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _not_lost(ignored: Any) -> None:
->>>>>>> h/i18
+def _repeat_signal(ignored: Any) -> None:
     """Send a SIGINT again whose KeyboardInterrupt Python ignored, as in callbacks of imports."""
     if ignored.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(ignored)

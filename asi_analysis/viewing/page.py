@@ -62,9 +62,6 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
             raise InputError(f'--port {port} cannot be used: {error.strerror}; '
                              'name another one') from None
     session = Session(namespace, simulate)
-<<<<<<< HEAD
-    # On a busy machine the loop, whose processes are started already, goes first.
-=======
 
     def leave(*_: object) -> None:
         end_quietly()   # at once if it comes again
@@ -74,8 +71,7 @@ def serve(port: int, namespace: str, simulate: bool, show: bool) -> None:
     # The server ends when it gets one, and sends it again at its own end.
     for number in SIGNALS:
         signal.signal(number, leave)
-    # On a busy machine the loop, which is on its way already, comes before the page.
->>>>>>> h/i18
+    # On a busy machine the loop, whose processes are started already, goes first.
     os.nice(NICE)
     # Other host names are refused, against DNS rebinding by a foreign page.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, 'localhost'])

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from asi_analysis.arrays import Array
 from asi_analysis.gap.model import forms, simulator
 from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effect, Free, Variant, freed, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
@@ -19,6 +18,7 @@ from asi_analysis.gap.model.start import (
 )
 from asi_analysis.gap.motion import noise_above
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.scales import scales, with_valve, with_valve_force
 from asi_common.jit import FULL, LINEAR
 
 Values = dict[str, float]
@@ -150,7 +150,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
     noise, error_floor, formulation = {}, {}, {}
     count = 1 + max(recording.number for recording in recordings)
     p = for_recordings(nominal.copy(), count)
-    scale = _with_valve(scales(recordings), recordings, p)
+    scale = with_valve(scales(recordings), recordings, p)
     p['force_scale'], p['velocity_scale'] = scale['force'], scale['velocity']
     for channel in channels:
         noise[channel] = max(_noise(recording, channel, p) for recording in recordings)
@@ -173,7 +173,7 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
 def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                     tolerance: float = TOLERANCE) -> Group:
     """Return a group of channels that the simulator itself predicts, ready to be fitted."""
-    scale = _with_valve_force(_with_valve(scales(recordings), recordings, nominal), nominal)
+    scale = with_valve_force(with_valve(scales(recordings), recordings, nominal), nominal)
     # The unit of a coupling's stiffness: with it the load's mass oscillates at 100 Hz.
     scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
               'inverse_force': 1.0 / scale['force']}
@@ -351,50 +351,6 @@ def _judged_noise(recording: Recording, channel: str, p: np.void) -> float:
         return noise
     return max(noise, noise_above(measured(recording, channel), recording.motion,
                                   recording.period_s))
-
-
-def _range(signals: Sequence[Array | None]) -> float:
-    """Return the 99.9 % quantile of a signal's size, the largest over recordings; 1 if it is 0."""
-    present = [np.quantile(np.abs(signal), 0.999) for signal in signals if signal is not None]
-    return float(max(present, default=0.0)) or 1.0
-
-
-def scales(recordings: Sequence[Recording]) -> Values:
-    """Return the units of the bounds of effects, by the ranges of the signals."""
-    motions = [recording.motion for recording in recordings if recording.motion]
-    command = _range([recording.command for recording in recordings])
-    force = _range([recording.force for recording in recordings])
-    velocity = _range([motion.velocity[motion.pad:-motion.pad] for motion in motions])
-    position = _range([motion.position[motion.pad:-motion.pad] for motion in motions])
-    duration = max(recording.fit.size * recording.period_s for recording in recordings)
-    return {
-        '': 1.0, 'command': command, 'force': force, 'velocity': velocity, 'position': position,
-        'valve_position': _range([r.valve_position for r in recordings]),
-        'damping': force / velocity, 'damping_quadratic': force / velocity ** 2,
-        'compliance': position / force, 'drift': force / duration,
-        'drift_curve': force / duration ** 2, 'drift_bend': force / duration ** 3,
-    }
-
-
-def _with_valve(scale: Values, recordings: Sequence[Recording], p: np.void) -> Values:
-    """Return scales with the nominal model's range of the valve position, if not measured."""
-    if any(r.valve_position is not None or r.command is None for r in recordings):
-        return scale
-    return scale | {'valve_position': _range([predict(r, 'valve', p) for r in recordings])}
-
-
-def _with_valve_force(scale: Values, nominal: np.void) -> Values:
-    """
-    Return scales whose force is at least the hydraulic force of the valve.
-
-    With a free load, damping and seals balance most of it, and the sensor measures little.
-    """
-    opening = min(scale['valve_position'] / float(nominal['valve_characteristic_full_opening']),
-                  1.0)
-    ratio = max(opening * float(nominal['valve_characteristic_maximum_force']) / scale['force'],
-                1.0)
-    return scale | {name: ratio * scale[name] for name in ('force', 'damping',
-                                                           'damping_quadratic')}
 
 
 def _is_modelled(name: str, nominal: np.void) -> bool:

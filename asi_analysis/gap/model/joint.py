@@ -26,7 +26,7 @@ from asi_analysis.gap.model.gravity import (
     without_bias,
     without_gravity,
 )
-from asi_analysis.gap.model.group import MODEL_ERROR, RIGID_ERROR, Group, make_group, scales
+from asi_analysis.gap.model.group import MODEL_ERROR, RIGID_ERROR, Group, make_group
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, rattling_of
 from asi_analysis.gap.model.servo import (
@@ -42,6 +42,7 @@ from asi_analysis.gap.model.servo import (
 from asi_analysis.gap.model.stepped import Steps, in_steps, placed_by, steps_of
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import RIGID_BAND_HZ, Recording, prepare
+from asi_analysis.gap.scales import scales
 from asi_common.jit import FULL
 from asi_common.parameter import Value
 
