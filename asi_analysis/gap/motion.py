@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.signal import coherence, welch
 
 from asi_analysis.arrays import Array, Complex, Mask
@@ -67,6 +68,13 @@ def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'od
     fade *= fade[::-1]
     middle = 0.5 * (values[0] + values[-1])
     return np.asarray(middle + fade * (longer - middle))
+
+
+def _fast_padding(size: int, least: int) -> int:
+    """Return the samples to add at both ends, so that the sum has small prime factors only."""
+    most = size - 2
+    return next((pad for pad in range(min(least, most), most)
+                 if next_fast_len(size + 2 * pad) == size + 2 * pad), min(least, most))
 
 
 def low_pass(frequency: Array, corner: float) -> Array:
@@ -146,7 +154,7 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
     source = velocity if velocity is not None else position
     if source is None:
         return None, None
-    pad = min(max(int(PAD_S / period), 1), source.size - 2)
+    pad = _fast_padding(source.size, max(int(PAD_S / period), 1))
     count = source.size + 2 * pad
     frequency = np.fft.rfftfreq(count, period)
     omega = 2.0 * np.pi * frequency

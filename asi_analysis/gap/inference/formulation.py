@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -11,19 +12,24 @@ from asi_analysis.gap.formulation import (
     with_tolerance_of_formulation,
     with_usual_shapes,
 )
+from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.evidence import equal_below
 from asi_analysis.gap.inference.posterior import Best, Found, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 
+NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the
 # simulator's own laws, the machine's are formulated in another way.
 COST_RANGE = 50.0
 HALVINGS = 8   # of the weight of the data, at most
 
 
-def in_best_formulation(found: Mapping[Names, Found]) -> dict[Names, Found]:
+def in_best_formulation(found: Mapping[Names, Found],
+                        known: Mapping[Names, Found] = NONE) -> dict[Names, Found]:
     """
     Return hypotheses with the error floor of the simulator's own laws, or of another formulation.
+
+    known: what an earlier call returned, which is not refitted in the same formulation.
 
     The laws are formulated in another way if the best hypothesis leaves more than the former
     error floor, or needs other shape parameters of the laws. With a baseline, the error floor is
@@ -33,7 +39,7 @@ def in_best_formulation(found: Mapping[Names, Found]) -> dict[Names, Found]:
         return dict(found)
     best = _with_formulation(min(found.values(), key=lambda each: each.best.cost), False)
     other = best.unexplained or _needs_other_shapes(best)
-    return in_formulation(found, other)
+    return in_formulation(found, other, known)
 
 
 def _with_formulation(found: Found, other: bool) -> Found:
@@ -50,7 +56,8 @@ def _with_formulation(found: Found, other: bool) -> Found:
                                                      residual))
 
 
-def in_formulation(found: Mapping[Names, Found], other: bool) -> dict[Names, Found]:
+def in_formulation(found: Mapping[Names, Found], other: bool,
+                   known: Mapping[Names, Found] = NONE) -> dict[Names, Found]:
     """Return all hypotheses with the error floor of that formulation; refitted if it changed."""
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
@@ -60,7 +67,10 @@ def in_formulation(found: Mapping[Names, Found], other: bool) -> dict[Names, Fou
         return moved
     best = min(moved.values(), key=lambda each: each.best.cost)
     equal = equal_below(best)
-    return {names: _nearest_to_nominal(each, equal) for names, each in moved.items()}
+    return {names: _nearest_to_nominal(each, equal)
+            if found[names] is not known.get(names)
+            and (not names or each.best.cost < best.best.cost + COST_RANGE) else each
+            for names, each in moved.items()}
 
 
 def _nearest_to_nominal(found: Found, equal: Array) -> Found:
@@ -69,19 +79,38 @@ def _nearest_to_nominal(found: Found, equal: Array) -> Found:
 
     equal: mean square residual of each channel, in error floors, that the model error explains.
     The weight of the data is halved as long as the residual stays below it (the discrepancy
-    principle, Morozov 1966).
+    principle, Morozov 1966): first in the linearised problem, then in fits.
     """
-    problem, theta = found.problem, found.best.theta
-    for _ in range(HALVINGS):
-        group = problem.group
-        problem = replace(problem, group=replace(group, weight={
-            channel: 0.5 * weight for channel, weight in group.weight.items()}))
-        near = most_probable(problem, theta)
-        if (mean_squares(problem, near.residual) > equal).any():
+    problem, halvings = found.problem, 0
+    theta, square, slope = found.best.theta, *_normal_equations(found)
+    mean, precision = problem.prior
+    for halvings in range(HALVINGS):
+        weight = 0.5 ** (halvings + 1)
+        step, _ = least_step(
+            weight * square + np.diag(precision),
+            weight * slope + precision * (found.best.theta - mean),
+            -found.best.theta, 1.0 - found.best.theta)
+        there = found.best.theta + step
+        if (mean_squares(problem, problem.residual(there)) > equal).any():
+            break
+        theta = there
+    for lighter in range(halvings + 1, HALVINGS + 1):
+        group = replace(problem.group, weight={channel: 0.5 ** lighter * weight for channel, weight
+                                               in problem.group.weight.items()})
+        light = replace(problem, group=group)
+        near = most_probable(light, theta)
+        if (mean_squares(light, near.residual) > equal).any():
             break
         theta = near.theta
-    residual = found.problem.residual(theta)
-    return found._replace(best=Best(theta, found.problem.cost(theta, residual), residual))
+    residual = problem.residual(theta)
+    return found._replace(best=Best(theta, problem.cost(theta, residual), residual))
+
+
+def _normal_equations(found: Found) -> tuple[Array, Array]:
+    """Return the matrix and the slope of the normal equations of a fit, without its priors."""
+    residual = found.best.residual
+    slopes = found.problem.jacobian(found.best.theta, base=residual)
+    return slopes.T @ slopes, slopes.T @ residual
 
 
 def _needs_other_shapes(found: Found) -> bool:

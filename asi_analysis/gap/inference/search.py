@@ -91,8 +91,9 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
         return None
     # If the laws behind the valve are formulated in another way, so are the valve's, although
     # its position may not show it.
-    other = second.weighed.group.other_formulation
-    return [(_weighed(first.found, alone, True) if other else None) or first.weighed,
+    changed = (second.weighed.group.other_formulation
+               and not first.weighed.group.other_formulation)
+    return [(_weighed(first.found, alone, True) if changed else None) or first.weighed,
             second.weighed]
 
 
@@ -217,7 +218,7 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     found = in_best_formulation({(): null} | singles)
     if singles and all(map(_needs_another_effect, found.values())):
         first = min((found[names] for names in singles), key=lambda each: each.best.cost)
-        found = in_best_formulation(_best_of(found, _pairs(found[()], first, tick)))
+        found = in_best_formulation(_best_of(found, _pairs(found[()], first, tick)), found)
     return found
 
 
