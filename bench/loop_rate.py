@@ -292,8 +292,8 @@ def conversions(rounds: int) -> list[Result]:
         ratio, spread = ratios(times['rclpy'], times['ours'])
         us = 1e6 / CONVERSIONS
         found.append(Result(
-            f'loop_rate.bytes.{end}', f'messages of the {end} in a tick into bytes, and what is '
-            'heard of them back; ratio: rival / ours', statistics.median(times['ours']) * us,
+            f'loop_rate.bytes.{end}', f'encoding the messages of the {end} in a tick, and '
+            'decoding those received; ratio: rival / ours', statistics.median(times['ours']) * us,
             'us', spread, f'rclpy, {statistics.median(times["rclpy"]) * us:.0f} us', ratio))
     return found
 

@@ -179,7 +179,7 @@ def _files(dataset: Dataset, episode: int) -> list[Path]:
     file = dataset.path / name
     if '..' in Path(name).parts or Path(name).is_absolute() or not file.is_file():
         raise InputError(f'{dataset.path}: episode {episode} should be in {name}, which is '
-                         'not a file of the dataset')
+                         'no file of the dataset')
     return [file]
 
 

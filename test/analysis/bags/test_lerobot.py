@@ -137,7 +137,8 @@ def _damaged(folder: Path, version: str, kind: str) -> None:
 @pytest.mark.parametrize('kind, words', [
     ('no meta', 'info.json cannot be read'), ('no file', 'no '), ('truncated', 'cannot be read'),
     ('empty', 'cannot be read'), ('info cut', 'is not JSON'), ('version', 'v2 and v3 can be read'),
-    ('outside', 'no file of it'), ('path', 'not understood'), ('width', 'but 3 in meta/info.json'),
+    ('outside', 'no file of the dataset'), ('path', 'not understood'),
+    ('width', 'but 3 in meta/info.json'),
     ('wide', 'not understood'), ('huge', 'action'),
     ('text', 'is string, but'), ('no column', 'no column action'),
     ('no index', 'no column episode_index')])

@@ -164,7 +164,7 @@ def test_the_x_of_a_wrench_is_no_position(tmp_path):
     found = preview(tmp_path / 'run/bag')
     assert {'reference=/force_reference/wrench/force/x[N]',
             'command=/valve_command/wrench/force/x[N]'} <= set(found.mapping)
-    assert 'a joint state has no units: those of a joint that turns are assumed' in found.notes
+    assert 'a joint state has no units: those of a rotary joint are assumed' in found.notes
 
 
 def test_a_bag_that_was_cut_off_is_previewed_as_it_is_imported(tmp_path):

@@ -121,7 +121,7 @@ def test_no_step_no_figures(reference):
     answer = analyze(Run(t, reference_n=reference(t), force_n=0.9 * reference(t)))
     assert answer['rise_time_s'] is None
     assert answer['steps'] == []
-    assert 'step: the reference has none' in answer['notes']
+    assert 'step: the reference has no step' in answer['notes']
 
 
 def test_lost_samples_do_not_matter():
