@@ -216,16 +216,16 @@ def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
     singles = _extended(null.at_nominal if hidden else null, null, tick)
     null = _refitted_from_larger(null, list(singles.values()))
     found = in_best_formulation({(): null} | singles)
-    if singles and all(map(_needs_another_effect, found.values())):
+    if singles and all(map(_may_need_another_effect, found.values())):
         first = min((found[names] for names in singles), key=lambda each: each.best.cost)
-        found = in_best_formulation(_best_of(found, _pairs(found[()], first, tick)), found)
+        if first.unexplained or screen(first, True, tick).most > ODDS_AGAINST:
+            found = in_best_formulation(_best_of(found, _pairs(found[()], first, tick)), found)
     return found
 
 
-def _needs_another_effect(found: Found) -> bool:
-    """Return whether a residual, or improbable parameter values, may need a further effect."""
-    usual = 0.5 * np.count_nonzero(found.problem.prior[1])   # expected value of the prior cost
-    return found.unexplained or bool(found.prior_cost > usual + ODDS_AGAINST)
+def _may_need_another_effect(found: Found) -> bool:
+    """Return whether a residual, or improbable parameter values, may be due to another effect."""
+    return found.unexplained or found.prior_cost > ODDS_AGAINST
 
 
 def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
@@ -237,7 +237,7 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, F
     """
     pairs = _with_second(first, tick)
     best = min(pairs.values(), key=lambda each: each.best.cost)
-    if best.unexplained or not _needs_another_effect(pairs[first.names]):
+    if best.unexplained or not _may_need_another_effect(pairs[first.names]):
         return pairs
     return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick))
 
