@@ -279,8 +279,29 @@ class Found(NamedTuple):
     @property
     def relative_residual(self) -> Array:
         """Return the mean square residual of each channel over the highest that noise explains."""
-        left = mean_squares(self.problem, self.best.residual)
-        return left / (MARGIN + NOISE_ERROR / math.sqrt(self.best.residual.size / left.size))
+        return mean_squares(self.problem, self.best.residual) / self._explained
+
+    @property
+    def _explained(self) -> float:
+        """Return the highest mean square residual that noise explains, in error floors."""
+        samples = self.best.residual.size / len(self.problem.group.channels)
+        return MARGIN + NOISE_ERROR / math.sqrt(samples)
+
+    @property
+    def criterion(self) -> float:
+        """
+        Return half of the Bayesian information criterion, by which forms of an effect compare.
+
+        A form with more parameters costs less, but may be less probable.
+        """
+        count = sum(len(variant.free) for variant in self.variants)
+        return self.best.cost + 0.5 * count * math.log(self.best.residual.size)
+
+    @property
+    def largest_cost(self) -> float:
+        """Return the highest cost of a residual that noise explains."""
+        rows, _ = self.problem.split(self.best.residual)
+        return 0.5 * self._explained * float(power(self.problem.group).sum()) * rows.shape[1]
 
     @property
     def unexplained(self) -> bool:

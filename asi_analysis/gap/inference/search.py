@@ -3,8 +3,9 @@ Whether the simulator explains the recordings, as it is or with effects of the v
 
 A linear screen ranks every effect in each of its forms. The best are fitted; the evidence gives
 their probabilities. The shape parameters of the laws (friction, hysteresis) are free in each fit.
-If the simulator with its own shapes leaves only noise, the machine obeys its equations. Else its
-laws are formulated in another way, and a model error is allowed for.
+If the simulator leaves only noise, it explains the recordings. Else the block-wise fits are asked;
+where they are of no use, the laws are taken to be formulated in another way than the simulator's,
+and a model error is allowed for.
 """
 
 import math
@@ -24,6 +25,7 @@ from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
+    GAIN_MARGIN,
     ROUNDS,
     Found,
     Posterior,
@@ -65,8 +67,6 @@ SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shar
 SUSPECT_PRIOR_COST = 3.0
 # The model is of this machine if it leaves at most this share of each signal's mean square.
 FOLLOWED_SHARE = 0.5
-# The simulator describes a machine if the mean square residual is at most so many error floors.
-LARGEST_RESIDUAL = 9.0
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -75,9 +75,10 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     Return the groups with the probabilities of their hypotheses, if the simulator explains them.
 
     Else None. It explains a group as it is, with parameters within their tolerance, or with at
-    most two effects or parameters beyond their tolerance. groups: the valve and what follows it;
-    or one, if the valve position was not recorded. alone: no other model predicts such
-    recordings, so a residual is `unknown`.
+    most two effects or parameters beyond their tolerance, if only noise is left. groups: the valve
+    and what follows it; or one, if the valve position was not recorded. alone: no other model
+    predicts such recordings, so laws formulated in another way get a model error, and a residual
+    is `unknown`.
     """
     valve, *others = groups
     valve, gain = _with_free_gain(valve) if others else (valve, None)
@@ -118,7 +119,7 @@ class _Explained(NamedTuple):
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
-    found = _hypotheses(_with_noise_from_fit(_null(group)), tick)
+    found = _hypotheses(_with_noise_from_fit(_null(group)), tick, alone)
     weighed = _weighed(found, alone)
     return None if weighed is None else _Explained(weighed, found)
 
@@ -128,13 +129,13 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
     """
     Return a group with the probabilities of its hypotheses, if one of them explains it.
 
-    That is, if it leaves at most LARGEST_RESIDUAL error floors. alone: as in
-    `explained_by_simulator`; other: whether the laws are formulated in another way, if known.
+    alone: as in `explained_by_simulator`; other: whether the laws are formulated in another way,
+    if known.
     """
     if other is not None:
         found = in_formulation(found, other)
-    most, group = math.inf if alone else LARGEST_RESIDUAL, found[()].problem.group
-    if not any(f.relative_residual.max() <= most for f in found.values()):
+    group = found[()].problem.group
+    if not alone and all(f.unexplained for f in found.values()):
         return None
     candidates = {names: Candidate(names, f.variants, _as_fitted(f)) for names, f in found.items()}
     weighed = Weighed(group, candidates, weigh(group, found))
@@ -146,7 +147,7 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
                                   key=lambda each: each.cost))
     candidates[best.names] = Candidate(best.names, best.variants, _as_fitted(best))
     if best.unexplained:
-        if best.relative_residual.max() > most or (alone and not _follows_signals(found[()])):
+        if not (alone and _follows_signals(found[()])):
             return None
         unknown = as_probability(max(
             unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
@@ -207,19 +208,30 @@ def _with_noise_from_fit(null: Found) -> Found:
                                     best=most_probable(problem, null.best.theta)))
 
 
-def _hypotheses(null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
-    """Return the fits of the nominal model, of single effects and, if needed, of pairs."""
+def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
+    """
+    Return the fits of the nominal model, of single effects and, if needed, of pairs.
+
+    alone: as in `explained_by_simulator`.
+    """
     null.problem.group.scale.update(initial_guesses(_as_fitted(null)))
     # Large errors of nominal parameters may stand for an effect: then the screen starts from the
     # nominal values.
     hidden = null.unexplained or null.prior_cost > SUSPECT_PRIOR_COST
     singles = _extended(null.at_nominal if hidden else null, null, tick)
     null = _refitted_from_larger(null, list(singles.values()))
-    found = in_best_formulation({(): null} | singles)
+    found = {(): null} | singles
+    if alone:
+        found = in_best_formulation(found)
     if singles and all(map(_may_need_another_effect, found.values())):
         first = min((found[names] for names in singles), key=lambda each: each.best.cost)
-        if first.unexplained or screen(first, True, tick).most > ODDS_AGAINST:
-            found = in_best_formulation(_best_of(found, _pairs(found[()], first, tick)), found)
+        promised = screen(first, not first.unexplained, tick).most
+        # Without another model, an effect may be named although a residual is left.
+        if promised > ODDS_AGAINST and (alone or first.best.cost - GAIN_MARGIN * promised
+                                        < first.largest_cost):
+            found = _best_of(found, _pairs(null, first, tick))
+            if alone:
+                found = in_best_formulation(found, found)
     return found
 
 
@@ -263,9 +275,9 @@ def _second_effect_alone(null: Found, first: Found, pair: Found) -> Found:
 
 
 def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
-    """Return the union of two sets of fits; of a hypothesis in both, the fit of lower cost."""
+    """Return the union of two sets of fits; of a hypothesis in both, the better form."""
     return {**found, **{names: each for names, each in more.items()
-                        if names not in found or each.best.cost < found[names].best.cost}}
+                        if names not in found or each.criterion < found[names].criterion}}
 
 
 def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
@@ -345,7 +357,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         if found.best.cost == math.inf:
             continue
         forms.setdefault(found.names, []).append(found)
-        if found.names not in fits or found.best.cost < fits[found.names].best.cost:
+        if found.names not in fits or found.criterion < fits[found.names].criterion:
             fits[found.names] = found
         tick()
     if not fits:
@@ -378,7 +390,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
     for found in problem.in_parallel(converged_fit, sorted(remaining, key=_is_coarse)):
         # A rough fit was not corrected for the integration error: its cost is not comparable.
         unfinished = fits[found.names].best is best_forms[found.names]
-        if unfinished or found.best.cost < fits[found.names].best.cost:
+        if unfinished or found.criterion < fits[found.names].criterion:
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return {names: found for names, found in fits.items() if found.best.cost < math.inf}
