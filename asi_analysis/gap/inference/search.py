@@ -135,7 +135,7 @@ def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = Non
     if other is not None:
         found = in_formulation(found, other)
     group = found[()].problem.group
-    if not alone and all(f.unexplained for f in found.values()):
+    if not alone and not _only_noise_left(found):
         return None
     candidates = {names: Candidate(names, f.variants, _as_fitted(f)) for names, f in found.items()}
     weighed = Weighed(group, candidates, weigh(group, found))
@@ -221,18 +221,23 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     singles = _extended(null.at_nominal if hidden else null, null, tick)
     null = _refitted_from_larger(null, list(singles.values()))
     found = {(): null} | singles
-    if alone:
+    if alone or _only_noise_left(found):
         found = in_best_formulation(found)
-    if singles and all(map(_may_need_another_effect, found.values())):
-        first = min((found[names] for names in singles), key=lambda each: each.best.cost)
-        promised = screen(first, not first.unexplained, tick).most
-        # Without another model, an effect may be named although a residual is left.
-        if promised > ODDS_AGAINST and (alone or first.best.cost - GAIN_MARGIN * promised
-                                        < first.largest_cost):
-            found = _best_of(found, _pairs(null, first, tick))
-            if alone:
-                found = in_best_formulation(found, found)
-    return found
+    if not singles or not all(map(_may_need_another_effect, found.values())):
+        return found
+    first = min((found[names] for names in singles), key=lambda each: each.best.cost)
+    promised = screen(first, not first.unexplained, tick).most
+    # Without another model, an effect may be named although a residual is left.
+    if promised < ODDS_AGAINST or not (
+            alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
+        return found
+    pairs = _best_of(found, _pairs(found[()], first, tick))
+    return in_best_formulation(pairs, found) if alone or _only_noise_left(pairs) else pairs
+
+
+def _only_noise_left(found: Mapping[Names, Found]) -> bool:
+    """Return whether one of the hypotheses explains the recordings."""
+    return not all(each.unexplained for each in found.values())
 
 
 def _may_need_another_effect(found: Found) -> bool:
