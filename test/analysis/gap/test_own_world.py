@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from asi_analysis.gap.diagnose import diagnose, document
 from asi_examiner.own import CHANGED, VISIBLE, draw_own, truth
 
 
@@ -21,3 +22,12 @@ def test_own_case_is_what_its_answer_says(seed):
         else:
             assert effects == [case.changed]
         assert (kind == 'effect') == (case.visibility > VISIBLE)
+
+
+@pytest.mark.slow
+def test_the_form_with_fewer_parameters_stands_for_an_effect():
+    """Coulomb friction with a free breakaway costs a little less, but is far less probable."""
+    case = draw_own(161003)
+    assert case.changed == 'coulomb_friction'
+    answer = document(diagnose([case.run], case.nominal))
+    assert answer['verdict'] == 'coulomb_friction' and answer['probability'] > 0.9
