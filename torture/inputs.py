@@ -382,10 +382,15 @@ def of_gap(run: Run) -> Answer:
     return Answer(figures, dict.fromkeys(figures, found['reliable']), bool(found['quality']))
 
 
-def figure_problem(run: Run, random: Random, analysis: Callable[[Run], Answer] = of_step) -> str:
-    """Return which figure of a spoilt recording differs though nothing is said, '' if none."""
+def figure_problem(run: Run, random: Random, analysis: Callable[[Run], Answer] = of_step,
+                   right: Answer | None = None) -> str:
+    """
+    Return which figure of a spoilt recording differs though nothing is said, '' if none.
+
+    right: the answer for the undamaged one, if it is known.
+    """
     kind, worse = spoilt(run, random)
-    right = analysis(run)
+    right = right or analysis(run)
     try:
         found = analysis(worse)
     except InputError:
@@ -423,6 +428,7 @@ def inputs(rig: Rig, tally: Tally, end: float) -> None:
     analyses = ((4, recording(), of_step), (5, with_command(), of_step),
                 (7, saturated(), of_step), (9, without_command(), of_step),
                 (100, cycle(), of_cycle), (500, with_a_gap(), of_gap))
+    rights: dict[int, Answer] = {}
     for number in range(FILES):
         if time.monotonic() > end:
             return
@@ -430,5 +436,6 @@ def inputs(rig: Rig, tally: Tally, end: float) -> None:
         tally.count(f'{good.name} damaged', file_problem(good, rig.folder / 'bad', rig.random))
         for every, run, analysis in analyses:
             if number % every == every - 1:
+                right = rights.setdefault(every, rights.get(every) or analysis(run))
                 tally.count(f'samples spoilt, {analysis.__name__}',
-                            figure_problem(run, rig.random, analysis))
+                            figure_problem(run, rig.random, analysis, right))

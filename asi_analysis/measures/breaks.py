@@ -27,9 +27,15 @@ CONTINUOUS: Final = 0.9
 # as many changes is larger than this share of the median change.
 FROZEN: Final = 4
 MOVING: Final = 0.1
+# A signal of few digits comes to rest: one whose least change is a larger share of its range, or
+# in changes of fewer times the least one.
+COARSE: Final = 1e-4
+QUANTA: Final = 5.0
 # A change of sign: largest error of the mirrored value, and largest change before and after the
 # jump, as a share of the jump.
 MIRRORED: Final = 0.4
+# Least median change around a deviation, as a share of it, for one that is usual there.
+CHANGING: Final = 0.25
 # Least ratio of such a jump to the changes of the last samples.
 RECENT: Final = 1.5
 
@@ -75,27 +81,45 @@ def _mirrored(values: Array) -> Mask:
     return found
 
 
-def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False) -> Mask:
+def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False,
+           fewest: int = FEWEST) -> Mask:
     """
     Return which of n samples are spikes: one or two that differ from their neighbours.
 
     A deviation that the input explains is no spike. inputs: such as the reference. same_unit: the
     input has the unit of the signal; it then explains only deviations within its own range, at the
-    beginning of the response to a change of it.
+    beginning of the response to a change of it. fewest: of fewer samples only the beginning of a
+    response is explained.
     """
     smooth = ndimage.median_filter(values, 5, mode='mirror')
     deviation = np.abs(values - smooth)
     deviation[0] = 0.0      # the signal may have been at rest before
+    if len(values) > 2:     # or move on at its end
+        deviation[-1] = min(deviation[-1], abs(values[-1] - 2.0 * values[-2] + values[-3]))
     span = float(np.ptp(inputs)) if inputs is not None and same_unit else np.inf
     large = _large(deviation, max(float(np.ptp(smooth)), span if same_unit else 0.0))
     if large.sum() > max(2, 0.01 * len(values)):
         return _fillers(values, large)
-    if inputs is None or not large.any():
+    if not large.any():
         return large
-    odd = large & (unexplained(inputs, values) | (deviation > span))
+    if inputs is None:
+        return large & ~_usual_around(values, deviation)
+    unknown = unexplained(inputs, values) if len(values) >= fewest else ~_begun(inputs, values)
+    odd = large & (unknown | (deviation > span))
     if same_unit:
         odd |= large & ~_ringing(deviation, large & ~odd & _begun(inputs, values), large & ~odd)
     return ndimage.binary_propagation(odd, mask=large)
+
+
+def _usual_around(values: Array, deviation: Array) -> Mask:
+    """Return where others change as much to such values: a chirp of few samples a period."""
+    change = np.abs(np.diff(values, prepend=values[0]))
+    beside = np.abs(np.arange(-LAGS // 2, LAGS // 2 + 1)) > 1
+    low, high = (extreme(values, footprint=beside) for extreme in (
+        ndimage.minimum_filter, ndimage.maximum_filter))
+    margin = CHANGING * (high - low)
+    return (values >= low - margin) & (values <= high + margin) & (
+        ndimage.median_filter(change, LAGS + 1) > CHANGING * deviation)
 
 
 def _fillers(values: Array, large: Mask) -> Mask:
@@ -132,6 +156,7 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
     change = np.abs(np.diff(values, prepend=values[0]))
     large = unexplained(reference, values) | _large(change, float(np.ptp(values))) & (
         change > 2.0 * float(np.ptp(reference)))
+    large[:LAGS] = False    # it may begin far from its reference
     large[np.minimum(after, len(values) - 1)] = False
     places = np.flatnonzero(large)
     places = places[np.diff(places, prepend=-LAGS) > LAGS]
@@ -153,9 +178,9 @@ def frozen(values: Array) -> list[tuple[int, int]]:
         return []
     lengths = np.diff(begins, append=len(values))
     changes = np.abs(np.diff(values[begins]))
-    if not len(changes):
+    if not len(changes) or changes.min() > COARSE * float(np.ptp(values)):
         return []
-    moving = changes > MOVING * float(np.median(changes))
+    moving = changes > max(MOVING * float(np.median(changes)), QUANTA * float(changes.min()))
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
             for k in np.flatnonzero(lengths >= FROZEN) if moving[max(k - FROZEN, 0):k].any()
             and (moving[k:k + FROZEN].any() or k == len(changes))]

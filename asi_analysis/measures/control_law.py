@@ -83,8 +83,17 @@ class ControlLaw(NamedTuple):
     signal: float
     factor: float | None
     breaks: tuple[Break, ...]
-    everywhere: bool    # all compared samples satisfy it
+    everywhere: bool    # no compared sample violates it
+    exact: bool         # all compared samples satisfy it to rounding errors
     of_all: bool        # nearly all samples of the recording were compared
+
+    def of_servo(self) -> 'ControlLaw':
+        """Return what it says if the derivative of the signal may have been another input."""
+        sure = self.factor in FACTORS
+        return self._replace(
+            reference=self.reference if sure else np.nan, signal=self.signal if sure else np.nan,
+            factor=self.factor if sure else None,
+            breaks=tuple(each for each in self.breaks if each.factor is not None))
 
 
 class _Rows(NamedTuple):
@@ -125,7 +134,7 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
     direct = [float(factors[k]) if known[k] else np.nan for k in (rows.order, 2 * rows.order + 1)]
     if not abs(direct[1]) * float(np.nanstd(signal)) > LEAST_FEEDBACK * span:
         direct = [np.nan, np.nan]
-    factor = _factor(rows, valid, span)
+    factor = 1.0 if _same_static_gain(rows, factors, space) else _factor(rows, valid, span)
     if factor is None:
         factor = _scale(rows, valid, span, factors, known)
     breaks = _breaks(rows, factors, residual, span, _has_memory(rows, valid, span))
@@ -133,6 +142,7 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
         breaks = [each for each in breaks if each not in _lost(breaks)]
     return ControlLaw(direct[0], direct[1], factor, tuple(breaks),
                       bool(np.abs(residual).max() < BREAK * span),
+                      bool(np.abs(residual).max() < 10.0 * EXACT * span),
                       len(rows.samples) > NEARLY_ALL * len(time))
 
 
@@ -160,7 +170,9 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
             if first is None or not first.everywhere:
                 continue
             found = control_law(time, command, *pair)
-            sure = found is not None and found.everywhere and (
+            # Of a controller that has the derivative of a signal, which later samples show
+            # better, it is not exact.
+            sure = found is not None and found.exact and (
                 name == 'signal' or found.factor == 1.0)
             if found and sure and abs(getattr(found, name)) > 0.0:
                 return name, int(lag)
@@ -290,6 +302,19 @@ def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
     # If the signal is small beside the reference, another factor may fit only a little better.
     sure = possible[:1] == [1.0] or as_recorded > BREAK * span
     return possible[0] if len(set(possible)) == 1 and sure else None
+
+
+def _same_static_gain(rows: _Rows, factors: Array, space: _Space) -> bool:
+    """
+    Return whether the command does not change if reference and signal change by the same amount.
+
+    Both have the same unit then, also where only the signal is differentiated.
+    """
+    _, references, own = np.split(factors, [rows.order, 2 * rows.order + 1])
+    both = np.append(np.zeros(rows.order), np.ones(2 * rows.order + 2))
+    alone = both * np.append(np.zeros(2 * rows.order + 1), np.ones(rows.order + 1))
+    return bool(space.holds(np.stack([both, alone])).all() and own.sum() < 0.0 and abs(
+        references.sum() + own.sum()) < BREAK * abs(own.sum()))
 
 
 def _scale(rows: _Rows, valid: Mask, span: float, factors: Array, known: Mask) -> float | None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.breaks import is_continuous, spikes
+from asi_analysis.measures.breaks import FEWEST, is_continuous, spikes
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -29,6 +29,8 @@ from asi_analysis.measures.relations import moved_by, of_motion, of_reference
 
 # Samples further apart than this many periods have at least one missing between them.
 GAP_PERIODS: Final = 1.5
+# Samples before and after a long step by which one that is late is told from one that is missing.
+AROUND: Final = 5
 # Largest jitter (90 % quantile) as a share of the period.
 JITTER: Final = 0.1
 # A gap of more periods and more seconds is a step of the clock, or a second recording.
@@ -43,6 +45,11 @@ FEWEST_LEVELS: Final = 25
 LARGE: Final = 0.1    # share of the largest value above which the number of digits is judged
 # A signal with fewer changes is piecewise constant, such as a prescribed velocity.
 FEWEST_CHANGES: Final = 4
+# What may explain that a signal suddenly changes, the first that was recorded; without reference
+# and command the motion that came with it. With the samples that are needed to explain all but the
+# beginning of a response: a motion has more changes that are one by chance.
+CAUSES: Final = {'reference': FEWEST, 'command': FEWEST, 'valve_position': 3 * FEWEST,
+                 'velocity': 3 * FEWEST, 'position': 3 * FEWEST}
 # Samples of an even grid per recorded sample, above which the samples come in bursts.
 MOST_FILLED: Final = 10.0
 # A signal is held between every n-th sample if this share of its changes, and at least so many,
@@ -169,6 +176,7 @@ def _of_time(time: Array) -> Iterator[Finding]:
         return
     deviations = np.abs(steps - period)
     gaps = steps - period > max((GAP_PERIODS - 1.0) * period, 5.0 * float(np.median(deviations)))
+    gaps &= ~_late(time, period)
     jitter = float(np.quantile(deviations[~gaps], 0.9))
     clock = gaps & (steps > max(CLOCK_PERIODS * period, CLOCK_S))
     if (pauses := _intervals(time, clock)):
@@ -184,6 +192,15 @@ def _of_time(time: Array) -> Iterator[Finding]:
         yield Finding('jitter', 'time', NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
                       f'{100.0 * jitter / period:.0f} % of a period early or late')
+
+
+def _late(time: Array, period: float) -> npt.NDArray[np.bool_]:
+    """Return which steps to the next of n samples are long as that one is late, not missing."""
+    late = time - period * np.arange(len(time))
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(late, AROUND, 'reflect', reflect_type='odd'), AROUND)
+    shifted = np.median(around[AROUND + 1:], axis=1) - np.median(around[1:-AROUND], axis=1)
+    return (np.diff(time) < 2.0 * period) & (shifted[:len(time) - 1] < 0.5 * period)
 
 
 def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
@@ -260,11 +277,16 @@ def _spikes(run: Run, name: str, present: npt.NDArray[np.intp]) -> npt.NDArray[n
     values = run.signals()[name][present]
     if name == 'reference':
         return np.isnan(without_spikes(values))
-    cause = run.command_n if run.reference_n is None else run.reference_n
+    cause, fewest = next(((each[present], fewest) for other, fewest in CAUSES.items()
+                          if other != name and (each := run.signals().get(other)) is not None
+                          and np.isfinite(each[present]).all()), (None, 0))
     controlled = run.reference_n is not None and name == CONTROLLED.get(run.unit('reference'))
-    found = spikes(values, None if cause is None else np.nan_to_num(cause[present]), controlled)
+    found = spikes(values, cause, controlled, fewest)
     if name == 'velocity' and found.any():
         found &= ~moved_by(run, present)
+    if name == 'force' and found.any() and run.velocity_m_s is not None and np.isfinite(
+            run.velocity_m_s[present]).all():
+        found &= spikes(values, run.velocity_m_s[present], fewest=CAUSES['velocity'])   # an impact
     return found
 
 

@@ -61,6 +61,7 @@ JUMP_FACTOR: Final = 5.0
 JUMP_SAMPLES: Final = 10
 JUMP_NOISE: Final = 20.0
 JUMP_SHARE: Final = 1e-3
+EQUAL: Final = 0.1      # largest difference of several jumps that are the resolution, as a share
 # Gain from a signal to a command of the same unit outside which a unit is probably wrong; within
 # the usual range it is probably right.
 MOST_GAIN: Final = 1000.0
@@ -72,6 +73,9 @@ STEADY_ERROR: Final = 0.1   # of a loop that has settled, as a share of the refe
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 BROKEN: Final = {'jump': 'jumps from one sample to the next',
                  'frozen': 'is constant while it should move'}
+# Signals whose derivative a controller has too, of a sensor of its own: a command that does not
+# follow from the recorded samples of these shows nothing.
+DIFFERENTIATED: Final = ('position', 'velocity')
 # Findings that concern the whole run, after which it is not compared further.
 WHOLE: Final = frozenset(('unit', 'sign', 'order'))
 
@@ -145,7 +149,10 @@ def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | No
         return Finding('frozen', name, NOTE, whole,
                        f'the {name_of(name)} does not change at all: is it measured?')
     away = float(np.median(np.abs(values - reference)))
-    settled = away < STEADY_ERROR * abs(float(np.median(reference)))
+    wanted = float(np.median(reference))
+    # Without an integrator it settles between 0 and its reference.
+    settled = away < STEADY_ERROR * abs(wanted) or 0.0 <= float(np.median(values)) / (
+        wanted or np.inf) <= 1.0
     if away > FAR * max(span, moved) > 0.0 and not settled:
         return Finding('unit', name, DOUBTFUL, whole,
                        f'the {name_of(name)} is {away:.4g} {run.unit(name)} from its reference, '
@@ -167,14 +174,16 @@ def _correlation(a: Array, b: Array) -> float:
 def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_]
            ) -> tuple[float, bool]:
     """Return the ratio of the standard deviations, and whether the unit is probably wrong."""
-    reference_sd, output_sd = float(np.std(reference)), float(np.std(values))
+    # A constant has a standard deviation of rounding errors.
+    reference_sd, output_sd = (float(np.std(each)) if np.ptp(each) > 0.0 else 0.0
+                               for each in (reference, values))
     ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
     if 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
         return ratio, False
     strange = ratio > UNIT_FACTOR ** 2 or abs(_correlation(reference, values)) > CORRELATED
     if not strange and run.command_n is not None and run.unit('command') == run.unit('reference'):
         strange = output_sd > COMMAND_FACTOR * float(np.nanstd(run.command_n[both]))
-    if ratio < 1.0 and run.velocity_m_s is not None and _changes(run.velocity_m_s):
+    if ratio < 1.0:
         # A freely moving piston has a small force too, but the ratio is no power of ten.
         strange = strange and abs(math.log10(ratio) - round(math.log10(ratio))) < DECADE
     return ratio, strange
@@ -282,6 +291,8 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
             return _ByCommand(found_late)
     if found is None:
         return _ByCommand([])
+    if name in DIFFERENTIATED:
+        found = found.of_servo()
     problems = []
     alike = run.unit('command') == run.unit(name)
     if wrong := _wrong_unit(found, words, moved if alike else 1.0, correlation):
@@ -375,12 +386,17 @@ def _position_jumps(run: Run, known: npt.NDArray[np.intp]) -> tuple[Interval, ..
     periods, moved = np.diff(time), np.abs(np.diff(position))
     beside = ndimage.maximum_filter1d(np.abs(velocity), 2 * JUMP_SAMPLES + 1)
     longest = np.maximum(periods, run.period_s)     # stamps may be late
-    expected = JUMP_FACTOR * longest * np.maximum(beside[1:], beside[:-1])
+    # A velocity may be filtered, or late; a jump is larger than other changes around it too.
+    others = ndimage.maximum_filter(moved, footprint=np.abs(
+        np.arange(-JUMP_SAMPLES, JUMP_SAMPLES + 1)) > 1)
+    expected = JUMP_FACTOR * np.maximum(longest * np.maximum(beside[1:], beside[:-1]), others)
     # The usual unexplained motion: noise, or the resolution.
     usual = max(float(np.quantile(moved - np.minimum(moved, expected / JUMP_FACTOR), 0.9)),
                 float(moved[moved > 0.0].min(initial=np.inf)))
     jumped = (moved > expected) & (moved > JUMP_NOISE * usual) & (
         moved > JUMP_SHARE * float(np.ptp(position))) & (periods < 1.5 * run.period_s)
+    if jumped.sum() > 2 and np.ptp(moved[jumped]) < EQUAL * moved[jumped].min():
+        return ()       # its resolution
     return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(jumped))
 
 

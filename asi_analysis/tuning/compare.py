@@ -298,8 +298,10 @@ def _attacked(trials: Sequence[Trial], rates_hz: Sequence[float]) -> dict[str, A
 
 def _recording(name: str, run: Run) -> dict[str, Any]:
     analysis = analyze(run)
-    return {'source': name, **{key: analysis[key] for key in ('unit', 'oscillation', 'notes')},
-            **{key: analysis[key] for key, *_ in RECORDED}}
+    figures = ('oscillation', *(key for key, *_ in RECORDED))
+    return {'source': name, **{key: analysis[key] for key in ('unit', 'notes', *figures)},
+            'reliable': {key: analysis['reliable'][key] for key in figures
+                         if key in analysis['reliable']}}
 
 
 def read_compared(texts: Sequence[str]) -> tuple[dict[str, Values], dict[str, Run]]:

@@ -27,6 +27,8 @@ MOST_LINE: Final = 2**20
 MOST_COLUMNS: Final = 4096
 MOST_UNPACKED: Final = 100_000_000
 MOST_RATIO: Final = 20
+# Cells that are no numbers; numpy 1.26, of Ubuntu 24.04, has no type for texts of any length.
+TEXT: Final = getattr(np.dtypes, 'StringDType', lambda: np.dtype(object))()
 # LabVIEW writes -19m for -0.019.
 SI_NUMBER: Final = re.compile(r'([+-]?(?:\d+\.?\d*|\.\d+))([pnuµmkMG])')
 SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k': 1e3, 'M': 1e6,
@@ -160,13 +162,13 @@ def _as_array(cells: Sequence[str]) -> npt.NDArray:
         try:
             return np.array(['nan' if cell.lower() in MISSING else cell for cell in cells], float)
         except ValueError:
-            return np.array(cells, np.dtypes.StringDType())
+            return np.array(cells, TEXT)
 
 
 def _joined(parts: list[npt.NDArray]) -> npt.NDArray:
     """Return the blocks of a column as one array; empties `parts` to free their memory."""
     if any(part.dtype != float for part in parts):
-        parts[:] = [part.astype(np.dtypes.StringDType()) for part in parts]
+        parts[:] = [part.astype(TEXT) for part in parts]
     column = np.concatenate(parts)
     parts.clear()
     return column

@@ -163,6 +163,7 @@ class Recorder(Node):
         self._state_name = f'{self.get_namespace()}/{NODES["actuator"]}'.lstrip('/') + STATE
         self._pending_clients = [] if configuration else [
             (name, AsyncParameterClient(self, node)) for name, node in NODES.items()]
+        self._unreported = [name for name, _ in self._pending_clients]
         # Not ROS time: under use_sim_time a stopped /clock would stop the recording.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DRAIN_PERIOD_S, self._record, clock=steady)
@@ -329,6 +330,7 @@ class Recorder(Node):
         self._writer.add_information({node: {
             name: parameter_value_to_python(value)
             for name, value in zip(names, values.result().values, strict=True)}})
+        self._unreported.remove(node)
 
     def _fail(self, error: OSError) -> None:
         self.failed = True
@@ -337,12 +339,17 @@ class Recorder(Node):
                                 'that is written can be read')
 
     def _report(self) -> None:
-        """Log the numbers of recorded and lost messages."""
+        """Log the numbers of recorded and lost messages, and whose parameters are not known."""
         counts = self._writer.counts()
         self.get_logger().info('recorded ' + (', '.join(
             f'{count} {name}' for name, count in counts.items()) or 'nothing'))
         for name, count in self.lost().items():
             self.get_logger().error(f'{count} messages of {name} were lost')
+        for node in self._unreported:
+            if any(row.publisher.startswith(node) and self.resolve_topic_name(row.name) in counts
+                   for row in TOPICS.values()):
+                self.get_logger().warning(f'the parameters of {NODES[node]} are not in the bag: '
+                                          'they were not reported before the end of the recording')
 
     def lost(self) -> dict[str, int]:
         """Return the number of lost messages by topic, where there are any and it is known."""

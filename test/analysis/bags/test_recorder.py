@@ -321,9 +321,26 @@ def test_asks_the_nodes_for_their_parameters(start_node: Start, tmp_path: Path) 
     wait_until(lambda: file.exists() and b'asi.run' in file.read_bytes(),
                'the parameters of the controller in the bag')
     assert recorder.stop() == 0
+    assert 'the parameters of' not in recorder.text
     controller = read_contents(tmp_path / 'bag', lambda _: True).information['controller']
     assert controller['gain'] == 4.5
     assert controller['compensator'] == 'proportional'
+
+
+def test_parameters_that_were_not_reported_in_time_are_told(
+        ros_node: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capfd: pytest.CaptureFixture[str]) -> None:
+    """As of a recorder that was stopped soon after its start."""
+    monkeypatch.chdir(tmp_path)
+    recorder = recorder_node.Recorder()
+    publisher = ros_node.create_publisher(WrenchStamped, 'force', 10)
+    wait_until(publisher.get_subscription_count, 'the recorder')
+    publisher.publish(WrenchStamped())
+    wait_until(lambda: recorder._drain() or recorder._arrived, 'the message')
+    recorder.destroy_node()
+    said = capfd.readouterr().err
+    assert 'the parameters of asi_actuator are not in the bag' in said
+    assert 'the parameters of asi_controller' not in said   # none of its topics is
 
 
 @pytest.mark.parametrize(('options', 'reason'), [

@@ -1,0 +1,66 @@
+"""Every command that answers from a recording says what is wrong with it: text, JSON, report."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asi_analysis import cli
+from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.run import Run
+from asi_analysis.loop.in_process import simulate
+
+# Of each command: its words, and the part of its answer that is not reliable.
+COMMANDS = {
+    'analyze': (['analyze', '{cycle}'], lambda answer: answer['reliable']['oscillation']),
+    'limit-cycle': (['limit-cycle', '{cycle}'], lambda answer: answer['segments'][-1]['reliable']),
+    'attribute': (['attribute', '{cycle}'], lambda answer: answer['reliable']),
+    'compare': (['compare', '{cycle}', '--plants', '0', '--conditions', '0'],
+                lambda answer: answer['recordings'][0]['reliable']['oscillation']),
+    'gap': (['gap', 'of', '{servo}', '--plant', 'joint'],
+            lambda answer: answer['reliable']),
+}
+WITHOUT_REPORT = ('analyze',)
+
+
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+         words: Sequence[str]) -> str:
+    monkeypatch.setattr(sys, 'argv', ['asi', *words])
+    assert cli.main() == 0
+    return capsys.readouterr().out
+
+
+@pytest.fixture(scope='module')
+def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return bags of a limit cycle and of a servo whose measured signal is clipped."""
+    run = simulate({'load.type': 'spring'}, {'gain': 12.0, 'reference.amplitude': 100.0}, 1.2,
+                   1000.0)
+    force = run.signal('force')
+    cycle = replace(run, information={}, force_n=np.minimum(force, 0.7 * force.max()))
+    time_s = np.arange(90) / 30.0
+    x = np.sin(3.0 * time_s)
+    servo = Run(time_s, reference_n=x + 0.1, position_m=np.minimum(x, 0.6), information={
+        'signals': {'position': 'rad', 'reference': 'rad'}})
+    folder = tmp_path_factory.mktemp('clipped')
+    for name, each in (('cycle', cycle), ('servo', servo)):
+        write_bag(each, folder / name, each.information)
+    return {'cycle': folder / 'cycle', 'servo': folder / 'servo'}
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_every_answer_and_report_says_what_is_wrong_with_the_samples(
+        command: str, bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    words, reliable = COMMANDS[command]
+    words = [word.format(**bags) for word in words]
+    report = [] if command in WITHOUT_REPORT else ['--report', str(tmp_path / 'report')]
+    answer = json.loads(said(monkeypatch, capsys, [*words, *report, '--json']))
+    clipped = next(each for each in answer['quality'] if each['kind'] == 'clipping')
+    assert clipped['severity'] == 'doubtful' and not reliable(answer)
+    assert f'data: {clipped["text"]}' in said(monkeypatch, capsys, words)
+    if report:
+        assert f'data: {clipped["text"]}' in (tmp_path / 'report/report.html').read_text()
