@@ -20,9 +20,10 @@ from asi_actuator.driver.frames import COUNTER, Frames, load_table
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.driver.simulated import SimulatedActuator
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
-from asi_common.executable import SIGNALS, end_while_compiling
+from asi_common.executable import end_while_compiling
 from asi_common.parameter import ParameterError, Value, completed
 from asi_common.parameter_file import read_scalar
+from asi_common.signals import SIGNALS
 
 # Step of the simulation, s, and the most that it catches up at once.
 PERIOD_S: Final = 0.2e-3

@@ -1,4 +1,4 @@
-"""How a process ends: at once while it imports or compiles, and without unloading libraries."""
+"""How a process ends: at once while it compiles, and without unloading libraries."""
 
 import os
 import signal
@@ -6,21 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
-from typing import Final, NoReturn
-
-# What ends a process that serves.
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-
-
-def end_quietly() -> None:
-    """
-    Make SIGINT and SIGTERM end this process at once, with status 0 and without a traceback.
-
-    For what serves until then: before its imports, which take a second or more and after which it
-    installs its own handlers.
-    """
-    for number in SIGNALS:
-        signal.signal(number, lambda *_: os._exit(0))
+from typing import NoReturn
 
 
 def end_at_once(status: int) -> NoReturn:

@@ -24,9 +24,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from asi_common.executable import SIGNALS, end_quietly, end_while_compiling
+from asi_common.executable import end_while_compiling
 from asi_common.node.priority import prefer
 from asi_common.parameter import ParameterError
+from asi_common.signals import SIGNALS, end_quietly
 from asi_common.writable import choose_log_folder
 
 # Longest wait of services, parameters, unhurried timers and new entities; and of events of the
