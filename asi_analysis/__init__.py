@@ -14,7 +14,7 @@ whose noun is a package have a verb (`detect_limit_cycles`, not `limit_cycle`). 
 package imports none of its modules; a name imports its module at first use.
 """
 
-# As in typing, whose import would take longer than all else that `asi` does before it handles Ctrl-C.
+# As in typing, whose import would take longer than all that `asi` does before it handles Ctrl-C.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
