@@ -18,8 +18,10 @@ from asi_common.topics import FRAME
 ROOT: Final = 'scene'
 # Signal of a run that moves each joint of the URDF, m.
 MOVES: Final = {'piston': 'position', 'valve': 'valve_position'}
-# Length of the arrow of the largest force, m; largest number of positions that are kept.
+# Length of the arrow of the largest force, m, and its height above the piston, which would hide
+# it; largest number of positions that are kept.
 ARROW_M: Final = 0.1
+ABOVE_M: Final = 0.035
 MOST: Final = 5000
 ORANGE: Final = 0xd55e00ff
 
@@ -95,4 +97,5 @@ def _force(stream: rr.RecordingStream, path: str, times: Any, force_n: Array) ->
     shares = np.nan_to_num(force_n) / (np.nanmax(np.abs(force_n), initial=0.0) or 1.0)
     vectors = np.column_stack([ARROW_M * shares, 0.0 * shares, 0.0 * shares])
     stream.send_columns(path, indexes=[times], columns=rr.Arrows3D.columns(
-        vectors=vectors, colors=[ORANGE] * len(vectors)))
+        vectors=vectors, origins=[[0.0, 0.0, ABOVE_M]] * len(vectors),
+        radii=[0.002] * len(vectors), colors=[ORANGE] * len(vectors)))
