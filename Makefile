@@ -7,7 +7,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 PART := test/common test/controller test/actuator/test_model_blocks.py test/actuator/test_drivers.py \
   test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
 
-.PHONY: help setup demo test test-slow test-python test-oldest torture soak bench lint docs clean
+.PHONY: help ready setup demo test test-slow test-python test-oldest torture soak bench lint docs clean
 
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
@@ -22,7 +22,7 @@ help:
 	@echo 'make docs     build the documents, tutorials run: build/docs/index.html'
 	@echo 'make clean    remove the virtual environment and all that was built'
 
-demo: setup
+demo: ready
 	@$(BIN)/asi demo
 
 test: setup
@@ -66,8 +66,11 @@ docs: setup $(VENV)/documented
 
 VERSION := -c 'import sys; print(sys.version_info[:2])'
 
+# With what the tests, the checks and the benchmarks need.
+setup: ready $(VENV)/tested
+
 # A PYTHON that is named is the one that is used, or make stops.
-setup: $(VENV)/installed
+ready: $(VENV)/installed
 	@test -z '$(PYTHON)' || test "$$($(PYTHON) $(VERSION))" = "$$($(BIN)/python $(VERSION))" || { \
 	  echo 'make: $(VENV) was made with another version than $(PYTHON): run make clean first' >&2; \
 	  exit 1; }
@@ -86,16 +89,21 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 	$$python -m venv --clear $(VENV)
 	@test -z '$(LOCKED)' || $(BIN)/pip install -qq --disable-pip-version-check --require-hashes \
 	  -r requirements.lock
-	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
+	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[live]'
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.loop.closed_loop
 	@touch $@
 
+# What a demo does not need: the first thing that a new user sees comes sooner.
+$(VENV)/tested: $(VENV)/installed
+	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
+	@touch $@
+
 # The rivals that only the benchmark needs.
-$(VENV)/benchmarked: $(VENV)/installed
+$(VENV)/benchmarked: $(VENV)/tested
 	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[bench]'
 	@touch $@
 
-$(VENV)/documented: $(VENV)/installed
+$(VENV)/documented: $(VENV)/tested
 	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[docs]'
 	@touch $@
 

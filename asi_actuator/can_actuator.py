@@ -20,8 +20,10 @@ from asi_actuator.driver.frames import COUNTER, Frames, load_table
 from asi_actuator.driver.pseudo_terminals import LinkedTerminals
 from asi_actuator.driver.simulated import SimulatedActuator
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_common.executable import end_while_compiling
 from asi_common.parameter import ParameterError, Value, completed
 from asi_common.parameter_file import read_scalar
+from asi_common.signals import SIGNALS
 
 # Step of the simulation, s, and the most that it catches up at once.
 PERIOD_S: Final = 0.2e-3
@@ -171,13 +173,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.load:
             print(load_table(frames, options.load, options.bitrate))
             return 0
+        made = end_while_compiling(SIGNALS, 0)
         firmware = Firmware(frames, physical_values(options.set), options.command_timeout,
                             time.monotonic())
+        made()
     except ParameterError as error:
         print(error, file=sys.stderr)
         return 2
     stop: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, lambda number, _: stop.append(number))
     link = LinkedTerminals() if options.pty else None
     interface, channel = (('slcan', link.first) if link

@@ -1,17 +1,19 @@
 """The executables of the actuator that `ros2 run asi_actuator` starts."""
 
-from asi_common.executable import end_quietly
+from asi_common.signals import end_quietly
 
 
-def actuator() -> int:
-    """Run the node `asi_actuator`; return the exit status."""
+def actuator() -> None:
+    """Run the node `asi_actuator`; end with its exit status."""
     end_quietly()
     from asi_actuator.actuator_node import main
-    return main()
+    from asi_common.executable import end_at_once
+    end_at_once(main())
 
 
-def can_actuator() -> int:
-    """Run the simulated firmware at the other end of the CAN bus; return the exit status."""
+def can_actuator() -> None:
+    """Run the simulated firmware at the other end of the CAN bus; end with its exit status."""
     end_quietly()
     from asi_actuator.can_actuator import main
-    return main()
+    from asi_common.executable import end_at_once
+    end_at_once(main())

@@ -14,10 +14,11 @@ whose noun is a package have a verb (`detect_limit_cycles`, not `limit_cycle`). 
 package imports none of its modules; a name imports its module at first use.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
+# As in typing, whose import would take longer than all that `asi` does before it handles Ctrl-C.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from asi_analysis.bags.bag import read_bag as read_bag
     from asi_analysis.bags.bag import write_bag as write_bag
     from asi_analysis.bags.exchange.exporting import export as export
@@ -73,9 +74,10 @@ _HOME = {
 __all__ = list(_HOME)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> 'Any':
     if name not in _HOME:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    import importlib
     value = getattr(importlib.import_module(f'{__name__}.{_HOME[name]}'), name)
     globals()[name] = value
     return value

@@ -1,18 +1,23 @@
-"""The `asi` command as it is installed: Ctrl-C at any time, from its first import to its end."""
+"""
+The `asi` command as it is installed: Ctrl-C at any time, from its first import to its end.
 
-import importlib
+Until the first handler is installed, Ctrl-C prints a traceback; so what takes time to import is
+imported after it.
+"""
+
+from __future__ import annotations
+
 import os
 import signal
 import sys
-import threading
-from collections.abc import Callable
-from types import FrameType
-from typing import Any, Final, NoReturn
 
-from asi_common.executable import end_at_once
+TYPE_CHECKING = False   # as in typing, which takes time to import
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import Any, NoReturn
 
-INTERRUPTED: Final = 130
-AGAIN_S: Final = 0.05
+INTERRUPTED = 130
+AGAIN_S = 0.05
 
 
 def asi() -> int:
@@ -22,10 +27,13 @@ def asi() -> int:
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
     sys.unraisablehook = _repeat_signal
-    main: Callable[[], int] = importlib.import_module('asi_analysis.cli').main
+    import importlib
+
+    from asi_common.executable import end_at_once
+    main = importlib.import_module('asi_analysis.cli').main
     try:
         signal.signal(signal.SIGINT, _raise if before is signal.default_int_handler else before)
-        status = main()
+        status: int = main()
         if status == INTERRUPTED:
             end_at_once(status)
         return status
@@ -55,6 +63,7 @@ def _repeat_signal(ignored: Any) -> None:
     if ignored.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(ignored)
         return
+    import threading
     main = threading.main_thread().ident
     assert main is not None
     # Later, so that it is not ignored in here.

@@ -1,27 +1,12 @@
-"""How a process ends: at once while it imports or compiles, and without unloading libraries."""
+"""How a process ends: at once while it compiles, and without unloading libraries."""
 
 import os
-import select
 import signal
 import sys
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
-from typing import Final, NoReturn
-
-# Interval (s) at which a process that has been told to end checks whether it still compiles.
-LOOK_S: Final = 0.05
-
-
-def end_quietly() -> None:
-    """
-    Make SIGINT and SIGTERM end this process at once, with status 0 and without a traceback.
-
-    For what serves until then: before its imports, which take a second or more and after which it
-    installs its own handlers.
-    """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
+from typing import NoReturn
 
 
 def end_at_once(status: int) -> NoReturn:
@@ -36,30 +21,23 @@ def end_at_once(status: int) -> NoReturn:
     os._exit(status)
 
 
-def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b'',
-                        before: bool = False) -> Callable[[], None]:
+def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
+                        ) -> Callable[[], None]:
     """
     Let signals end this process while numba compiles, with a status and `said` on stderr.
 
     LLVM takes up to a minute, in which no handler of Python runs. Nothing is lost: numba writes
     its cache under a temporary name. At other times the handlers of Python are called as usual.
-    before: a signal before a compilation ends the process as soon as that begins.
     Only for the main thread; the function that is returned ends it.
     """
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
 
     def watch() -> None:
-        ending = False
-        while True:
-            if select.select([reading], [], [], LOOK_S if ending and before else None)[0]:
-                came = os.read(reading, 100)
-                if not came:
-                    break
-                ending = bool(set(came) & set(numbers))
+        while came := os.read(reading, 100):
             # None while the module is not imported, or only in part.
             compiling = getattr(sys.modules.get('asi_common.jit'), 'compiling', None)
-            if ending and compiling is not None and compiling():
+            if set(came) & set(numbers) and compiling is not None and compiling():
                 os.write(2, said)
                 os._exit(status)
         os.close(reading)

@@ -1,4 +1,4 @@
-"""Files: written atomically (completely or not at all), and read with a limit of their size."""
+"""Files: written completely or not at all, read with a limit of their size; those shipped."""
 
 import errno
 import os
@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
+
+from asi_common.parameter import ParameterError
 
 # Largest file of parameters or settings: YAML of so many bytes takes half a minute to parse.
 MOST_SETTINGS: Final = 2**20
@@ -62,3 +64,21 @@ def read_bytes(path: str | Path, most_bytes: int = MOST_SETTINGS) -> bytes:
     if len(found) > most_bytes:
         raise OSError(errno.EFBIG, f'is larger than {most_bytes} bytes', str(path))
     return found
+
+
+def shipped(name: str) -> Path:
+    """
+    Return a file of the package's folder `config`. Raises ParameterError if it is not found.
+
+    Beside the package in a source tree (also if that is what is installed, editable); else where
+    setup.py has put it, under the prefix that holds lib/python3.x/site-packages.
+    """
+    root = Path(__file__).resolve().parents[1]
+    # From <prefix>/lib/python3.x/site-packages; a source tree may lie too shallow to have one.
+    prefix = root.joinpath('..', '..', '..').resolve()
+    places = (root / 'config' / name, prefix / 'share' / 'asi_actuator' / 'config' / name)
+    for place in places:
+        if place.is_file():
+            return place
+    raise ParameterError(f'{name} of the package is not found: looked for '
+                         + ', '.join(map(str, places)))

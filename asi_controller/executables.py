@@ -1,10 +1,11 @@
 """Executable of the controller for `ros2 run asi_actuator`."""
 
-from asi_common.executable import end_quietly
+from asi_common.signals import end_quietly
 
 
-def controller() -> int:
-    """Run the node `asi_controller`; return the exit status."""
+def controller() -> None:
+    """Run the node `asi_controller`; end with its exit status."""
     end_quietly()
+    from asi_common.executable import end_at_once
     from asi_controller.controller_node import main
-    return main()
+    end_at_once(main())

@@ -1,8 +1,9 @@
 """
-Take the pictures of the live page and of `asi view`: `python -m bench.screenshots`.
+Take the pictures of the live page, `asi view` and Foxglove: `python -m bench.screenshots [NAME]`.
 
-It runs the nodes, the page and Rerun's own web viewer, and opens them in a headless Chromium.
-The file of Rerun is that of `asi view --out`. Needs the extras `live` and `view`, and a Chromium.
+It runs the nodes, the page, Rerun's own web viewer and Foxglove Studio, and opens them in a
+headless Chromium. The file of Rerun is that of `asi view --out`. Needs the extras `live` and
+`view`, a Chromium, and for Foxglove `npm`. NAME: one of them alone.
 """
 
 import contextlib
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import asi_analysis as asi
+from bench import foxglove
 from bench.browser import CURVES, NoBrowserError, chromium
 from bench.live_page import address_of, free_port, serve
 from bench.loop_rate import ACTUATOR, CONTROLLER, SINE, node, process
@@ -64,6 +66,7 @@ def recording(browser: Any, picture: Path) -> None:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True))
         running.callback(os.killpg, rerun.pid, signal.SIGTERM)
         page = browser.new_page(viewport=SIZE)
+        page.set_default_timeout(PATIENCE_MS)
         page.goto(f'{address_of(web)}?url=rerun%2Bhttp://127.0.0.1:{data}/proxy')
         before, still_since = b'', time.monotonic()
         while len(before) < 100_000 or time.monotonic() - still_since < STILL_S:
@@ -73,12 +76,27 @@ def recording(browser: Any, picture: Path) -> None:
                 before, still_since = now, time.monotonic()
 
 
+def layout(browser: Any, picture: Path) -> None:
+    """Show the bag of a step over ROS in Foxglove Studio, with our layout."""
+    packages = PICTURES.parents[1] / 'build' / 'foxglove'
+    foxglove.fetched(packages)
+    with tempfile.TemporaryDirectory() as folder:
+        asi.run({}, {'compensator': 'lead_lag', 'reference.shape': 'step',
+                     'reference.amplitude': 150.0}, 1.0, out=f'{folder}/run')
+        said = foxglove.photograph(browser, packages, Path(folder) / 'run' / 'bag', picture)
+    if not all(words in said for words in ('asi_actuator: state', 'valve position', 'velocity')):
+        sys.exit(f'Foxglove does not show what its layout names: {said}')
+
+
+TAKEN: Final = {'live': live_page, 'view': recording, 'foxglove': layout}
+
+
 def main() -> None:
-    """Take both pictures."""
+    """Take the pictures that are named, or all."""
     with chromium() as browser:
-        for take, name in ((live_page, 'live.png'), (recording, 'view.png')):
-            take(browser, PICTURES / name)
-            print(PICTURES / name)
+        for name in sys.argv[1:] or TAKEN:
+            TAKEN[name](browser, PICTURES / f'{name}.png')
+            print(PICTURES / f'{name}.png')
 
 
 if __name__ == '__main__':

@@ -12,6 +12,7 @@ from typing import Final
 import cantools
 from cantools.database.can import Database, Message, Signal
 
+from asi_common.files import shipped
 from asi_common.parameter import ParameterError
 
 FILE: Final = 'asi_actuator.dbc'
@@ -60,7 +61,7 @@ class Frames:
 
     def __init__(self, path: str = ''):
         """Read a DBC file, or the one of the package. Raises ParameterError if it is unusable."""
-        place = Path(path) if path else default_path()
+        place = Path(path) if path else shipped(FILE)
         try:
             database = cantools.database.load_file(place, database_format='dbc')
         except (OSError, ValueError, cantools.database.Error) as error:
@@ -157,21 +158,3 @@ def load_table(frames: Frames, rate_hz: float, bitrate: float) -> str:
     lines.append(f'{"all":14}{"":10}{"":7}{total:6}{total / bitrate * 1e6:8.0f}'
                  f'{100.0 * total * rate_hz / bitrate:8.1f}')
     return '\n'.join(lines)
-
-
-def default_path() -> Path:
-    """
-    Return the DBC file of the package.
-
-    Beside the package in a source tree (also if that is what is installed, editable); else where
-    setup.py has put it, under the prefix that holds lib/python3.x/site-packages.
-    """
-    root = Path(__file__).resolve().parents[2]
-    # From <prefix>/lib/python3.x/site-packages; a source tree may lie too shallow to have one.
-    prefix = root.joinpath('..', '..', '..').resolve()
-    places = (root / 'config' / FILE, prefix / 'share' / 'asi_actuator' / 'config' / FILE)
-    for place in places:
-        if place.is_file():
-            return place
-    raise ParameterError(f'{FILE} of the package is not found: looked for '
-                         + ', '.join(map(str, places)))

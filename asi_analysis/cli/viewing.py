@@ -9,7 +9,7 @@ import typer
 from asi_analysis.cli.options import Bag, command
 from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
-from asi_common.executable import end_quietly
+from asi_common.signals import end_quietly
 
 
 @command('live', 'asi live --simulate')

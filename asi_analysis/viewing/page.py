@@ -28,8 +28,8 @@ from asi_analysis.viewing.link import LinkError
 from asi_analysis.viewing.processes import ask
 from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed, unit_of
-from asi_common.executable import end_at_once, end_quietly
-from asi_common.node.executor import SIGNALS
+from asi_common.executable import end_at_once
+from asi_common.signals import SIGNALS, end_quietly
 
 HOST: Final = '127.0.0.1'
 SCRIPT: Final = Path(__file__).with_name('charts.js')

@@ -13,6 +13,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.analysis import analyze
+from asi_analysis.viewing.scene import log_scene
 
 TIME: Final = 'time'
 BLUE, ORANGE = 0x0072b2ff, 0xd55e00ff
@@ -44,6 +45,8 @@ def view(run: Run, out: Path | None) -> str:
         title, (x, y)) in enumerate(_planes(run).items())]
     if (output := run.output()) in known:
         views_of_all.append(_spectrum(stream, run, output))
+    if (scene := log_scene(stream, TIME, run)) is not None:
+        views_of_all.append(scene)
     views_of_all.append(rrb.TextDocumentView(origin='summary', name='asi analyze'))
     blueprint = rrb.Blueprint(
         rrb.Horizontal(rrb.Vertical(*views), rrb.Vertical(*views_of_all), column_shares=[3, 2]),

@@ -27,6 +27,7 @@ from rclpy.timer import Timer
 from asi_common.executable import end_while_compiling
 from asi_common.node.priority import prefer
 from asi_common.parameter import ParameterError
+from asi_common.signals import SIGNALS, end_quietly
 from asi_common.writable import choose_log_folder
 
 # Longest wait of services, parameters, unhurried timers and new entities; and of events of the
@@ -41,7 +42,6 @@ LAST_MESSAGES_S: Final = 1.0
 # Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
 # callback if several nodes end at the same moment.
 END_S = 60.0
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 PROFILES: Final = Path(__file__).parent
 
 
@@ -190,15 +190,16 @@ class LoopExecutor(SingleThreadedExecutor):
                    for kind in ('service', 'client', 'guard_condition'))
 
 
-def run_node(make_node: Callable[[], Node]) -> int:
+def run_node(make_node: Callable[[], Node], at_once: bool = True) -> int:
     """
     Run a node until SIGINT, SIGTERM or its own end; return the exit status.
 
+    at_once: until the node is made it has nothing to keep, so a signal ends the process there.
     0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
     parameter or ROS argument. What went wrong is logged in one line.
     """
     try:
-        return _run(make_node)
+        return _run(make_node, at_once)
     finally:
         # `ros2 launch` passes on the Ctrl-C that a terminal has sent already; Python, which gives
         # up its own handlers at its end, would be killed by that.
@@ -206,7 +207,9 @@ def run_node(make_node: Callable[[], Node]) -> int:
             signal.signal(number, signal.SIG_IGN)
 
 
-def _run(make_node: Callable[[], Node]) -> int:
+def _run(make_node: Callable[[], Node], at_once: bool) -> int:
+    if at_once:
+        end_quietly()
     choose_log_folder()
     unprotected = choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
     try:
@@ -220,12 +223,16 @@ def _run(make_node: Callable[[], Node]) -> int:
     def stop(*_: object) -> None:
         executor.stopped = True
 
-    for number in SIGNALS:
-        signal.signal(number, stop)
-    # A node that is not complete yet has nothing to close.
-    made = end_while_compiling(SIGNALS, 0, before=True)
+    def stoppable() -> None:
+        for number in SIGNALS:
+            signal.signal(number, stop)
+
+    if not at_once:
+        stoppable()
+    made = end_while_compiling(SIGNALS, 0)
     try:
         node = make_node()
+        stoppable()
     except (ParameterError, rclpy_implementation.RCLError) as error:
         # RCLError: the middleware lacks a feature that the environment requests, such as security.
         get_logger('asi').fatal(' '.join(str(error).split()))

@@ -26,6 +26,7 @@ from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
+from asi_common.files import shipped
 from asi_common.node.topics import nanoseconds
 from asi_common.parameter import ParameterError, completed
 from torture.watchdogs import WATCHDOGS, Bench, periods_until_shut, shut_when_the_bus_returns
@@ -69,7 +70,7 @@ def test_frame_tells_what_was_put_in_within_its_resolution(name: str, data: st.D
 def test_number_beyond_the_bits_of_a_signal_is_at_their_end(tmp_path: Path) -> None:
     file = tmp_path / 'no_ranges.dbc'
     file.write_text(re.sub(r'\[[-+.E0-9]*\|[-+.E0-9]*\]', '[0|0]',
-                           frames_module.default_path().read_text()))
+                           shipped(frames_module.FILE).read_text()))
     frames = Frames(str(file))
     for force, bits in ((1e9, 2**23 - 1), (-1e9, -2**23)):
         decoded = frames.decode(257, frames.encode('STATE_FORCE', {'force': force}))
@@ -99,7 +100,7 @@ def test_layout_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
     broken = tmp_path / 'broken.dbc'
     broken.write_text('BO_ not a database')
     poor = tmp_path / 'poor.dbc'
-    own = frames_module.default_path().read_text()
+    own = shipped(frames_module.FILE).read_text()
     poor.write_text(own.replace('SG_ velocity', 'SG_ speed'))
     for number, (old, new, words) in enumerate((
             ('"N" BRIDGE', '"kN" BRIDGE', 'STATE_FORCE: force is in kN, it takes N'),
@@ -535,7 +536,7 @@ def test_replayed_bag_is_played_to_the_controller(
 
 def test_units_are_those_of_the_topics() -> None:
     units = {s.name: s.unit for m in cantools.database.load_file(
-        frames_module.default_path()).messages for s in m.signals if s.scale != 1}
+        shipped(frames_module.FILE)).messages for s in m.signals if s.scale != 1}
     assert units == {'valve_command': 'N', 'force': 'N', 'valve_position': 'm', 'position': 'm',
                      'velocity': 'm/s'}
 

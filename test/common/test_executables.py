@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from conftest import PATIENCE_S, ROOT, NodeProcess
 
+from asi_analysis.bags.bag_file import read_contents
 from asi_common.writable import choose_folder
 
 # The import of a node, as slow as can be.
@@ -53,32 +54,86 @@ def test_a_signal_while_a_node_compiles_ends_it_at_once(
     assert 'lockstep at' not in node.text and 'Traceback' not in node.text
 
 
-# A signal comes just before the node compiles.
-SIGNAL_FIRST = """
-import signal
+# The simulated firmware has no log: it prints that it begins to compile.
+FIRMWARE = """
 import sys
-import numba
-import asi_common.jit
-from rclpy.node import Node
-from asi_common.node import executor as spin
+from asi_actuator.executables import can_actuator
+from asi_common.jit import when_compiling
 
-class Compiled(Node):
-    def __init__(self):
-        super().__init__('compiled')
-        signal.raise_signal(signal.SIGINT)
-        for number in range(1000):   # none of it from a cache
-            exec(f'def function(x): return x + {number}', globals())
-            numba.njit(function)(1.0)
-        print('compiled', flush=True)
-
-sys.exit(spin.run_node(Compiled))
+when_compiling(lambda: print('compiling', flush=True))
+sys.argv = ['can_actuator', '--pty']
+can_actuator()
 """
 
 
-def test_a_signal_before_a_node_compiles_ends_it_too(ros_environment: dict[str, str]) -> None:
-    result = subprocess.run([sys.executable, '-c', SIGNAL_FIRST], capture_output=True, text=True,
+def test_a_signal_while_the_simulated_firmware_compiles_ends_it_at_once(
+        ros_environment: dict[str, str], tmp_path: Path) -> None:
+    firmware = NodeProcess([sys.executable, '-c', FIRMWARE],
+                           {**ros_environment, 'NUMBA_CACHE_DIR': str(tmp_path / 'empty')},
+                           tmp_path / 'log')
+    try:
+        firmware.wait_for('compiling')
+        assert (firmware.stop(), firmware.text) == (0, 'compiling\n')
+    finally:
+        firmware.kill()
+
+
+# A signal comes while a node is made; with more signals than one, as from `ros2 launch`.
+SIGNAL_FIRST = """
+import signal
+import sys
+from rclpy.node import Node
+from asi_common.node import executor as spin
+
+class Made(Node):
+    def __init__(self):
+        super().__init__('made')
+        for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+        print('made', flush=True)
+
+    def destroy_node(self):
+        super().destroy_node()
+        print('destroyed', flush=True)
+
+sys.exit(spin.run_node(Made, {at_once}))
+"""
+
+
+@pytest.mark.parametrize(('at_once', 'printed'), [(True, ''), (False, 'made\ndestroyed\n')])
+def test_a_signal_while_a_node_is_made_ends_it_at_once_unless_it_keeps_something(
+        at_once: bool, printed: str, ros_environment: dict[str, str]) -> None:
+    code = SIGNAL_FIRST.replace('{at_once}', str(at_once))
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             env={**ros_environment, 'PYTHONPATH': str(ROOT)})
-    assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
+    assert (result.returncode, result.stdout, result.stderr) == (0, printed, '')
+
+
+# A signal comes when the recorder has just made its bag.
+RECORDER_SIGNALLED = """
+import signal
+import sys
+from asi_analysis.bags.nodes import recorder_node
+from asi_analysis.bags.bag_writer import BagWriter
+
+class Signalled(BagWriter):
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        signal.raise_signal(signal.SIGINT)
+
+recorder_node.BagWriter = Signalled
+sys.exit(recorder_node.main())
+"""
+
+
+def test_a_recorder_that_is_interrupted_while_it_is_made_finishes_its_bag(
+        ros_environment: dict[str, str], tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, '-c', RECORDER_SIGNALLED, '--ros-args', '-p', f'output:={tmp_path}/bag'],
+        capture_output=True, text=True, env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+    assert result.returncode == 0 and 'Traceback' not in result.stderr, result.stderr
+    assert (tmp_path / 'bag' / 'metadata.yaml').is_file()
+    assert read_contents(tmp_path / 'bag', lambda _: True).problems == []
 
 
 def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(

@@ -380,7 +380,7 @@ def main() -> int:
         return nodes[0]
 
     # Writing may also fail while the bag is finished, after the node has been run.
-    return run_node(make) or int(any(node.failed or node.lost() for node in nodes))
+    return run_node(make, at_once=False) or int(any(node.failed or node.lost() for node in nodes))
 
 
 if __name__ == '__main__':

@@ -34,6 +34,8 @@ from asi_analysis.measures.analysis import analyze
 RECORDER = 'asi_analysis.bags.nodes.recorder_node'
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 REPLAY = 'asi_analysis.bags.nodes.replay_node'
+# Period of lock-step by default.
+TICK_NS = 200_000
 
 Start = Callable[..., NodeProcess]
 Call = Callable[[type, str, Any], Any]
@@ -262,6 +264,29 @@ def test_ends_beside_a_running_lock_step_with_a_whole_tick(start_node: Start, tm
     count, = {len(topic.data) for topic in topics.values()}
     assert len(topics) == 7 and len(read_bag(tmp_path / 'bag')) == count > 2000
     assert [node.stop() for node in loop] == [0, 0]
+
+
+def test_started_late_and_stopped_early_beside_a_running_lock_step_it_misses_nothing_between(
+        start_node: Start, states: Listener, tmp_path: Path) -> None:
+    loop = [start_node(CONTROLLER, **{'reference.shape': 'sine'}),
+            start_node(ACTUATOR, real_time_factor=0.2)]
+    states.wait(50)
+    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    wait_until(lambda: recorded('/force', tmp_path / 'bag') > 500, 'a part of the run')
+    assert recorder.stop() == 0, recorder.text
+    assert 'lost' not in recorder.text
+    assert [node.stop() for node in loop] == [0, 0]
+    topics = read_contents(tmp_path / 'bag', lambda name: name != '/diagnostics').topics
+    assert len(topics) == 7
+    ends = set()
+    for topic in topics.values():
+        first_ns, *_, last_ns = topic.log_ns
+        assert first_ns > 50 * TICK_NS
+        assert len(topic.log_ns) == (last_ns - first_ns) // TICK_NS + 1
+        ends.add(last_ns)
+    assert len(ends) == 1
+    with pytest.warns(InputWarning, match=r'\d+ states were published before the recording'):
+        assert len(read_bag(tmp_path / 'bag').problems) == 1
 
 
 def test_waits_for_no_answer_that_nobody_is_left_to_give(

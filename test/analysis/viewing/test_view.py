@@ -33,6 +33,10 @@ def test_every_signal_and_loop_is_in_the_file(tmp_path: Path, monkeypatch: Any) 
     assert entities(out) >= {
         'force', 'reference', 'command', 'valve_position', 'velocity', 'plane/0/curve',
         'plane/0/now', 'plane/1/curve', 'plane/1/now', 'spectrum', 'summary'}
+    # The links of the URDF, each below the one that moves it.
+    assert {'actuator/shape', 'actuator/piston', 'actuator/piston/shape', 'actuator/piston/force',
+            'actuator/piston/load/shape', 'actuator/valve', 'actuator/valve/shape'} <= {
+                name.removeprefix('scene/') for name in entities(out)}
 
 
 def test_a_recording_of_a_force_alone_is_shown(tmp_path: Path) -> None:
@@ -43,6 +47,7 @@ def test_a_recording_of_a_force_alone_is_shown(tmp_path: Path) -> None:
     view(force, tmp_path / 'run.rrd')
     found = entities(tmp_path / 'run.rrd')
     assert {'force', 'plane/0/now', 'spectrum'} <= found and 'command' not in found
+    assert not any(name.startswith('scene') for name in found)   # whose motion is not known
     with pytest.raises(asi.InputError, match='none of its signals'):
         view(replace(force, force_n=None), tmp_path / 'none.rrd')
 
