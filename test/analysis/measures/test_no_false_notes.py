@@ -84,6 +84,8 @@ def test_a_loop_that_settles_below_its_reference_is_not_in_another_unit() -> Non
     droop = Run(t, np.full(len(t), 50.0), None, 25.0 + noise)
     assert doubtful(droop) == []
     assert doubtful(replace(droop, force_n=75.0 + noise)) != []
+    assert doubtful(replace(droop, force_n=1e-3 * droop.force_n)) != []    # kN
+    assert doubtful(replace(droop, force_n=0.1 * droop.force_n)) != []
 
 
 def test_a_loop_that_begins_far_from_its_reference_does_not_jump() -> None:
