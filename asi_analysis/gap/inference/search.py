@@ -119,7 +119,7 @@ class _Explained(NamedTuple):
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
-    found = _hypotheses(_with_noise_from_fit(_null(group)), tick, alone)
+    found = _hypotheses(_with_noise_from_fit({(): _null(group)})[()], tick, alone)
     weighed = _weighed(found, alone)
     return None if weighed is None else _Explained(weighed, found)
 
@@ -194,18 +194,30 @@ def _null(group: Group) -> Found:
         null.problem.group, null.problem.record(null.best.theta))))
 
 
-def _with_noise_from_fit(null: Found) -> Found:
-    """Return the nominal model with its residual as the noise, if that is far smaller."""
-    group = null.problem.group
-    left = mean_squares(null.problem, null.best.residual)
-    quiet = with_lower_noise(group, {channel: float(each) * group.error_floor[channel]
-                                     for channel, each in zip(group.channels, left, strict=True)})
-    if quiet is group:
-        return null
-    # Oscillations above the band of a velocity or position were counted as noise in it.
-    problem = replace(null.problem, group=quiet)
-    return _converged(null._replace(problem=problem,
-                                    best=most_probable(problem, null.best.theta)))
+def _with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """
+    Return hypotheses with the residual of the best one as the noise, if that is far smaller.
+
+    Oscillations above the band of a velocity or position were counted as noise in it.
+    """
+    best = min(found.values(), key=lambda each: each.best.cost)
+    left = dict(zip(best.problem.group.channels, mean_squares(best.problem, best.best.residual),
+                    strict=True))
+
+    def quiet(each: Found) -> Found:
+        group = each.problem.group
+        return each._replace(problem=replace(each.problem, group=with_lower_noise(group, {
+            channel: float(share) * group.error_floor[channel]
+            for channel, share in left.items()})))
+
+    leader = quiet(best)
+    if leader.problem.group is best.problem.group:
+        return dict(found)
+    leader = _converged(leader._replace(best=most_probable(leader.problem, best.best.theta)))
+    goal = leader.best.cost + COST_RANGE
+    return _with_noise_from_fit({names: leader if each is best else _converged(
+        (moved := quiet(each))._replace(best=most_probable(
+            moved.problem, each.best.theta, goal=goal)), goal) for names, each in found.items()})
 
 
 def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
@@ -220,7 +232,7 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     hidden = null.unexplained or null.prior_cost > SUSPECT_PRIOR_COST
     singles = _extended(null.at_nominal if hidden else null, null, tick)
     null = _refitted_from_larger(null, list(singles.values()))
-    found = {(): null} | singles
+    found = _with_noise_from_fit({(): null} | singles)
     if alone or _only_noise_left(found):
         found = in_best_formulation(found)
     if not singles or not all(map(_may_need_another_effect, found.values())):
@@ -231,7 +243,7 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     if promised < ODDS_AGAINST or not (
             alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
         return found
-    pairs = _best_of(found, _pairs(found[()], first, tick))
+    pairs = _with_noise_from_fit(_best_of(found, _pairs(found[()], first, tick)))
     return in_best_formulation(pairs, found) if alone or _only_noise_left(pairs) else pairs
 
 
@@ -367,8 +379,9 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         tick()
     if not fits:
         return {}
-    leader, *rivals = sorted(fits.values(), key=lambda f: f.best.cost)
-    leader = _converged(leader._replace(best=most_probable(leader.problem, leader.best.theta)))
+    ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
+    leader = _converged(ranked[0]._replace(
+        best=most_probable(ranked[0].problem, ranked[0].best.theta)))
     best_forms, far = {names: found.best for names, found in fits.items()}, null.unexplained
     fits[leader.names] = leader
     fields, own = _freed_fields(leader)
@@ -391,7 +404,8 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         return _converged(form._replace(best=best), goal)
 
     # The slowest fits first, so that no core is idle at the end.
-    remaining = [form for found in rivals[:FULL_FITS] for form in forms[found.names]]
+    remaining = [form for found in ranked for form in forms[found.names]
+                 if form is not ranked[0]]
     for found in problem.in_parallel(converged_fit, sorted(remaining, key=_is_coarse)):
         # A rough fit was not corrected for the integration error: its cost is not comparable.
         unfinished = fits[found.names].best is best_forms[found.names]
