@@ -167,10 +167,10 @@ def first_intersection(of: OneHarmonic, rows: list[Intersection]) -> Intersectio
     def at(logarithm: float) -> Intersection:
         return intersection(of, math.exp(logarithm), rows[k].frequency_hz) or rows[k]
 
-    ends = np.log([rows[k - 1].command_n, rows[k + 1].command_n])
-    logarithms = np.linspace(*ends, SMOOTHED)
+    low, high = math.log(rows[k - 1].command_n), math.log(rows[k + 1].command_n)
+    logarithms = np.linspace(low, high, SMOOTHED)
     curve = Polynomial.fit(logarithms, [at(x).gain for x in logarithms], 4)
-    return at(float(minimize_scalar(curve, method='bounded', bounds=ends,
+    return at(float(minimize_scalar(curve, method='bounded', bounds=(low, high),
                                     options={'xatol': 1e-7}).x))
 
 
