@@ -60,8 +60,9 @@ from asi_common.record import field_name
 # of them, beside the best, until convergence.
 ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 5
 # The integration error of a long sub-step is corrected again after each fit: at most so often, and
-# until that changes the log posterior by less than SETTLED.
-CORRECTIONS, SETTLED = 4, 2.0
+# until that changes the log posterior by less than SETTLED, or by less than a share of what noise
+# does not explain.
+CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
 SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
@@ -230,11 +231,11 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     # Large errors of nominal parameters may stand for an effect: then the screen starts from the
     # nominal values.
     hidden = null.unexplained or null.prior_cost > SUSPECT_PRIOR_COST
-    singles = _extended(null.at_nominal if hidden else null, null, tick)
+    singles = _extended(null.at_nominal if hidden else null, null, tick, alone)
     null = _refitted_from_larger(null, list(singles.values()))
-    found = _with_noise_from_fit({(): null} | singles)
+    found = {(): null} | singles
     if alone or _only_noise_left(found):
-        found = in_best_formulation(found)
+        found = in_best_formulation(_with_noise_from_fit(found))
     if not singles or not all(map(_may_need_another_effect, found.values())):
         return found
     first = min((found[names] for names in singles), key=lambda each: each.best.cost)
@@ -243,8 +244,9 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     if promised < ODDS_AGAINST or not (
             alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
         return found
-    pairs = _with_noise_from_fit(_best_of(found, _pairs(found[()], first, tick)))
-    return in_best_formulation(pairs, found) if alone or _only_noise_left(pairs) else pairs
+    pairs = _best_of(found, _pairs(found[()], first, tick, alone))
+    return (in_best_formulation(_with_noise_from_fit(pairs), found)
+            if alone or _only_noise_left(pairs) else pairs)
 
 
 def _only_noise_left(found: Mapping[Names, Found]) -> bool:
@@ -257,23 +259,25 @@ def _may_need_another_effect(found: Found) -> bool:
     return found.unexplained or found.prior_cost > ODDS_AGAINST
 
 
-def _pairs(null: Found, first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
+           ) -> dict[Names, Found]:
     """
     Return the fits of pairs that hold the best single effect.
 
     If the best pair leaves only noise, also of the pairs that hold its second effect: the best
     single effect need not be one of the true two, since it may imitate both.
     """
-    pairs = _with_second(first, tick)
+    pairs = _with_second(first, tick, alone)
     best = min(pairs.values(), key=lambda each: each.best.cost)
     if best.unexplained or not _may_need_another_effect(pairs[first.names]):
         return pairs
-    return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick))
+    return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick,
+                                        alone))
 
 
-def _with_second(first: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+def _with_second(first: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
     """Return a single effect, refitted from its pairs where that helps, and these pairs."""
-    pairs = _extended(first.at_nominal, first, tick)
+    pairs = _extended(first.at_nominal, first, tick, alone)
     return {first.names: _refitted_from_larger(first, list(pairs.values()))} | pairs
 
 
@@ -346,13 +350,15 @@ def _parameter_error(field: str, group: Group) -> Effect:
                                           if acts_on(field, channel, group))),), exact=True)
 
 
-def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names, Found]:
+def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
+              ) -> dict[Names, Found]:
     """
     Return the fits of `base` with one more effect: the best of the linear screen.
 
     base: a fit of the nominal model or of one effect, or the same with the nominal parameter
     values; null: its fit. If that is the base, nothing is fitted unless the screen expects more
-    from an effect than the prior odds against it.
+    from an effect than the prior odds against it. alone: as in `explained_by_simulator`; if not,
+    a fit that will leave more than noise is given up.
     """
     problem = base.problem
     if base is null and base.best.cost < ODDS_AGAINST:
@@ -385,6 +391,9 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
     best_forms, far = {names: found.best for names, found in fits.items()}, null.unexplained
     fits[leader.names] = leader
     fields, own = _freed_fields(leader)
+    goal = leader.best.cost + COST_RANGE
+    if leader.unexplained and not alone:
+        goal = min(goal, leader.largest_cost)
 
     def converged_fit(form: Found) -> Found:
         # The integration error is corrected as for the leader. A thread of the pool must not
@@ -398,7 +407,6 @@ def _extended(base: Found, null: Found, tick: Callable[[], None]) -> dict[Names,
         # Where the gap is large, the leader's parameter values may be a bad start.
         if far and form.best is best_forms[form.names]:
             starts.append(form.best.theta)
-        goal = leader.best.cost + COST_RANGE
         best = min((most_probable(form.problem, start, goal=goal) for start in starts),
                    key=lambda best: best.cost)
         return _converged(form._replace(best=best), goal)
@@ -430,7 +438,7 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
     negative log posterior; a fit that cannot reach it is given up.
     """
     known: list[Found] = []
-    change = 0.0
+    change, left = 0.0, 0.0
     while found.best.cost <= goal:
         problem, best = found.problem, found.best
         p = problem.record(best.theta)
@@ -441,13 +449,14 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
         change = 0.5 * float(residual @ residual - best.residual @ best.residual)
         known.append(found._replace(problem=problem, best=best._replace(
             cost=best.cost + change, residual=residual)))
-        if abs(change) < SETTLED or len(known) == CORRECTIONS:
+        left = SETTLED_SHARE * max(known[-1].best.cost - found.largest_cost, 0.0)
+        if abs(change) < SETTLED + left or len(known) == CORRECTIONS:
             break
         found = known[-1]._replace(best=most_probable(problem, best.theta, goal=goal))
     if not known:
         return found
     found = min(known, key=lambda each: each.best.cost)
-    if abs(change) < COST_RANGE:
+    if abs(change) < COST_RANGE + left:
         return found
     group, p = found.problem.group, found.problem.record(found.best.theta)
     shorter = next((each for each in SUBSTEPS_S if group.exact_substep_s < each

@@ -285,8 +285,10 @@ def test_started_late_and_stopped_early_beside_a_running_lock_step_it_misses_not
         assert len(topic.log_ns) == (last_ns - first_ns) // TICK_NS + 1
         ends.add(last_ns)
     assert len(ends) == 1
+    # Topics are discovered one after another, so one may begin later than the others.
     with pytest.warns(InputWarning, match=r'\d+ states were published before the recording'):
-        assert len(read_bag(tmp_path / 'bag').problems) == 1
+        first, *others = read_bag(tmp_path / 'bag').problems
+    assert 'before the recording' in first and all('the first ' in each for each in others)
 
 
 def test_waits_for_no_answer_that_nobody_is_left_to_give(
