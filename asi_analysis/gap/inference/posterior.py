@@ -191,7 +191,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost
-        if fresh and math.isfinite(goal):
+        if since == cost and math.isfinite(goal):   # the Jacobian has just been computed
             _, most = least_step(square, slope, -theta, 1.0 - theta)
             if cost - GAIN_MARGIN * most > goal:
                 return Best(theta, cost, value)
