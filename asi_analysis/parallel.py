@@ -1,14 +1,16 @@
 """
-Independent tasks in sequence, in processes of this machine, or on a Dask cluster, by joblib.
+Independent tasks in sequence, in threads, in processes, or on a Dask cluster (by joblib).
 
 Results have the order of the tasks, whichever worker computed them.
 """
 
+import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import joblib
 
@@ -16,6 +18,23 @@ from asi_analysis.errors import InputError
 
 # Longest wait for the answer of a scheduler, s.
 PATIENCE_S: Final = 10.0
+
+Item = TypeVar('Item')
+Made = TypeVar('Made')
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def in_threads(function: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
+    """Yield function(item) for each item, in order; for functions that run compiled code."""
+    pool = ThreadPoolExecutor(cores())
+    try:
+        yield from pool.map(function, items)
+    finally:   # after Ctrl-C, what has not begun is not waited for
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """Simulation of the closed loop in one process: compiled actuator, compensator and reference."""
 
 import math
-import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from asi_actuator.model.actuator import STATE_DTYPE, advance, check_period, measure, prepare, rest
 from asi_actuator.parameters import as_record
 from asi_analysis.arrays import Array
+from asi_analysis.parallel import cores
 from asi_common.jit import jit
 from asi_common.parameter import Value
 from asi_common.record import record_of
@@ -111,8 +111,7 @@ def close_many(loops: Loops, duration_s: float, last_s: float | None = None
     last = ticks if last_s is None else min(ticks, math.ceil(last_s / loops.period_s - 1e-9))
     out = np.empty((loops.states.size, 6, last))
 
-    cores = len(os.sched_getaffinity(0))
-    size = max(1, loops.states.size // (cores * BLOCKS_A_CORE))
+    size = max(1, loops.states.size // (cores() * BLOCKS_A_CORE))
     stopped = threading.Event()
 
     def block(first: int) -> None:
@@ -127,7 +126,7 @@ def close_many(loops: Loops, duration_s: float, last_s: float | None = None
     if loops.states.size == 1:
         block(0)    # a pool takes some milliseconds
         return out
-    with ThreadPoolExecutor(cores) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         try:
             list(threads.map(block, range(0, loops.states.size, size)))
         except KeyboardInterrupt:

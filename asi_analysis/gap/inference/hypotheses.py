@@ -58,6 +58,7 @@ from asi_analysis.gap.model.group import (
 )
 from asi_analysis.gap.model.predict import propagated_noise
 from asi_analysis.gap.model.static import as_limit, at_the_end
+from asi_analysis.parallel import in_threads
 from asi_common.record import field_name
 
 NOISE_UNCERTAINTY = 0.2   # of the mean square propagated noise, relative
@@ -145,15 +146,15 @@ def _refitted_friction(group: Group, found: dict[Names, Candidate]) -> dict[Name
     Friction effects share a level. The linear screen does not tell the pre-sliding displacement,
     which is the same for each of them.
     """
-    better: dict[Names, Candidate] = {}
-    for names, candidate in found.items():
+    def from_related(candidate: Candidate) -> Candidate:
         fields = {free.field for variant in candidate.variants for free in variant.free}
-        related = min((each for each in found.values() if each.names != names and fields & {
-            free.field for variant in each.variants for free in variant.free}),
-            key=lambda each: each.fitted.cost, default=candidate)
-        if related.fitted.cost < candidate.fitted.cost:
-            better[names] = candidate._replace(
-                fitted=refit(group, candidate.fitted, [related.fitted]))
+        related = min((each for each in found.values() if each.names != candidate.names and fields
+                       & {free.field for variant in each.variants for free in variant.free}),
+                      key=lambda each: each.fitted.cost, default=candidate)
+        return candidate if related.fitted.cost >= candidate.fitted.cost else candidate._replace(
+            fitted=refit(group, candidate.fitted, [related.fitted]))
+
+    better = {each.names: each for each in in_threads(from_related, found.values())}
     return better | _refitted_delays(group, found)
 
 
@@ -239,27 +240,33 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
         return {}
     screen = LinearScreen(base)
     screened = []
-    for names, alternatives in choices.items():
-        costs = [(screen.cost(group, variants), number)
-                 for number, variants in enumerate(alternatives)]
-        screened += [(cost, names, alternatives[number]) for cost, number in sorted(costs)[:forms]
+
+    def costs_of(alternatives: list[tuple[Variant, ...]]) -> list[tuple[float, int]]:
+        return [(screen.cost(group, variants), number)
+                for number, variants in enumerate(alternatives)]
+
+    costs = in_threads(costs_of, choices.values())
+    for (names, alternatives), of_forms in zip(choices.items(), costs, strict=True):
+        screened += [(cost, names, alternatives[number])
+                     for cost, number in sorted(of_forms)[:forms]
                      if cost < (1.0 - LEAST_SCREENED_GAIN) * min(base.cost,
                                                            reached.get(names, math.inf))]
         tick()
     screened.sort(key=lambda entry: entry[0])
     chosen = list(dict.fromkeys(names for _, names, _ in screened))[:most]
     found: dict[Names, Candidate] = {}
-    for _, names, variants in screened:
-        if names in chosen:
-            fitted = fit_variants(group, screen, variants, forms)
-            best = found[names].fitted.cost if names in found else reached.get(names, math.inf)
-            if fitted.cost < best:
-                found[names] = Candidate(names, variants, fitted)
+    promising = [(names, variants) for _, names, variants in screened if names in chosen]
+    fits = in_threads(lambda each: fit_variants(group, screen, each[1], forms), promising)
+    for (names, variants), fitted in zip(promising, fits, strict=True):
+        best = found[names].fitted.cost if names in found else reached.get(names, math.inf)
+        if fitted.cost < best:
+            found[names] = Candidate(names, variants, fitted)
     least = sorted(candidate.fitted.cost for candidate in found.values())[:POLISHED]
     limit = min(POLISHED_RATIO * least[0], least[-1]) if least else 0.0
-    return {names: candidate._replace(fitted=polish(group, candidate.fitted))
-            if candidate.fitted.cost <= limit else candidate
-            for names, candidate in found.items()}
+    near = [each for each in found.values() if each.fitted.cost <= limit]
+    polished = in_threads(lambda each: polish(group, each.fitted), near)
+    return found | {each.names: each._replace(fitted=fitted)
+                    for each, fitted in zip(near, polished, strict=True)}
 
 
 def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:

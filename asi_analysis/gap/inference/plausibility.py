@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import correlate
 
+from asi_actuator.model.load import FREE
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
@@ -217,8 +218,10 @@ def check_against_model(group: Group) -> list[str]:
             least = 1.0 / (soft * FACTOR)
             implausible = not 1.0 / LARGEST_FACTOR < slope < LARGEST_FACTOR
             if implausible or (correlation > SHAPE_CORRELATION and not least < slope < FACTOR):
+                load = '' if int(group.nominal['load_type']) != FREE else (
+                    ': its load is free, so that force and motion are those of the mass alone')
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
-                                 f'and of {driven}, or the model')
+                                 f'and of {driven}, or the model{load}')
             shift, shifted = best_delay(real[valid], model[valid], recording.period_s)
             if shifted < LEAST_CORRELATION:
                 raise InputError(f'{where}: not correlated (correlation {correlation:.2f}): '

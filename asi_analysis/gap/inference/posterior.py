@@ -7,7 +7,6 @@ Information Theory, Inference and Learning Algorithms, 2003, ch. 27).
 """
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -31,6 +30,7 @@ from asi_analysis.gap.model.group import (
 from asi_analysis.gap.model.predict import judged_error
 from asi_analysis.gap.model.simulator import metres_per_newton
 from asi_analysis.gap.model.start import MEMORIES
+from asi_analysis.parallel import cores
 
 STEP = 1e-4       # of a parameter's range, for finite differences
 ROUNDS = 12       # at most so many Jacobians are computed in a fit
@@ -58,8 +58,7 @@ class Posterior(Problem):
     """The negative log posterior of a group's free parameters, as a least-squares problem."""
 
     # None: in a fit that itself runs in a thread of the pool
-    pool: ThreadPoolExecutor | None = field(default_factory=lambda: ThreadPoolExecutor(
-        len(os.sched_getaffinity(0))))
+    pool: ThreadPoolExecutor | None = field(default_factory=lambda: ThreadPoolExecutor(cores()))
 
     def residual(self, theta: Array) -> Array:
         """Return the residual divided by the rms error floor, channel after channel."""
@@ -191,7 +190,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost
-        if fresh and math.isfinite(goal):
+        if since == cost and math.isfinite(goal):   # the Jacobian has just been computed
             _, most = least_step(square, slope, -theta, 1.0 - theta)
             if cost - GAIN_MARGIN * most > goal:
                 return Best(theta, cost, value)

@@ -26,6 +26,7 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     GAIN_MARGIN,
+    NONE,
     ROUNDS,
     Found,
     Posterior,
@@ -391,9 +392,14 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     best_forms, far = {names: found.best for names, found in fits.items()}, null.unexplained
     fits[leader.names] = leader
     fields, own = _freed_fields(leader)
+    # If the leader leaves more than noise, another effect must gain much: that is seen without
+    # computing the whole Jacobian again.
+    at_leader, at_base = NONE, NONE
     goal = leader.best.cost + COST_RANGE
     if leader.unexplained and not alone:
-        goal = min(goal, leader.largest_cost)
+        goal, at_base = min(goal, leader.largest_cost), screened.slopes
+        at_leader = _columns(leader.problem, leader.problem.jacobian(
+            leader.best.theta, base=leader.best.residual))
 
     def converged_fit(form: Found) -> Found:
         # The integration error is corrected as for the leader. A thread of the pool must not
@@ -403,12 +409,14 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         shared = [_with_values_of(form, leader, names) for names in (fields - own, fields)]
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(_with_values_of(form, null, _freed_fields(form)[0]))
-        starts = [min(shared, key=form.problem.cost)]
+        starts = [(min(shared, key=form.problem.cost), at_leader)]
         # Where the gap is large, the leader's parameter values may be a bad start.
         if far and form.best is best_forms[form.names]:
-            starts.append(form.best.theta)
-        best = min((most_probable(form.problem, start, goal=goal) for start in starts),
-                   key=lambda best: best.cost)
+            starts.append((form.best.theta, at_base))
+        of_effect = _freed_fields(form)[1]
+        best = min((most_probable(form.problem, start, goal=goal, known={
+            field: column for field, column in near.items() if field not in of_effect})
+            for start, near in starts), key=lambda best: best.cost)
         return _converged(form._replace(best=best), goal)
 
     # The slowest fits first, so that no core is idle at the end.
@@ -421,6 +429,11 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return {names: found for names, found in fits.items() if found.best.cost < math.inf}
+
+
+def _columns(problem: Posterior, jacobian: Array) -> dict[str, Array]:
+    """Return the columns of a Jacobian by the fields of the free parameters."""
+    return {free.field: column for free, column in zip(problem.free, jacobian.T, strict=True)}
 
 
 def _is_coarse(found: Found) -> bool:

@@ -16,6 +16,7 @@ from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 
@@ -35,7 +36,7 @@ STEADY_FORCE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or () if n
     'orifice_', 'force_limit', 'corner')))
 VALVE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('valve_', 'command_', 'loop_', 'corner')))
-CACHE_SIZE = 6
+CACHE_SIZE = 6 * cores()   # one fit on each core
 
 
 def plant_record(nominal: Mapping[str, Value]) -> np.void:
@@ -162,13 +163,14 @@ def _cached(recording: Recording, fields: tuple[str, ...], p: np.void,
     """
     key = (fields[0], *(float(p[name]) for name in fields),
            *(hash(signal.tobytes()) for signal in signals))
-    cache = recording.cache
-    if key not in cache:
-        while len(cache) >= CACHE_SIZE:
-            del cache[next(iter(cache))]
-        cache[key] = make()
-    cache[key] = cache.pop(key)   # the latest last
-    return cache[key]
+    cache = recording.cache   # several threads use it: each step is atomic
+    part = cache.pop(key, None)
+    if part is None:
+        part = make()
+    cache[key] = part   # the latest last
+    for old in list(cache)[:-CACHE_SIZE]:
+        cache.pop(old, None)
+    return part
 
 
 def _at_sub_steps(part: Callable[..., None], recording: Recording, p: np.void,

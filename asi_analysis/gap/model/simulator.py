@@ -8,7 +8,6 @@ simulated open loop from the initial state: the output-error form of the predict
 """
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -31,6 +30,7 @@ from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_st
 from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.parallel import cores
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 
@@ -43,7 +43,7 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
-CACHE_SIZE, CACHE_BYTES = 2 + len(os.sched_getaffinity(0)), 2 ** 28
+CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
 LEAST_SHARE = 0.5   # gain of the Wiener filter below which all power is taken for noise
 

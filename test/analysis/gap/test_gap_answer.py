@@ -142,6 +142,11 @@ def test_model_is_what_the_bag_tells_unless_another_is_given():
         asi_diagnose([run], settings=['load.mass=-1.0'])
 
 
+def test_force_of_a_spring_is_not_that_of_a_free_load():
+    with pytest.raises(InputError, match='or the model: its load is free'):
+        diagnose([recorded()], {**TEXTBOOK, 'load.type': 'free'}, simulate=False)
+
+
 def test_setting_overrides_what_the_bag_tells():
     run = dataclasses.replace(recorded(), information={'actuator': TEXTBOOK})
     answer = asi_diagnose([run], settings=['load.stiffness=220000.0'])
