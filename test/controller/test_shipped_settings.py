@@ -13,7 +13,7 @@ from asi_analysis.tuning.figures import figures, missed
 from asi_analysis.tuning.search import RATES_HZ
 
 FELT = {'felt_force_slow_n', 'felt_force_fast_n'}
-GIVEN_UP = {'quiet': {'felt_force_fast_n'}, 'stiff': FELT, 'transparent': {'least_re_z_n_s_m'}}
+GIVEN_UP = {'quiet': {'felt_force_fast_n'}, 'stiff': FELT, 'transparent': {'steady_state_error_n'}}
 
 
 def shipped(name):
