@@ -14,7 +14,7 @@ enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 
 #define ELASTIC_SHARE 0.7
 #define FAR 7.0
-#define LINEAR_STEP 2e-5
+#define LINEAR_STEP 5e-6
 #define MOST_ROUNDS 60
 
 struct second_order { double keep, pull, half_step; };

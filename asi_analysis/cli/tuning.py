@@ -37,7 +37,7 @@ def tune(
         help='What counts most: balanced, stiff, transparent or quiet')] = 'balanced',
     evaluations: Annotated[int, typer.Option(
         help='Settings of the controller that are tried; 0: only those of the start', min=0)
-        ] = 800,
+        ] = 480,
     conditions: Annotated[int, typer.Option(
         help='Conditions of the attack on what is found', min=1)] = 300,
     seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0, max=MOST_SEED)] = 1,

@@ -25,7 +25,7 @@ from asi_common.jit import jit
 from asi_controller.additions.hysteresis_inverse import follow
 
 # Samples a period (the error is of second order), and periods until the memory has settled.
-SAMPLES: Final = 720
+SAMPLES: Final = 1440
 SETTLING: Final = 3
 
 

@@ -48,7 +48,7 @@ def simulate(actuator: Values, controller: Values, duration_s: float = 1.0,
     >>> import asi_analysis as asi
     >>> run = asi.simulate({'load.type': 'spring'}, {'reference.amplitude': 100.0}, 0.4)
     >>> print(f'{run.duration_s:g} s at {run.rate_hz:g} Hz, force {run.force_n[-1]:.0f} N')
-    0.4 s at 5000 Hz, force 100 N
+    0.4 s at 5000 Hz, force 104 N
     """
     experiment = planned(actuator, controller, duration_s, 'lockstep', rate_hz)
     if out is not None:

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import Polynomial
 from scipy.optimize import brentq, minimize_scalar
 
 from asi_analysis.arrays import Array, Complex
@@ -28,6 +29,8 @@ FREQUENCIES_HZ: Final = np.geomspace(5.0, 600.0, 60)
 # Factor by which the bracket about a known frequency grows, and the number of attempts.
 BRACKET: Final = 1.02
 BRACKETS: Final = 20
+# Amplitudes at which the gain about the least one is computed.
+SMOOTHED: Final = 9
 COMMANDS_N: Final = np.geomspace(60.0, 1.6e4, 36)
 # Velocity amplitudes of the piston for damping and friction.
 VELOCITIES_M_S: Final = np.geomspace(1e-4, 2.0, 12)
@@ -151,7 +154,12 @@ def locus(of: OneHarmonic, amplitudes_n: Array = COMMANDS_N) -> list[Intersectio
 
 
 def first_intersection(of: OneHarmonic, rows: list[Intersection]) -> Intersection:
-    """Return the cycle with the least gain, interpolated between the rows of a locus."""
+    """
+    Return the cycle with the least gain, between the rows of a locus.
+
+    Its amplitude is that of a smooth curve through the gains: the gains themselves are so flat
+    there that the samples of a period would decide where the least one is.
+    """
     k = int(np.argmin([row.gain for row in rows]))
     if not 0 < k < len(rows) - 1:
         return rows[k]
@@ -159,9 +167,11 @@ def first_intersection(of: OneHarmonic, rows: list[Intersection]) -> Intersectio
     def at(logarithm: float) -> Intersection:
         return intersection(of, math.exp(logarithm), rows[k].frequency_hz) or rows[k]
 
-    best = minimize_scalar(lambda x: at(x).gain, method='bounded', options={'xatol': 1e-4},
-                           bounds=np.log([rows[k - 1].command_n, rows[k + 1].command_n]))
-    return min(rows[k], at(float(best.x)), key=lambda row: row.gain)
+    low, high = math.log(rows[k - 1].command_n), math.log(rows[k + 1].command_n)
+    logarithms = np.linspace(low, high, SMOOTHED)
+    curve = Polynomial.fit(logarithms, [at(x).gain for x in logarithms], 4)
+    return at(float(minimize_scalar(curve, method='bounded', bounds=(low, high),
+                                    options={'xatol': 1e-7}).x))
 
 
 def at_gain(of: OneHarmonic, rows: list[Intersection], gain: float) -> Intersection | None:

@@ -128,7 +128,7 @@ def sweep(over: Mapping[str, Sequence[Value]], actuator: Values, controller: Val
     >>> import asi_analysis as asi
     >>> found = asi.sweep({'controller.gain': [1.0, 3.0]}, {}, {'reference.amplitude': 300.0})
     >>> [round(run['steady_state_error_n']) for run in found.runs]
-    [-6, 7]
+    [-7, 8]
     """
     points = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     experiments = []

@@ -75,7 +75,7 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
     >>> analysis = asi.analyze(run)
     >>> print(f'{1e3 * analysis.rise_time_s:.1f} ms, {analysis.bandwidth_hz:.0f} Hz')
-    6.5 ms, 72 Hz
+    6.2 ms, 80 Hz
     >>> analysis.oscillation['sustained']
     False
     """
@@ -153,7 +153,7 @@ def oscillation(run: Run, signal: str | None = None) -> Oscillation:
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)
     >>> print(asi.oscillation(run))
-    oscillation  87.5 Hz, 234 N, sustained
+    oscillation  88.2 Hz, 225 N, sustained
     """
     name = run.output(signal)
     found = measure.oscillation(run, name)

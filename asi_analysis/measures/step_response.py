@@ -348,11 +348,11 @@ def step_response(run: Run, signal: str | None = None) -> StepResponse:
     >>> run = asi.simulate({}, {'compensator': 'lead4', 'reference.amplitude': 100.0}, 0.4)
     >>> step = asi.step_response(run)
     >>> print(step)
-    rise time 10-90 %   6.48 ms
+    rise time 10-90 %   6.2 ms
     overshoot           0 %
-    settling time 2 %   21 ms
-    settling time 5 %   13.3 ms
-    steady-state error  -1.03 N
+    settling time 2 %   21.1 ms
+    settling time 5 %   13.4 ms
+    steady-state error  -1.72 N
     >>> step.steps[0]['final_n']
     100.0
     """

@@ -19,12 +19,12 @@ from asi_common.parameter_file import write_parameters
 # Values to reach instead of those of ROWS.
 PREFERENCES: Final[Mapping[str, Mapping[str, float]]] = {
     'balanced': {},
-    'stiff': {'settling_median_s': 0.012, 'sine_error_percent': 8.0, 'felt_force_slow_n': 100.0,
-              'felt_force_fast_n': 250.0},
+    'stiff': {'settling_median_s': 0.012, 'sine_error_percent': 8.0, 'felt_force_slow_n': 40.0,
+              'felt_force_fast_n': 150.0},
     'transparent': {'felt_force_slow_n': 15.0, 'felt_force_fast_n': 50.0,
                     'settling_median_s': 0.03, 'settling_worst_s': 0.06,
                     'sine_error_percent': 25.0},
-    'quiet': {'felt_force_slow_n': 40.0, 'felt_force_fast_n': 150.0, 'least_re_z_n_s_m': 4.0},
+    'quiet': {'felt_force_fast_n': 100.0, 'least_re_z_n_s_m': 4.0},
 }
 # Figures of the Pareto front: error, settling, felt force and effort.
 FRONT: Final = ('sine_error_percent', 'settling_median_s', 'felt_force_slow_n', 'noise_gain')
@@ -62,7 +62,7 @@ class Tuning(Result):
 
 
 def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
-                    evaluations: int = 800, conditions: int = 300, seed: int = 1,
+                    evaluations: int = 480, conditions: int = 300, seed: int = 1,
                     out: Path | None = None, rate_hz: float = 5000.0,
                     progress: Progress = silent) -> Tuning:
     """
@@ -91,7 +91,7 @@ def tune_controller(actuator: Values, start: Values, prefer: str = 'balanced',
         write_parameters(file, '/**/asi_controller', best.controller,
                          header=['Written by `asi tune`.'])
     return Tuning({
-        'prefer': prefer, 'rate_hz': rate_hz, 'evaluations': len(tried),
+        'prefer': prefer, 'rate_hz': rate_hz, 'evaluations': evaluations,
         'controller': dict(best.controller),
         'rows': _rows(best.figures, before, goals),
         **{key: attack[key] for key in ('margin', 'conditions_tried', 'sustained_found',

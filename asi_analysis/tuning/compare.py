@@ -178,7 +178,7 @@ def compare_controllers(
     ...                                 attacks=0)
     >>> [f"{each['controller']} {each['value']:.0f} %" for each in found.figures
     ...  if each['name'] == 'sine_error_percent']
-    ['P 27 %', 'lead4 35 %']
+    ['P 26 %', 'lead4 36 %']
     """
     rates_hz, springs_n_m = list(dict.fromkeys(rates_hz)), list(dict.fromkeys(springs_n_m))
     if not rates_hz:

@@ -1,5 +1,6 @@
 """The figures of a force loop by which `asi tune` searches and `asi compare` compares."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -174,6 +175,18 @@ def step_figures(steps: Array, rate_hz: float) -> list[Step]:
             float(100.0 * max(force.max() / size - 1.0, 0.0)),
             float(abs(size - force[-len(force) // 5:].mean()))))
     return found
+
+
+def late_errors(steps: Array, rate_hz: float, after_s: float) -> list[float]:
+    """
+    Return of each step of `held` the logarithm of its largest error after a time over 2 % of it.
+
+    It is at most 0 if the step settles within `after_s`. Unlike the settling time it does not
+    jump where a ripple leaves the 2 %, so a search can follow it.
+    """
+    last = steps[:, 2, round((BEFORE_S + after_s) * rate_hz):]
+    return [math.log(max(float(np.abs(force - size).max()), 1e-6 * size) / (0.02 * size))
+            for force, size in zip(last, SIZES_N, strict=True)]
 
 
 def _steps(runs: Array, rate_hz: float) -> dict[str, float]:

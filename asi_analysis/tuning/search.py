@@ -3,13 +3,15 @@ Search of the settings of the controller: the figures of `figures.py`, under att
 
 The structure is declared: two leads without their lag, and all additions. The strategy is CMA-ES
 (Hansen, The CMA Evolution Strategy: A Tutorial, 2016). The cost is the distance of the figures
-from their goals, and the oscillation that remains under the worst conditions known, each made
-worse by a margin. The conditions are found by the attack of `asi quench`, which is repeated on the
-best settings during the search.
+from their goals, of the steps and sines also at the lower control rates, and the oscillation that
+remains under the worst conditions known, each made worse by a margin. The strategy follows a
+smoother cost, whose settling times and steady-state errors do not jump (`distances`). First the
+loop is searched, then the reference model outside of it. The conditions are found by the attack of
+`asi quench`, which is repeated on the best settings during the search.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import cma
@@ -17,10 +19,19 @@ import numpy as np
 from scipy import signal
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.arrays import Array
 from asi_analysis.limit_cycle.quench.attack import EXCITED_S, FREE_S, Condition, search
 from asi_analysis.loop.closed_loop import Values, close_many, loops_of
 from asi_analysis.terminal import Progress, silent
-from asi_analysis.tuning.figures import figures, missed
+from asi_analysis.tuning.figures import (
+    ROWS,
+    figures,
+    held,
+    held_figures,
+    late_errors,
+    missed,
+    responses,
+)
 from asi_common.parameter import Value, defaults
 from asi_controller.parameters import COMPENSATOR_PARAMETERS
 
@@ -46,8 +57,11 @@ RANGES: Final[Mapping[str, tuple[float, float, float]]] = {
     'saturation': (1200.0, 1400.0, 4000.0),
     'feedforward': (0.9, 0.97, 1.1),
 }
+# The reference model is outside the loop: it changes the steps and sines, which cost little.
+REFERENCE: Final = ('feedforward', *(name for name in RANGES
+                                     if name.startswith('reference_model.')))
 POPULATION: Final = 14
-SPREAD: Final = 0.06
+SPREAD: Final = 0.03
 RATES_HZ: Final = (5000.0, 2000.0, 1000.0)
 # The margin: factor of the loop gain, and addition to the delay (s), in each condition.
 MARGIN: Final = (1.1, 1e-4)
@@ -65,31 +79,44 @@ GENERATIONS: Final = 12
 AGGRESSIVE: Final[Sequence[Mapping[str, float]]] = (
     {'integrator.rate': 2.5, 'gain': 1.3}, {'gain': 2.5},
     {'velocity_feedforward.share': 2.0, 'integrator.rate': 1.5})
-# Cost per logarithm of a figure that misses its goal, of one that reaches it, and of the remaining
-# oscillations; cost of a point outside the ranges.
+# Cost per logarithm of a figure that misses its goal, of one that reaches it (down to
+# MOST_REACHED), and of the remaining oscillations; cost of a point outside the ranges.
 MISSED: Final = 1.0
 REACHED: Final = 0.03
+MOST_REACHED: Final = -1.0
 OSCILLATES: Final = 0.5
 OUTSIDE: Final = 100.0
+# Weight of the steps and sines at each of the lower control rates.
+LOWER_RATES: Final = 0.3
+# Steady-state error (N) that counts as much as a factor e of another figure, in the smooth cost.
+ERROR_SCALE: Final = 1.0
+# Significant digits of a setting.
+DIGITS: Final = 4
 
 
 class Candidate(NamedTuple):
-    """Settings with their cost, figures, and remaining amplitude (sum of logarithms)."""
+    """
+    Settings with their cost, figures, and remaining amplitude (sum of logarithms).
+
+    smooth_cost: that which the strategy follows.
+    """
 
     cost: float
     controller: Mapping[str, Value]
     figures: Mapping[str, float]
     remaining_amplitude: float
+    smooth_cost: float = 0.0
 
 
-def settings(point: np.ndarray) -> dict[str, Value]:
-    """Return the controller's parameters of a point in the unit cube."""
+def settings(point: Array) -> dict[str, Value]:
+    """Return the controller's parameters of a point in the unit cube, rounded."""
     inside = np.clip(point, 0.0, 1.0)
-    return {**STRUCTURE, **{name: low * (high / low) ** float(x) for (name, (low, _, high)), x
+    return {**STRUCTURE, **{name: float(f'{low * (high / low) ** float(x):.{DIGITS}g}')
+                            for (name, (low, _, high)), x
                             in zip(RANGES.items(), inside, strict=True)}}
 
 
-def first_point(start: Values) -> np.ndarray:
+def first_point(start: Values) -> Array:
     """Return the point of parameters, of RANGES where one is missing."""
     values = {name: float(start.get(name, first)) for name, (_, first, _) in RANGES.items()}
     return np.clip([math.log(max(values[name], low) / low) / math.log(high / low)
@@ -127,16 +154,39 @@ def remaining_amplitude(conditions: Sequence[Condition], actuator: Values, contr
     return total
 
 
+def _sum(misses: Mapping[str, float]) -> float:
+    return sum(MISSED * max(miss, 0.0) + REACHED * min(max(miss, MOST_REACHED), 0.0)
+               for miss in misses.values())
+
+
+def distances(found: Mapping[str, float], steps: Array, goals: Mapping[str, float],
+              rate_hz: float) -> tuple[float, float]:
+    """
+    Return the distance of figures from their goals, and one that a search can follow.
+
+    steps: those of `held`. Settling times jump where a ripple leaves the 2 %, and the steady-state
+    error, of tenths of a newton, depends on where the play stops: the second distance takes the
+    error after the time to reach, and the steady-state error in newtons, not as a logarithm.
+    """
+    reach = {row.name: goals.get(row.name, row.goal) for row in ROWS}
+    misses = missed(found, goals)
+    late = [late_errors(steps, rate_hz, reach[name])
+            for name in ('settling_median_s', 'settling_worst_s')]
+    error = 'steady_state_error_n'
+    return _sum(misses), _sum({**misses, 'settling_median_s': float(np.median(late[0])),
+                               'settling_worst_s': max(late[1]),
+                               error: (found[error] - reach[error]) / ERROR_SCALE})
+
+
 def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluations: int, seed: int,
          rate_hz: float = 5000.0, report: Progress = silent) -> tuple[Candidate, list[Candidate]]:
     """
-    Return the best settings found, and all that were tried.
+    Return the best settings found, and those whose whole figures were tried.
 
     start: parameters of the controller to begin with; goals: values to reach by name, where they
     are not those of ROWS. rate_hz: control rate of the figures; the attack also tries the lower
-    ones of RATES_HZ.
+    ones of RATES_HZ. A third of the evaluations searches the loop, the rest the reference model.
     """
-    begin = first_point(start)
     rates = attacked_rates(rate_hz)
     conditions: list[Condition] = []
 
@@ -144,38 +194,81 @@ def tune(actuator: Values, start: Values, goals: Mapping[str, float], evaluation
         found = search(actuator, controller, rates, ATTACKED, seed + number)
         conditions.extend(trial.condition for trial in found[:KEPT])
 
-    def candidate(point: np.ndarray) -> Candidate:
+    def candidate(point: Array) -> Candidate:
         controller = settings(point)
-        found = figures(actuator, controller, rate_hz)
+        runs = responses(actuator, controller, rate_hz)
+        found = figures(actuator, controller, rate_hz, runs)
+        costs = (np.array(distances(found, runs.steps, goals, rate_hz))
+                 + _held_costs(actuator, controller, goals, rates[1:], rate_hz)
+                 + _outside(point))
         oscillation = remaining_amplitude(conditions, actuator, controller, rates)
-        beyond = np.maximum(0.0, -point) + np.maximum(0.0, point - 1.0)
-        cost = (sum(MISSED * max(miss, 0.0) + REACHED * miss
-                    for miss in missed(found, goals).values())
-                + OSCILLATES * oscillation + OUTSIDE * float(np.sum(beyond ** 2)))
-        return Candidate(cost, controller, found, oscillation)
+        costs += OSCILLATES * oscillation
+        return Candidate(float(costs[0]), controller, found, oscillation, float(costs[1]))
+
+    def followed(point: Array) -> Candidate:
+        controller = settings(point)
+        costs = _held_costs(actuator, controller, goals, rates, rate_hz) + _outside(point)
+        return Candidate(float(costs[0]), controller, {}, 0.0, float(costs[1]))
 
     report('first conditions', 0.0)
     highest = {each.name: each.high for each in COMPENSATOR_PARAMETERS}
-    first = settings(begin)
+    first = settings(first_point(start))
     for number, factors in enumerate(AGGRESSIVE):
         attacked({**first, **{name: min(float(first[name]) * factor, highest[name])
                               for name, factor in factors.items()}}, number)
-    strategy = cma.CMAEvolutionStrategy(
-        begin, SPREAD, {'seed': seed, 'popsize': POPULATION, 'verbose': -9})
+    best = candidate(first_point(start))
     tried: list[Candidate] = []
-    best, generation = candidate(begin), 0
-    while len(tried) < evaluations:
-        points = strategy.ask()
-        found = [candidate(np.asarray(point)) for point in points]
-        strategy.tell(points, [each.cost for each in found])
+    loop = math.ceil(evaluations / 3)
+    for number, found in enumerate(_generations(
+            candidate, best, [name for name in RANGES if name not in REFERENCE], loop, seed), 1):
         tried += found
-        best = min([best, *found], key=lambda each: each.cost)
-        generation += 1
-        report(f'cost {best.cost:.3g}', len(tried) / evaluations)
-        if generation % GENERATIONS == 0:
-            attacked(best.controller, generation)
+        best = min([best, *found], key=_cost)
+        report(f'loop, cost {best.cost:.3g}', len(tried) / evaluations)
+        if number % GENERATIONS == 0:
+            attacked(best.controller, number)
             best = candidate(first_point(best.controller))
-    return best, tried
+    shaped, done = followed(first_point(best.controller)), loop
+    for found in _generations(followed, shaped, REFERENCE, evaluations - loop, seed):
+        shaped, done = min([shaped, *found], key=_cost), done + len(found)
+        report(f'reference model, cost {shaped.cost:.3g}', min(done / evaluations, 1.0))
+    return min([best, candidate(first_point(shaped.controller))], key=_cost), tried
+
+
+def _cost(one: Candidate) -> float:
+    return one.cost
+
+
+def _outside(point: Array) -> float:
+    return OUTSIDE * float(np.sum((point - np.clip(point, 0.0, 1.0)) ** 2))
+
+
+def _held_costs(actuator: Values, controller: Values, goals: Mapping[str, float],
+                rates_hz: Sequence[float], first_hz: float) -> Array:
+    """Return the distances of steps and sines at some control rates; that of `first_hz` whole."""
+    total = np.zeros(2)
+    for rate in rates_hz:
+        steps, sines = held({**actuator, 'load.type': 'locked'}, controller, rate)
+        weight = 1.0 if rate == first_hz else LOWER_RATES
+        total += weight * np.array(distances(
+            held_figures(steps, sines, rate), steps, goals, rate))
+    return total
+
+
+def _generations(evaluated: Callable[[Array], Candidate], start: Candidate, names: Sequence[str],
+                 evaluations: int, seed: int) -> Iterator[list[Candidate]]:
+    """Yield generations of a search over some of RANGES, the others as in `start`."""
+    begin = first_point(start.controller)
+    chosen = [list(RANGES).index(name) for name in names]
+    strategy = cma.CMAEvolutionStrategy(
+        begin[chosen], SPREAD, {'seed': seed, 'popsize': POPULATION, 'verbose': -9})
+    for _ in range(math.ceil(evaluations / POPULATION)):
+        points = strategy.ask()
+        whole = [begin.copy() for _ in points]
+        for point, part in zip(whole, points, strict=True):
+            point[chosen] = part
+        found = [evaluated(point) for point in whole]
+        strategy.tell(points, [each.smooth_cost for each in found])
+        yield found
 
 
 def front(tried: Sequence[Candidate], names: Sequence[str]) -> list[Candidate]:

@@ -2,11 +2,11 @@
 The gain of the compensator scheduled by the measured velocity.
 
 The damping of the actuator depends on the opening of its valve, so the small-signal gain from
-command to force grows with the velocity. Around zero force it is 2.8 times that at rest at
-0.2 m/s, 3.3 times at 0.4 m/s and 2.4 times at 0.6 m/s, where the valve is nearly open
-(`asi_analysis/tuning/margins.py`). A gain that is stable at rest can oscillate in motion. The
-schedule is about the inverse of that ratio (Rugh and Shamma, Research on gain scheduling,
-Automatica 36, 2000). The integrator, which reduces the felt force, is not scheduled.
+command to force grows with the velocity. Around zero force it is 1.4 times that at rest at
+0.1 m/s and 1.6 to 1.7 times from 0.15 to 0.6 m/s (`asi_analysis/tuning/margins.py`). A gain that
+is stable at rest can oscillate in motion. The schedule is about the inverse of that ratio (Rugh
+and Shamma, Research on gain scheduling, Automatica 36, 2000). The integrator, which reduces the
+felt force, is not scheduled.
 """
 
 from asi_common.jit import jit

@@ -22,7 +22,7 @@ from asi_controller.additions.reference_model import approach
 
 PARAMETERS = (
     Parameter('share', 0.0, '', 'Share of the damping that is compensated; 0: none', 0.0, 1.0),
-    Parameter('damping', 1450.0, 'N s/m', 'Command per velocity at which the actuator gives no '
+    Parameter('damping', 1600.0, 'N s/m', 'Command per velocity at which the actuator gives no '
               'force', 0.0, 1e5, source='default hydraulic_damping'),
     Parameter('lead_time', 0.0, 's', 'Time constant of the lead on the velocity; 0: none',
               0.0, 0.05),

@@ -43,5 +43,5 @@ def parameters(leads: str, ratio: float, zero_frequency: float, lag_ratio: float
                   source=TUNED))
 
 
-COMPENSATOR = Compensator('lead2', 2.16, 30, partial(equal_leads, 2),
-                          parameters('two', 5.3, 105.5, 4.74, 0.16), GAIN_AT)
+COMPENSATOR = Compensator('lead2', 2.216, 30, partial(equal_leads, 2),
+                          parameters('two', 5.077, 105.2, 4.201, 0.1628), GAIN_AT)

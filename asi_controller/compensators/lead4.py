@@ -10,5 +10,5 @@ from functools import partial
 from asi_controller.compensators.lead2 import GAIN_AT, equal_leads, parameters
 from asi_controller.design import Compensator
 
-COMPENSATOR = Compensator('lead4', 1.92, 40, partial(equal_leads, 4),
-                          parameters('four', 1.9, 124.0, 7.2, 0.19), GAIN_AT)
+COMPENSATOR = Compensator('lead4', 1.875, 40, partial(equal_leads, 4),
+                          parameters('four', 1.891, 132.8, 7.755, 0.1644), GAIN_AT)

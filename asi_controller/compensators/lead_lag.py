@@ -10,7 +10,7 @@ from asi_common.parameter import Parameter
 from asi_controller.design import Compensator, Design
 
 RATIO = Parameter('ratio', 130.0, '', 'a of K(aTs+1)/(Ts+1)', 1.0, 1e3, source='paper, section 5')
-CENTRE = Parameter('centre_frequency', 70.0, 'Hz',
+CENTRE = Parameter('centre_frequency', 72.0, 'Hz',
                    'Where the lead is largest: 1/(2 pi T sqrt(a))', 0.1, 1e4,
                    source='paper, section 5: 60 to 100 Hz')
 LAG_TIME = Parameter('lag_time', 0.5, 's', 'Time constant of the lag', 1e-3, 100.0,

@@ -65,7 +65,7 @@ def test_play_after_its_inverse_passes_what_moves_further_than_the_dead_zone() -
 
 def test_velocity_is_compensated_in_proportion_and_by_all_of_it_at_most() -> None:
     values = BARE | {'velocity_feedforward.share': 0.5}
-    assert commands(values, [0.0], velocity=0.2)[0] == pytest.approx(0.5 * 1450.0 * 0.2)
+    assert commands(values, [0.0], velocity=0.2)[0] == pytest.approx(0.5 * 1600.0 * 0.2)
     assert ADDITIONS['velocity_feedforward'][0].high == 1.0
 
 

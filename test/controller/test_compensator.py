@@ -216,9 +216,10 @@ def test_change_while_running_makes_no_step(before: dict[str, Value], after: dic
 
 
 def test_change_between_compensators_with_a_lag_leaves_the_force() -> None:
-    # Without feed-forward it is the lag that holds the force.
+    # Without feed-forward it is the lag that holds the force: each at its own static gain.
     bare: dict[str, Value] = {'feedforward': 0.0}
-    for after in ({'compensator': 'lead_lag', 'gain': 25.0}, {'compensator': 'lead2'}):
+    for after in ({'compensator': 'lead_lag', 'gain': 25.0},
+                  {'compensator': 'lead2', 'lead2.lag_ratio': 5.0}):
         forces, _ = changed({'compensator': 'lead_lag', 'gain': 20.0} | bare, after | bare, 300.0)
         assert np.ptp(forces[2499:]) < 6.0
 

@@ -93,7 +93,7 @@ def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None,
     >>> cycles = asi.detect_limit_cycles(run)
     >>> last = cycles.segments[-1]
     >>> print(last['verdict'], f'{last["frequency_hz"]:.1f} Hz')
-    limit_cycle 87.5 Hz
+    limit_cycle 88.2 Hz
     """
     runs = [runs] if isinstance(runs, Run) else list(runs)
     segments = judge([segment for run in runs

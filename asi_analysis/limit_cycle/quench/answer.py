@@ -77,7 +77,7 @@ def quench_cycles(actuator: Values, controller: Values, rates_hz: Sequence[float
     >>> import asi_analysis as asi
     >>> found = asi.quench_cycles({}, {'compensator': 'lead4'}, count=8)
     >>> found.sustained_found, round(found.margin, 2)
-    (0, 0.84)
+    (0, 0.83)
     """
     controller = stepping(actuator, controller, *rates_hz)
     rate = rates_hz[0]

@@ -6,7 +6,7 @@ The paper gives them only in part. The others are chosen here and stated with ea
 
 from typing import Final, NamedTuple
 
-from asi_analysis.experiments.step_tests import LEAD4, LOCKED, SPRING, StepTest
+from asi_analysis.experiments.step_tests import LOCKED, SPRING, StepTest
 from asi_analysis.loop.describing_functions import SAMPLES
 from asi_analysis.loop.simulation import FIRST_WATCHED_S
 from asi_common.parameter import defaults
@@ -17,8 +17,8 @@ __all__ = ['LOCKED', 'PROPORTIONAL_GAIN', 'SPRING', 'Conditions', 'StepTest']
 # Gain of the proportional controller in Table 1 and for the closed-loop bandwidth.
 PROPORTIONAL_GAIN: Final = 3.0
 # The one load and the one step (N) of Table 1, all three columns: doc/explanation/reproduction.md.
-LOAD: Final = {**SPRING, 'load.mass': 0.2579, 'load.stiffness': 3.274e6, 'load.damping': 30.28}
-STEP_N: Final = 506.2
+LOAD: Final = {**SPRING, 'load.mass': 0.2391, 'load.stiffness': 3.319e6, 'load.damping': 35.64}
+STEP_N: Final = 517.0
 
 
 class Conditions(NamedTuple):
@@ -27,10 +27,12 @@ class Conditions(NamedTuple):
     proportional: StepTest = StepTest(
         {'compensator': 'proportional', 'gain': PROPORTIONAL_GAIN}, STEP_N, LOAD)
     lead_lag: StepTest = StepTest(
-        {'compensator': 'lead_lag', 'gain': 18.3, 'lead_lag.centre_frequency': 100.0}, STEP_N,
+        {'compensator': 'lead_lag', 'gain': 19.62, 'lead_lag.centre_frequency': 100.0}, STEP_N,
         LOAD)
-    # The setting that suits the locked piston: on this load it leaves no cycle at any step.
-    lead4: StepTest = StepTest(LEAD4.controller, STEP_N, LOAD)
+    # Near the setting that suits the locked piston: on this load it leaves no cycle at any step.
+    lead4: StepTest = StepTest(
+        {'compensator': 'lead4', 'gain': 3.094, 'lead4.zero_frequency': 112.6,
+         'lead4.ratio': 2.102, 'lead4.lag_ratio': 91.53, 'lead4.lag_time': 0.134}, STEP_N, LOAD)
     feedforward: float = float(defaults(COMPENSATOR_PARAMETERS)['feedforward'])
     # Section 3.1 gives 0 to 600 N. A step of 0 N excites nothing, so it is a step from 100 N to 0.
     start_n: float = 100.0

@@ -32,6 +32,9 @@ from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.measures.analysis import analyze
 
 RECORDER = 'asi_analysis.bags.nodes.recorder_node'
+# The topics of a loop.
+LOOP = ('/joint_states', '/force', '/valve_position', '/velocity', '/force_reference',
+        '/valve_command', '/clock')
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 REPLAY = 'asi_analysis.bags.nodes.replay_node'
 # Period of lock-step by default.
@@ -272,7 +275,9 @@ def test_started_late_and_stopped_early_beside_a_running_lock_step_it_misses_not
             start_node(ACTUATOR, real_time_factor=0.2)]
     states.wait(50)
     recorder = start_node(RECORDER, output=tmp_path / 'bag')
-    wait_until(lambda: recorded('/force', tmp_path / 'bag') > 500, 'a part of the run')
+    # Topics are discovered one after another.
+    wait_until(lambda: all(recorded(topic, tmp_path / 'bag') > 100 for topic in LOOP),
+               'a part of the run')
     assert recorder.stop() == 0, recorder.text
     assert 'lost' not in recorder.text
     assert [node.stop() for node in loop] == [0, 0]

@@ -172,7 +172,7 @@ def test_what_moves_the_piston_from_outside_drives_it(load, driver):
 
 def test_oscillation_in_bursts_beside_a_forced_motion_is_told():
     load = {'load.type': 'prescribed', 'load.velocity': 0.5, 'load.frequency': 2.0}
-    run = _pushed(load, 4.5)
+    run = _pushed(load, 5.5)
     found = max(judge_run(run), key=lambda segment: segment.end_s - segment.start_s)
     assert found.verdict == 'forced' and 'in bursts' in found.why
 

@@ -145,7 +145,8 @@ def test_front_holds_its_quantity_and_begins_where_the_last_ended(monkeypatch):
         return middle | {'open_loop_bandwidth_hz': found['valve_flexure.coil_frequency'] + 4.0}
 
     monkeypatch.setattr(search.Problem, 'measure', measured)
-    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate({}, Conditions()),
+    plausible = {'load.locked_damping': 110.0, 'friction.presliding_damping': 100.0}
+    held = front('valve_hysteresis.radius', [20.0, 10.0], Candidate(plausible, Conditions()),
                  Fit(rounds=8))
     assert [each.value for each in held] == pytest.approx(sorted(set(seen), reverse=True))
     assert [each.cost for each in held] == [0.0, 0.0]
