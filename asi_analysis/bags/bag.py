@@ -257,22 +257,20 @@ def assemble(series: Mapping[str, Series], changes: list[tuple[int, StateChange]
               information: dict[str, Any]) -> Run:
     """Return the run: the topics aligned to one time base."""
     base = time_base(series[_first(series)], source)
+    aligned = {name: align(base, series[name],
+                           hold=not {'reference', 'command'}.isdisjoint(topic.signals))
+               for name, topic in SIGNAL_TOPICS.items() if name in series}
     signals: dict[str, Any] = {}
     for signal in SIGNALS:
-        for topic in SIGNAL_TOPICS.values():
-            number = topic.signals.get(signal.name)
-            if topic.name not in series or number not in series[topic.name].values:
-                continue
-            values = align(base, series[topic.name], series[topic.name].values[number],
-                          hold=signal.name in ('reference', 'command'))
-            if not np.isnan(values).all():
+        for name, columns in aligned.items():
+            values = columns.get(SIGNAL_TOPICS[name].signals.get(signal.name, ''))
+            if values is not None and not np.isnan(values).all():
                 signals[signal.field] = values
                 break
-    state = series.get('joint_states')
-    if 'command_n' not in signals and state is not None and 'valve effort' in state.values:
+    if 'command_n' not in signals and 'joint_states' in aligned:
         # The applied command of a state is the answer to the state before.
-        applied = align(base, state, state.values['valve effort'], hold=False)
-        if not np.isnan(applied).all():
+        applied = aligned['joint_states'].get('valve effort')
+        if applied is not None and not np.isnan(applied).all():
             signals['command_n'] = np.append(applied[1:], np.nan)
     time_s = (base.stamp_ns - base.stamp_ns[0]) / 1e9
     states = tuple(change._replace(time_s=(stamp_ns - int(base.stamp_ns[0])) / 1e9)
@@ -370,9 +368,9 @@ def _clock_was_set_back(ticks: Nanoseconds) -> bool:
     return bool((spans < window / CROWDED * usual).any())
 
 
-def align(base: Series, series: Series, values: Array, hold: bool) -> Array:
+def align(base: Series, series: Series, hold: bool) -> dict[str, Array]:
     """
-    Return values on the time base, NaN where there is no message.
+    Return the values of a topic on the time base, NaN where there is no message.
 
     A message belongs to the tick with its stamp; without a stamp, to the tick that was published
     nearest in time. Values are held until the next message if fewer than half of the ticks, or of
@@ -398,10 +396,12 @@ def align(base: Series, series: Series, values: Array, hold: bool) -> Array:
         # A message stamped when sent, up to half a period after a tick, belongs to that tick.
         late = ticks + int(np.median(np.diff(ticks))) // 2 if len(ticks) > 1 else ticks
         last = np.searchsorted(times[order], late, side='right') - 1
-        return np.where(last >= 0, values[order][last], np.nan)
-    out = np.full(len(ticks), np.nan)
-    out[position[position >= 0]] = values[position >= 0]
-    return out
+        message = np.where(last >= 0, order[last], -1)
+    else:
+        message = np.full(len(ticks), -1)
+        message[position[position >= 0]] = np.flatnonzero(position >= 0)
+    return {name: np.where(message >= 0, values[message], np.nan)
+            for name, values in series.values.items()}
 
 
 def _nearest(ticks: Nanoseconds, times: Nanoseconds) -> npt.NDArray[np.intp]:

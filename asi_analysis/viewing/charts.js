@@ -1,6 +1,7 @@
-// The charts of the live page, drawn on canvases. The next frame is asked for when one has come,
-// and the screen shows the newest: a browser that is slow, or shows another tab, asks for fewer.
+// The charts of the live page, drawn on canvases. Another frame is asked for when one has come, and
+// the screen shows the newest: a browser that is slow, or shows another tab, asks for fewer.
 
+const AHEAD = 3;             // frames asked for at a time: one on each way, one to draw
 const NUMBERS = 3;           // states/s, loop time s/s, messages missed; then the sizes of the curves
 const AGAIN_MS = 1000;       // after the connection was lost
 const EDGE = { left: 60, right: 15, top: 28, bottom: 22 };
@@ -10,7 +11,7 @@ const TICKS = { x: 8, y: 5 };   // about so many
 
 // charts: id of a canvas, title, unit of x, names of the curves; rate: id of a label.
 window.asiLive = function (charts, rate, windowS) {
-  let counted = 0, since = performance.now(), newest, asked, drawing, socket;
+  let counted = 0, since = performance.now(), asked = 0, newest, drawing, socket;
   asiLive.windowS = windowS;
   // What is shown, for tests: of each title the points of each curve.
   asiLive.curves = () => Object.fromEntries(
@@ -25,20 +26,19 @@ window.asiLive = function (charts, rate, windowS) {
     socket.onopen = ask;
     socket.onmessage = (event) => {
       newest = new Float32Array(event.data);
-      asked = false;
+      asked--;
       ask();
       if (!drawing) drawing = requestAnimationFrame(draw);
     };
     socket.onclose = () => {
-      asked = false;
+      asked = 0;
       setTimeout(connect, AGAIN_MS);
     };
   }
 
   function ask() {
-    if (asked || document.hidden || socket.readyState !== WebSocket.OPEN) return;
-    asked = true;
-    socket.send(String(asiLive.windowS));
+    if (document.hidden || socket.readyState !== WebSocket.OPEN) return;
+    for (; asked < AHEAD; asked++) socket.send(String(asiLive.windowS));
   }
 
   function draw() {

@@ -56,8 +56,8 @@ def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
     base = time_base(series[first], str(path))
     table: Table = {'time': (base.stamp_ns - base.stamp_ns[0]) / 1e9}
     for name, one in series.items():
-        for field, values in one.values.items():
-            table[f'{name}/{field}'] = align(base, one, values, hold=name != first)
+        for field, values in align(base, one, hold=name != first).items():
+            table[f'{name}/{field}'] = values
     return table
 
 

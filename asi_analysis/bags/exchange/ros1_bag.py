@@ -76,8 +76,8 @@ def read_ros1_table(path: Path, columns: Sequence[str]) -> Table:
     base = time_base(series[wanted[0]], str(path))
     table: Table = {'time': (base.stamp_ns - base.stamp_ns[0]) / 1e9}
     for name, one in series.items():
-        for field, values in one.values.items():
-            table[f'{name}/{field}'] = align(base, one, values, hold=name != wanted[0])
+        for field, values in align(base, one, hold=name != wanted[0]).items():
+            table[f'{name}/{field}'] = values
     return table
 
 
