@@ -1,11 +1,11 @@
 """
-What the live page costs the loop: real time at 1 kHz alone, with `asi live`, and with three tabs.
+What the live page costs the loop: real time at 1 kHz alone, with `asi live`, and with its tabs.
 
-Jitter of the period and lost samples, once the tabs have loaded, in the same minutes: with the real-time priority of the
-nodes, where it is permitted, and without. The tabs are of a headless Chromium; three tabs of a
-static page that redraws as many curves show the part of the browser. A bare loop in C shows the
-part of the machine: a virtual machine stalls for milliseconds, whatever runs. Without a Chromium
-(`bench/browser.py`) only the process of the page is measured.
+Jitter of the period and lost samples, once the tabs have loaded, in the same minutes: with the
+real-time priority of the nodes, where it is permitted, and without. The tabs are of a headless
+Chromium; as many of a static page that redraws as many curves show the part of the browser. A bare
+loop in C shows the part of the machine: a virtual machine stalls for milliseconds, whatever runs.
+Without a Chromium (`bench/browser.py`) only the process of the page is measured.
 """
 
 import contextlib
@@ -38,10 +38,12 @@ from bench.loop_rate import (
 from bench.result import Result, deviation, ratios
 
 RATE_HZ: Final = 1000.0
-TABS: Final = 3
 LOSSES: Final = ('asi_actuator: loop', 'asi_controller: loop')
-ALONE, SERVED, SHOWN = 'no page', 'asi live, no tab', f'asi live, {TABS} tabs'
-STATIC: Final = f'{TABS} tabs of a static page'
+ALONE, SERVED, ONE, SHOWN = 'no page', 'asi live, no tab', 'asi live, 1 tab', 'asi live, 3 tabs'
+# The static page with as many tabs.
+STATIC: Final = {ONE: '1 tab of a static page', SHOWN: '3 tabs of a static page'}
+TABS: Final = {each: int(text) for each in (*STATIC, *STATIC.values())
+               for text in re.findall(r'(\d) tab', each)}
 BARE: Final = 'a bare loop in C'
 SOURCE: Final = Path(__file__).with_name('bare_loop.c')
 PRIORITY: Final = 50   # default of thread_priority
@@ -110,14 +112,13 @@ def loop(seconds: float, settle_s: float, browser: Any, what: str) -> dict[str, 
         actuator = running.enter_context(
             process(*node('bench.ticking_node', str(seconds), **common)))
         running.enter_context(process(*node(CONTROLLER, **common, **SINE)))
-        address = {ALONE: '', STATIC: REDRAWN}.get(what) or (
-            serve(running) if what != ALONE else '')
-        pages = [running.enter_context(browser.new_page())
-                 for _ in range(TABS if what in (SHOWN, STATIC) else 0)]
+        static = what in STATIC.values()
+        address = REDRAWN if static else '' if what == ALONE else serve(running)
+        pages = [running.enter_context(browser.new_page()) for _ in range(TABS.get(what, 0))]
         for page in pages:
             page.set_default_timeout(1e3 * PATIENCE_S)
             page.goto(address)
-        for page in pages if what == SHOWN else ():
+        for page in () if static else pages:
             page.get_by_role('slider', name='gain').wait_for()
         heard = running.enter_context(listener())
         heard.run(settle_s)   # both nodes are heard, and the tabs have loaded
@@ -168,8 +169,8 @@ def measure(quick: bool = False) -> list[Result]:
         names, browser = [ALONE, SERVED, ALONE + PLAIN], None
         try:
             browser = running.enter_context(chromium())
-            names[2:2] = [SHOWN, STATIC]
-            names += [SHOWN + PLAIN, STATIC + PLAIN]
+            names[2:2] = [*STATIC, *STATIC.values()]
+            names += [SHOWN + PLAIN, STATIC[SHOWN] + PLAIN]
         except NoBrowserError as error:
             print(f'without tabs: {error}')
         rivals: dict[str, Callable[[], Any]] = {
@@ -208,8 +209,8 @@ def results(found: dict[str, list[dict[str, float]]], seconds: float) -> list[Re
                 f'more than rounds with {ALONE} differ from each other: {name}',
                 statistics.median(more), '', deviation(more),
                 target=f'<= {max(losses[ALONE]) - min(losses[ALONE]):g}'))
-        if name.startswith(SHOWN):
-            rival = name.replace(SHOWN, STATIC)
+        if (page := name.removesuffix(PLAIN)) in STATIC:
+            rival = name.replace(page, STATIC[page])
             frames, others = ([each['frames_hz'] for each in found[which]]
                               for which in (name, rival))
             ratio, spread = ratios(frames, others)
@@ -217,5 +218,5 @@ def results(found: dict[str, list[dict[str, float]]], seconds: float) -> list[Re
                 f'live_page.frames.{name}', f'frames of each tab: {name}',
                 statistics.median(frames), '/s', spread,
                 f'{rival}, {statistics.median(others):.3g} /s', ratio,
-                '>= 0.95' if name == SHOWN else ''))
+                '>= 0.95' if name == ONE else ''))
     return rows
