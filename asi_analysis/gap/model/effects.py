@@ -223,7 +223,11 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((_scaled('friction_stiction_push'), _scaled('friction_stiction_pull')),
                 FORCE_SIDE, needs=('friction_model',)),
     )),
-    _effect('friction_asymmetry', (*_ASYMMETRIC, *_ASYMMETRIC_TOO)),
+    _effect('friction_asymmetry', (
+        *_ASYMMETRIC, *_ASYMMETRIC_TOO,
+        Variant((Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.5, -0.5)),), FORCE_SIDE,
+                needs=('friction_model', 'friction_coulomb')),
+    )),
     _effect('viscous_friction', (
         Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
                  Free('viscous_exponent', 0.8, 1.2, (1.0,))), LOAD_SIDE),

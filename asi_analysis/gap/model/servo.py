@@ -93,7 +93,7 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
 
 def left_of(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
     """Return the residual of a servo's output on a part: 'fit' or 'held_out'."""
-    return left_by([_response(servo, r) for r in recordings], recordings, part)
+    return left_by([response_of(servo, r) for r in recordings], recordings, part)
 
 
 def left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: str) -> Array:
@@ -190,7 +190,7 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
                for each in _with_lag(delayed)]
     behind = min(lagging, key=lambda each: _power(each, recordings))
     second, other = sorted((delayed, behind), key=lambda each: _power(each, recordings))
-    speed = max(float(np.abs(np.diff(_response(delayed, r))).max()) / r.period_s
+    speed = max(float(np.abs(np.diff(response_of(delayed, r))).max()) / r.period_s
                 for r in recordings)
     limited = _fitted(delayed._replace(rate=0.7 * speed,
                                        acceleration=0.5 * delayed.pulsation * speed),
@@ -213,9 +213,9 @@ def _with_lag(delayed: Servo) -> Iterator[Servo]:
                                delay=0.0, lag=slow)
 
 
-def thinned(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return recordings with at most MOST_SAMPLES samples, to fit a servo to."""
-    every = math.ceil(sum(r.fit.size for r in recordings) / MOST_SAMPLES)
+def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:
+    """Return recordings with at most so many samples, to fit a servo to."""
+    every = math.ceil(sum(r.fit.size for r in recordings) / most)
     return [_thinned(r, every) for r in recordings]
 
 
@@ -227,7 +227,7 @@ def _thinned(r: Recording, every: int) -> Recording:
                    held_out=r.held_out[::every])
 
 
-def _response(servo: Servo, recording: Recording) -> Array:
+def response_of(servo: Servo, recording: Recording) -> Array:
     """Return the response of a servo to the command, from the measured initial value."""
     assert recording.command is not None and recording.valve_position is not None
     return follow(servo, recording.command, float(recording.valve_position[0]),
@@ -253,6 +253,6 @@ def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
         ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
         if math.isfinite(value)]
     # A command acts from its sample on, so an ideal servo has reached it at the next sample.
-    moved = [np.append((found := _response(at_once, r))[1:], found[-1]) for r in recordings]
+    moved = [np.append((found := response_of(at_once, r))[1:], found[-1]) for r in recordings]
     return ([replace(r, command=each, taken=at_once._asdict())
              for r, each in zip(recordings, moved, strict=True)], [', '.join((note, *limits))])
