@@ -122,7 +122,7 @@ def run_cases(folder: Path, progress: Progress) -> list[Row]:
 
 def truth_of(answer: Mapping[str, Any]) -> str:
     """Return the right verdict: the effects joined by +, no_gap or unknown."""
-    if answer['kind'] in ('none', 'small') or not answer['effects']:
+    if answer['kind'] in ('none', 'small'):
         return NO_GAP
     if answer['kind'] == 'outside' or not all(map(block_of, answer['effects'])):
         return UNKNOWN

@@ -36,7 +36,11 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     total = sum(int(r.known.sum()) for r in group.recordings)
     level = mean_squares(least.problem, least.best.residual)
     equal = equal_below(least) if group.other_formulation else 0.0 * level
-    rough = {names: _log_posterior(f, counts, level, model, equal) for names, f in found.items()}
+    simplest = _simplest_explained(found)
+    rough = {names: _log_posterior(f, counts, level, model, np.maximum(
+        equal, mean_squares(simplest.problem, simplest.best.residual))
+        if simplest and len(names) > len(simplest.names) else equal)
+        for names, f in found.items()}
     highest = max(rough.values())
     evidence = {names: rough[names] + _log_volume(f, counts / total, model)
                 for names, f in found.items() if rough[names] > highest - NEGLIGIBLE}
@@ -46,6 +50,17 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     chance = {names: value / sum(weight.values()) for names, value in weight.items()}
     # As long as the residual is no more than noise, there is no unknown effect.
     return {**chance, (UNKNOWN,): 0.0}
+
+
+def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
+    """
+    Return the hypothesis with the fewest effects that leaves only noise, if there is one.
+
+    A smaller residual is no evidence for more effects: a formulation that hardly differs from the
+    simulator's leaves as much. Improbable nominal parameters are.
+    """
+    explained = [each for each in found.values() if not each.unexplained]
+    return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
 
 
 def equal_below(best: Found) -> Array:
