@@ -272,8 +272,13 @@ def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:
     The shared memory of Fast DDS is guarded by locks. A killed process keeps them, and a loop that
     needs one then stands still for 2 s (doc/explanation/reliability.md). With the range LOCALHOST
     rmw_fastrtps adds shared memory whatever the profile says, and binds its sockets to all
-    interfaces; so a profile replaces that range.
+    interfaces; so a profile replaces that range. ROS_LOCALHOST_ONLY=1, its older name, prevails
+    over range and peers in rcl, and here.
     """
+    if environment.get('ROS_LOCALHOST_ONLY') == '1':
+        del environment['ROS_LOCALHOST_ONLY']
+        environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+        environment.pop('ROS_STATIC_PEERS', None)
     local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
     if not rmw.startswith('rmw_fastrtps'):
         why = f'with {rmw}'
