@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.utilities import remove_ros_args
 
 from asi_common.executable import end_while_compiling
 from asi_common.node.priority import prefer
@@ -43,6 +44,8 @@ LAST_MESSAGES_S: Final = 1.0
 # callback if several nodes end at the same moment.
 END_S = 60.0
 PROFILES: Final = Path(__file__).parent
+USAGE: Final = ('a node takes ROS arguments only: --ros-args -p NAME:=VALUE --params-file FILE '
+                '-r OLD:=NEW --log-level LEVEL; its parameters: doc/reference/parameters.md')
 
 
 class RunError(Exception):
@@ -218,6 +221,13 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
     except (RuntimeError, ValueError) as error:
         get_logger('asi').fatal(str(error).splitlines()[0])
         return 2
+    if others := remove_ros_args()[1:]:
+        if help_ := others[0] in ('-h', '--help'):
+            print(USAGE)
+        else:
+            get_logger('asi').fatal(f'{others[0]!r} is not understood: {USAGE}')
+        rclpy.try_shutdown()
+        return 0 if help_ else 2
     executor = LoopExecutor()
 
     def stop(*_: object) -> None:

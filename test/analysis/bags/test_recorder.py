@@ -379,7 +379,8 @@ def test_parameters_that_were_not_reported_in_time_are_told(
     ({'output': '.'}, 'exists already: a bag is never written over'),
     ({'configuration': '/absent.json', 'output': 'bag'},
      "configuration = '/absent.json' cannot be used"),
-    ({'topics': "['a b']", 'output': 'bag'}, 'Invalid topic name')])
+    ({'topics': "['a b']", 'output': 'bag'}, 'Invalid topic name'),
+    ({'outptu': 'bag'}, 'outptu is not a parameter: did you mean output?')])
 def test_refuses_bad_parameters(start_node: Start, tmp_path: Path, options: dict[str, str],
                                 reason: str) -> None:
     options = {name: str(tmp_path / value) if name == 'output' else value
@@ -392,7 +393,8 @@ def test_refuses_bad_parameters(start_node: Start, tmp_path: Path, options: dict
 
 
 def test_ends_cleanly_by_sigterm_with_nothing_recorded(start_node: Start, tmp_path: Path) -> None:
-    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    # The mode is what a file for all nodes gives.
+    recorder = start_node(RECORDER, output=tmp_path / 'bag', mode='realtime', use_sim_time=True)
     recorder.wait_for('recording to')
     recorder.send(signal.SIGTERM)
     assert recorder.exit_status() == 0
