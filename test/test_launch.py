@@ -117,9 +117,10 @@ def test_without_arguments_nothing_is_set_but_the_tuned_controller(evaluated: Ev
 
 def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluated) -> None:
     config = ROOT / 'config'
-    launched = evaluated(params_file=f'{config}/actuator.yaml,quiet.yaml', rate_hz='500', gain='2', driver='can',
-                         compensator='lead2', reference='sine', duration='3', mode='realtime',
-                         record='bag', namespace='left', log_level='debug', use_sim_time='true')
+    launched = evaluated(params_file=f'{config}/actuator.yaml,quiet.yaml', rate_hz='500', gain='2',
+                         driver='can', compensator='lead2', reference='sine', duration='3',
+                         mode='realtime', record='bag', namespace='left', log_level='debug',
+                         use_sim_time='true')
     files, common = [str(config / 'actuator.yaml'), str(config / 'quiet.yaml')], {
         'rate_hz': 500.0, 'mode': 'realtime', 'await_recorder': True, 'use_sim_time': True}
     assert launched['actuator'].parameters == [

@@ -52,6 +52,8 @@ from asi_common.topics import TOPICS
 
 DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
+# Topics that a loop always has.
+ALWAYS: Final = [name for name, topic in TOPICS.items() if topic.publisher in NODES]
 PARAMETERS: Final = ('output', 'configuration', 'topics')
 # Short enough that few messages wait, long enough that one wake-up takes many.
 DRAIN_PERIOD_S: Final = 0.01
@@ -344,12 +346,16 @@ class Recorder(Node):
                                 'that is written can be read')
 
     def _report(self) -> None:
-        """Log the numbers of recorded and lost messages, and whose parameters are not known."""
+        """Log the numbers of recorded and lost messages, and what is not in the bag."""
         counts = self._writer.counts()
         self.get_logger().info('recorded ' + (', '.join(
             f'{count} {name}' for name, count in counts.items()) or 'nothing'))
         for name, count in self.lost().items():
             self.get_logger().error(f'{count} messages of {name} were lost')
+        silent = [topic.name for topic in self._topics if topic.name not in counts
+                  and topic.name in map(self.resolve_topic_name, ALWAYS)]
+        if counts and silent:
+            self.get_logger().warning(f'nothing came on {", ".join(silent)}: was it remapped?')
         for node in self._unreported:
             if any(row.publisher.startswith(node) and self.resolve_topic_name(row.name) in counts
                    for row in TOPICS.values()):
