@@ -49,7 +49,7 @@ def take_overrides(node: Node) -> dict[str, RosParameter]:
 
     The node was made with automatically_declare... from overrides. Raises ParameterError.
     """
-    given = node.get_parameters_by_prefix('')
+    given = {name: node.get_parameter(name) for name in node.get_parameters_by_prefix('')}
     for name, parameter in given.items():
         if name.startswith(QOS_OVERRIDES):
             check_qos_override(node, name, parameter.value)
