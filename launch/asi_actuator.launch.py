@@ -7,18 +7,19 @@ An argument that is given sets its parameter; otherwise the parameter files appl
 compensator and gain the controller has the settings of config/quiet.yaml.
 """
 
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
 NODES = ('actuator', 'controller', 'recorder')
+YES_NO = {'true': True, 'false': False}
 # Launch argument: (parameter, type, nodes, description).
 PARAMETERS = {
     'mode': ('mode', str, NODES[:2], 'lockstep or realtime'),
@@ -38,7 +39,8 @@ PARAMETERS = {
 OTHERS = (
     ('namespace', '', 'namespace of all nodes'),
     ('log_level', 'info', 'debug, info, warn, error or fatal, of all nodes'),
-    ('params_file', '', 'parameter files for all nodes, separated by commas; the last one wins'),
+    ('params_file', '', 'parameter files for all nodes, separated by commas; the last one wins; '
+     'a name that is no file here is that of one in config'),
     ('rviz', 'false', 'true: show the actuator in RViz'),
 )
 # Time for the recorder to finish its bag after Ctrl-C, s, before SIGTERM, and then SIGKILL.
@@ -58,45 +60,73 @@ def generate_launch_description() -> LaunchDescription:
 def _started(context: Any) -> list[Any]:
     """Return the nodes for the arguments."""
     given = context.launch_configurations
+    values = {node: _parameters(given, node) for node in NODES}
 
     def node(executable: str, **options: Any) -> Node:
         return Node(package='asi_actuator', executable=executable, namespace=given['namespace'],
-                    parameters=_parameters(given, executable), remappings=[('/clock', 'clock')],
+                    parameters=values[executable], remappings=[('/clock', 'clock')],
                     ros_arguments=['--log-level', given['log_level']], **options)
 
-    nodes = [node('actuator', on_exit=Shutdown(reason='the run has ended')), node('controller')]
+    nodes = [node('actuator', on_exit=Shutdown(reason='the run has ended')),
+             node('controller', on_exit=_ended)]
     if given['record']:
-        nodes.append(node('recorder', on_exit=_recorder_ended, sigterm_timeout=FINISH_S,
+        nodes.append(node('recorder', on_exit=_ended, sigterm_timeout=FINISH_S,
                           sigkill_timeout=FINISH_S))
-    return nodes + _scene(given)
+    return _misspelt(given) + nodes + _scene(given)
+
+
+def _misspelt(given: dict[str, str]) -> list[Any]:
+    """Return what to say of arguments like ours, which launch ignores: they may be of others."""
+    ours = [*PARAMETERS, *(name for name, *_ in OTHERS)]
+    return [LogInfo(msg=f'asi_actuator.launch.py has no argument {name}: is {like[0]} meant?')
+            for name in given if name not in ours and (like := get_close_matches(name, ours, 1))]
 
 
 def _parameters(given: dict[str, str], node: str) -> list[Any]:
     """Return the parameter files of a node, followed by the parameters of the arguments."""
     values: dict[str, Any] = {
-        parameter: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        parameter: ParameterValue(_value(name, kind, given[name]), value_type=kind)
         for name, (parameter, kind, nodes, _) in PARAMETERS.items()
         if given[name] and node in nodes}
     if given['record'] and node != 'recorder':
         values['await_recorder'] = True
-    files = [file for file in given['params_file'].split(',') if file]
+    files = [_file(file) for file in given['params_file'].split(',') if file]
     if node == 'controller' and not (files or given['compensator'] or given['gain']):
-        files = [str(_config() / 'quiet.yaml')]
+        files = [_file('quiet.yaml')]
     return [*files, values] if values else files
+
+
+def _value(name: str, kind: type, text: str) -> Any:
+    """Return an argument as its type. Raises ValueError with its name."""
+    try:
+        return YES_NO[text.lower()] if kind is bool else kind(text)
+    except (KeyError, ValueError):
+        wanted = 'true or false' if kind is bool else 'a number'
+        raise ValueError(f'{name}:={text} is not allowed: it takes {wanted}') from None
+
+
+def _file(name: str) -> str:
+    """Return the path of a parameter file. launch_ros would start a node without it."""
+    for path in (Path(name), _config() / name):
+        if path.is_file():
+            return str(path)
+    raise ValueError(f'params_file:={name}: there is no such file, here or in {_config()}')
 
 
 def _config() -> Path:
     return Path(get_package_share_directory('asi_actuator')) / 'config'
 
 
-def _recorder_ended(event: Any, context: Any) -> list[Any]:
-    """Shut down if the recorder could not start, because the nodes would wait for it."""
-    return [Shutdown(reason='the recorder could not start')] if event.returncode == 2 else []
+def _ended(event: Any, context: Any) -> list[Any]:
+    """Shut down if a node could not start, because the others would wait for it."""
+    if event.returncode != 2:
+        return []
+    return [Shutdown(reason=f'the {event.action.node_executable} could not start')]
 
 
 def _scene(given: dict[str, str]) -> list[Any]:
     """Return RViz and the publisher of the actuator's frames, where they are installed."""
-    if given['rviz'] != 'true':
+    if not _value('rviz', bool, given['rviz']):
         return []
     config = _config()
     urdf = (config / 'asi_actuator.urdf').read_text()
@@ -112,8 +142,7 @@ def _scene(given: dict[str, str]) -> list[Any]:
             scene.append(LogInfo(msg=f'rviz:=true needs {package}, which is not installed'))
             continue
         if given['use_sim_time']:
-            parameters['use_sim_time'] = ParameterValue(
-                LaunchConfiguration('use_sim_time'), value_type=bool)
+            parameters['use_sim_time'] = _value('use_sim_time', bool, given['use_sim_time'])
         scene.append(Node(package=package, executable=package, namespace=given['namespace'],
                           parameters=[parameters], arguments=arguments,
                           remappings=[(f'/{name}', name) for name in names]))

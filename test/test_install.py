@@ -202,3 +202,17 @@ def test_ctrl_c_of_launch_ends_all_and_the_bag_is_whole(start: Callable, tmp_pat
     for word in ('Traceback', 'SIGTERM', 'SIGKILL', 'process has died'):
         assert word not in launched.text
     assert len(read_bag(tmp_path / 'my_run')) > 0
+
+
+@needs_ros2
+@pytest.mark.parametrize(('argument', 'told'), [
+    ('gain:=eight', 'gain:=eight is not allowed: it takes a number'),
+    ('params_file:=missing.yaml', 'there is no such file'),
+    ('reference:=sin', 'reference.shape'), ('record:=/dev/null', '/dev/null')])
+def test_launch_ends_all_if_an_argument_is_wrong(
+        argument: str, told: str, start: Callable) -> None:
+    launched = start(*LAUNCH, argument)
+    launched.exit_status()
+    assert told in launched.text and 'Traceback' not in launched.text, launched.text
+    with pytest.raises(ProcessLookupError):   # nothing is left of its session
+        os.killpg(launched.pid, 0)

@@ -43,7 +43,6 @@ def packages(installed: dict[str, str]) -> dict[str, ModuleType]:
         'launch.actions': {
             'DeclareLaunchArgument': lambda name, **options: Action(name=name, **options),
             **dict.fromkeys(('LogInfo', 'OpaqueFunction', 'Shutdown'), Action)},
-        'launch.substitutions': {'LaunchConfiguration': lambda name: Action(argument=name)},
         'launch_ros': {},
         'launch_ros.actions': {'Node': Action},
         'launch_ros.parameter_descriptions': {
@@ -69,22 +68,20 @@ def evaluated() -> Evaluated:
             spec.loader.exec_module(file)
             *declared, opaque = file.generate_launch_description()
             given = {argument.name: argument.default_value for argument in declared}
-            assert set(arguments) <= set(given)
             given |= arguments
             actions = opaque.function(SimpleNamespace(launch_configurations=given))
         for action in actions:
             for values in getattr(action, 'parameters', ()):
                 if isinstance(values, dict):
-                    values.update({name: resolved(value, given) for name, value in values.items()})
+                    values.update({name: plain(value) for name, value in values.items()})
         return {'log': [action.msg for action in actions if hasattr(action, 'msg')],
                 **{action.executable: action for action in actions
                    if hasattr(action, 'executable')}}
 
-    def resolved(value: Any, given: dict[str, str]) -> Any:
-        if not isinstance(value, Action):
-            return value
-        text = value.value if isinstance(value.value, str) else given[value.value.argument]
-        return text if value.type is str else value.type(yaml.safe_load(text))
+    def plain(value: Any) -> Any:
+        if isinstance(value, Action):
+            assert type(value.value) is value.type
+        return getattr(value, 'value', value)
 
     return evaluate
 
@@ -119,10 +116,12 @@ def test_without_arguments_nothing_is_set_but_the_tuned_controller(evaluated: Ev
 
 
 def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluated) -> None:
-    launched = evaluated(params_file='one.yaml,two.yaml', rate_hz='500', gain='2', driver='can',
-                         compensator='lead2', reference='sine', duration='3', mode='realtime',
-                         record='bag', namespace='left', log_level='debug', use_sim_time='true')
-    files, common = ['one.yaml', 'two.yaml'], {
+    config = ROOT / 'config'
+    launched = evaluated(params_file=f'{config}/actuator.yaml,quiet.yaml', rate_hz='500', gain='2',
+                         driver='can', compensator='lead2', reference='sine', duration='3',
+                         mode='realtime', record='bag', namespace='left', log_level='debug',
+                         use_sim_time='true')
+    files, common = [str(config / 'actuator.yaml'), str(config / 'quiet.yaml')], {
         'rate_hz': 500.0, 'mode': 'realtime', 'await_recorder': True, 'use_sim_time': True}
     assert launched['actuator'].parameters == [
         *files, common | {'driver': 'can', 'duration': 3.0}]
@@ -134,12 +133,30 @@ def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluate
         assert launched[name].ros_arguments == ['--log-level', 'debug']
 
 
-def test_a_recorder_that_cannot_start_ends_all_but_one_that_fails_later_does_not(
+def test_a_node_that_cannot_start_ends_all_but_one_that_fails_later_does_not(
         evaluated: Evaluated) -> None:
-    ended = evaluated(record='bag')['recorder'].on_exit
-    assert len(ended(SimpleNamespace(returncode=2), None)) == 1
-    assert ended(SimpleNamespace(returncode=1), None) == ended(
-        SimpleNamespace(returncode=0), None) == []
+    launched = evaluated(record='bag')
+    for name in ('recorder', 'controller'):
+        def ended(status: int, name: str = name) -> list[Any]:
+            actions: list[Any] = launched[name].on_exit(SimpleNamespace(
+                returncode=status, action=SimpleNamespace(node_executable=name)), None)
+            return actions
+        assert [action.reason for action in ended(2)] == [f'the {name} could not start']
+        assert ended(1) == ended(0) == []
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('gain', 'eight'), ('rate_hz', '5kHz'), ('use_sim_time', 'perhaps'), ('rviz', 'yes'),
+    ('params_file', 'missing.yaml')])
+def test_an_argument_that_is_wrong_is_named_before_anything_is_started(
+        name: str, value: str, evaluated: Evaluated) -> None:
+    with pytest.raises(ValueError, match=f'{name}:={value}'):
+        evaluated(**{name: value})
+
+
+def test_a_name_that_is_none_of_ours_but_like_one_is_told(evaluated: Evaluated) -> None:
+    assert evaluated(refrence='sine', robot='b')['log'] == [
+        'asi_actuator.launch.py has no argument refrence: is reference meant?']
 
 
 def test_rviz_where_it_is_installed_and_otherwise_what_is_missing(evaluated: Evaluated) -> None:

@@ -135,8 +135,9 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
     present = [file for file in files if file.is_file() and file.stat().st_size]
     problems += [f'{file} is missing or empty' for file in files if file not in present]
     if not present:
+        meant = f'; is {path / "bag"} meant?' if (path / 'bag').is_dir() else ''
         raise InputError(f'{path} is not a bag: expected a rosbag2 directory with a .mcap or .db3 '
-                         'file that is not empty')
+                         f'file that is not empty{meant}')
     return present
 
 

@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.utilities import remove_ros_args
 
 from asi_common.executable import end_while_compiling
 from asi_common.node.priority import prefer
@@ -37,12 +38,16 @@ EVENT_PERIOD_NS: Final = 500_000_000
 # Longest wait of a node after the system clock has been set back.
 WAKE_PERIOD_S: Final = 0.02
 # Longest wait of a node that ends until its last messages have been received: it takes 50 ms,
-# unless a subscriber was killed, and even then Ctrl-C takes less than 2 s.
+# unless a subscriber was killed, and even then Ctrl-C takes less than 2 s. After its own end a
+# node waits for slow ones, until Fast DDS declares one that was killed dead (20 s).
 LAST_MESSAGES_S: Final = 1.0
+SLOW_SUBSCRIBER_S: Final = 30.0
 # Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
 # callback if several nodes end at the same moment.
 END_S = 60.0
 PROFILES: Final = Path(__file__).parent
+USAGE: Final = ('a node takes ROS arguments only: --ros-args -p NAME:=VALUE --params-file FILE '
+                '-r OLD:=NEW --log-level LEVEL; its parameters: doc/reference/parameters.md')
 
 
 class RunError(Exception):
@@ -218,6 +223,13 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
     except (RuntimeError, ValueError) as error:
         get_logger('asi').fatal(str(error).splitlines()[0])
         return 2
+    if others := remove_ros_args()[1:]:
+        if help_ := others[0] in ('-h', '--help'):
+            print(USAGE)
+        else:
+            get_logger('asi').fatal(f'{others[0]!r} is not understood: {USAGE}')
+        rclpy.try_shutdown()
+        return 0 if help_ else 2
     executor = LoopExecutor()
 
     def stop(*_: object) -> None:
@@ -244,17 +256,18 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
         node.get_logger().warning(unprotected)
     prefer(node)
     executor.add_node(node)
+    finished = False
     try:
         executor.spin()
     except RunFinished:
-        pass
+        finished = True
     except RunError as error:
         node.get_logger().fatal(str(error))
         return 1
     finally:
         # A thread outside Python prints where the node hangs, and exits with status 1.
         faulthandler.dump_traceback_later(END_S, exit=True)
-        _await_acknowledgement(node)
+        _await_acknowledgement(node, lambda: finished and not executor.stopped)
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
@@ -272,8 +285,13 @@ def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:
     The shared memory of Fast DDS is guarded by locks. A killed process keeps them, and a loop that
     needs one then stands still for 2 s (doc/explanation/reliability.md). With the range LOCALHOST
     rmw_fastrtps adds shared memory whatever the profile says, and binds its sockets to all
-    interfaces; so a profile replaces that range.
+    interfaces; so a profile replaces that range. ROS_LOCALHOST_ONLY=1, its older name, prevails
+    over range and peers in rcl, and here.
     """
+    if environment.get('ROS_LOCALHOST_ONLY') == '1':
+        del environment['ROS_LOCALHOST_ONLY']
+        environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+        environment.pop('ROS_STATIC_PEERS', None)
     local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST'
     if not rmw.startswith('rmw_fastrtps'):
         why = f'with {rmw}'
@@ -292,9 +310,10 @@ def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:
             'who may reach it: see doc/how_to/security.md') if local and why else ''
 
 
-def _await_acknowledgement(node: Node) -> None:
+def _await_acknowledgement(node: Node, patient: Callable[[], bool]) -> None:
     """Wait until all published messages have been received, so that a recorder loses none."""
-    end = time.monotonic() + LAST_MESSAGES_S
+    begin = time.monotonic()
     for publisher in node.publishers:
-        left = max(0.0, end - time.monotonic())
-        publisher.wait_for_all_acked(Duration(nanoseconds=int(left * 1e9)))
+        while not publisher.wait_for_all_acked(Duration(seconds=0.1)):
+            if time.monotonic() - begin > (SLOW_SUBSCRIBER_S if patient() else LAST_MESSAGES_S):
+                return

@@ -43,6 +43,25 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     return result
 
 
+def take_overrides(node: Node) -> dict[str, RosParameter]:
+    """
+    Return and undeclare what YAML file and command line gave, by name; QoS overrides are checked.
+
+    The node was made with automatically_declare... from overrides. Raises ParameterError.
+    """
+    given = {name: node.get_parameter(name) for name in node.get_parameters_by_prefix('')}
+    for name, parameter in given.items():
+        if name.startswith(QOS_OVERRIDES):
+            check_qos_override(node, name, parameter.value)
+            # Publisher or subscription declares it anew, as read-only.
+            node.undeclare_parameter(name)
+    given = {name: parameter for name, parameter in given.items()
+             if not name.startswith(OF_EVERY_NODE)}
+    for name in given:
+        node.undeclare_parameter(name)
+    return given
+
+
 class RosParameters:
     """The parameters of a node: `values`, by name, always complete and allowed."""
 
@@ -58,7 +77,7 @@ class RosParameters:
         self._table = {parameter.name: parameter for parameter in table}
         self._check = check
         self._apply: Callable[[set[str]], None] = lambda changed: None
-        given = self._take_overrides()
+        given = {name: self._typed(each).value for name, each in take_overrides(node).items()}
         self.values = completed(given, table)
         check(self.values)
         node.declare_parameters(
@@ -71,21 +90,6 @@ class RosParameters:
     def when_changed(self, apply: Callable[[set[str]], None]) -> None:
         """Call apply(names) after each change, when `values` holds the new ones."""
         self._apply = apply
-
-    def _take_overrides(self) -> dict[str, Value]:
-        """Return and undeclare the overrides of YAML file and command line, which lack types."""
-        given = {name: self._typed(self._node.get_parameter(name)).value
-                 for name in self._node.get_parameters_by_prefix('')}
-        for name, value in given.items():
-            if name.startswith(QOS_OVERRIDES):
-                check_qos_override(self._node, name, value)
-                # Publisher or subscription declares it anew, as read-only.
-                self._node.undeclare_parameter(name)
-        given = {name: value for name, value in given.items()
-                 if not name.startswith(OF_EVERY_NODE)}
-        for name in given:
-            self._node.undeclare_parameter(name)
-        return given
 
     def _typed(self, given: RosParameter) -> RosParameter:
         """Return a parameter, an integer converted where a float is meant: users type 8."""

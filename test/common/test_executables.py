@@ -292,6 +292,18 @@ def test_every_executable_says_what_it_cannot_do(name, module, function):
     assert 'no_rule' in result.stderr or 'socketcan' in result.stderr
 
 
+@pytest.mark.parametrize('argument, status', [('--help', 0), ('my_run', 2), ('--params-file', 2)])
+@pytest.mark.parametrize('module, function', [row[1:] for row in EXECUTABLES
+                                              if row[0] != 'can_actuator'])
+def test_a_node_says_which_arguments_it_takes(module, function, argument, status, tmp_path):
+    code = f'import sys; from {module} import {function}; sys.exit({function}())'
+    result = subprocess.run([sys.executable, '-c', code, argument], capture_output=True, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)}, cwd=tmp_path)
+    assert result.returncode == status, result.stderr
+    assert '--ros-args -p NAME:=VALUE' in result.stdout + result.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_every_executable_is_tried():
     assert {name for name, *_ in EXECUTABLES} == {
         'actuator', 'can_actuator', 'controller', 'recorder', 'replay'}

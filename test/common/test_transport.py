@@ -40,13 +40,20 @@ def sockets(pid: int) -> set[str]:
 
 
 @pytest.mark.skipif(sys.platform != 'linux', reason='needs /proc')
+@pytest.mark.parametrize('local', [
+    {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'},
+    {'ROS_LOCALHOST_ONLY': '1', 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
+     'ROS_STATIC_PEERS': '192.0.2.1'}])
 def test_localhost_binds_no_socket_to_another_address(
-        ros_environment: dict[str, str], start_node: Callable[..., NodeProcess],
-        states: Listener) -> None:
-    ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    local = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+        local: dict[str, str], ros_environment: dict[str, str],
+        start_node: Callable[..., NodeProcess], states: Listener) -> None:
+    outside = dict(ros_environment)
+    ros_environment |= local
+    node = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
     states.wait(3)
-    assert sockets(local.pid) == {'127.0.0.1'}
+    assert sockets(node.pid) == {'127.0.0.1'}
+    ros_environment.clear()
+    ros_environment |= outside
     ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SUBNET'
     open_ = start_node(ACTUATOR, '-r', '__node:=asi_open', mode='realtime', rate_hz=200.0)
     open_.wait_for('realtime at')

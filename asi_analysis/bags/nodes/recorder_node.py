@@ -42,15 +42,19 @@ from asi_analysis.bags.nodes.message_order import (
 )
 from asi_analysis.bags.qos import as_dictionary
 from asi_analysis.errors import InputError
+from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.node.diagnostics import STATE
 from asi_common.node.executor import Polled, RunError, run_node
-from asi_common.node.ros_parameters import OF_EVERY_NODE
+from asi_common.node.ros_parameters import OF_EVERY_NODE, take_overrides
 from asi_common.node.topics import SteadyClock, message_class
-from asi_common.parameter import ParameterError
+from asi_common.parameter import Parameter, ParameterError, completed
 from asi_common.topics import TOPICS
 
 DIAGNOSTIC_ARRAY: Final = TOPICS['/diagnostics'].type
 NODES: Final = {'actuator': 'asi_actuator', 'controller': 'asi_controller'}
+# Topics that a loop always has.
+ALWAYS: Final = [name for name, topic in TOPICS.items() if topic.publisher in NODES]
+PARAMETERS: Final = ('output', 'configuration', 'topics')
 # Short enough that few messages wait, long enough that one wake-up takes many.
 DRAIN_PERIOD_S: Final = 0.01
 DISCOVERY_PERIOD_S: Final = 0.2
@@ -131,15 +135,18 @@ class Recorder(Node):
     """The node; `destroy_node` finishes the bag. Raises InputError for a wrong parameter."""
 
     def __init__(self) -> None:
-        super().__init__('asi_recorder')
-        output = self._text('output', datetime.now().strftime('asi_%Y_%m_%d-%H_%M_%S'),
+        super().__init__('asi_recorder', automatically_declare_parameters_from_overrides=True)
+        given = take_overrides(self)
+        output = self._parameter('output', datetime.now().strftime('asi_%Y_%m_%d-%H_%M_%S'),
                             'Directory of the bag, which must not exist')
-        configuration = self._text(
+        configuration = self._parameter(
             'configuration', '', 'JSON file with the configuration of the run, kept in the bag; '
             'empty: the parameters that the nodes report')
         of_the_loop = [topic.name for topic in TOPICS.values() if topic.publisher]
-        names = self.declare_parameter('topics', of_the_loop, ParameterDescriptor(
-            description='Topics to record', read_only=True)).value
+        names = self._parameter('topics', of_the_loop, 'Topics to record')
+        # A file for all nodes may have what the loop shares.
+        completed({name: each.value for name, each in given.items() if name not in PARAMETERS},
+                  (*LOOP_PARAMETERS, *(Parameter(name, '', '', '') for name in PARAMETERS)))
         information = _configuration(configuration) if configuration else {}
         self.failed = False
         self._group = Polled()
@@ -212,7 +219,7 @@ class Recorder(Node):
             self.count_publishers(self._topics[topic].name)
             for topic in self._order.missing_topics())
 
-    def _text(self, name: str, default: str, description: str) -> str:
+    def _parameter(self, name: str, default: Any, description: str) -> Any:
         return self.declare_parameter(name, default, ParameterDescriptor(
             description=description, read_only=True)).value
 
@@ -339,12 +346,16 @@ class Recorder(Node):
                                 'that is written can be read')
 
     def _report(self) -> None:
-        """Log the numbers of recorded and lost messages, and whose parameters are not known."""
+        """Log the numbers of recorded and lost messages, and what is not in the bag."""
         counts = self._writer.counts()
         self.get_logger().info('recorded ' + (', '.join(
             f'{count} {name}' for name, count in counts.items()) or 'nothing'))
         for name, count in self.lost().items():
             self.get_logger().error(f'{count} messages of {name} were lost')
+        silent = [topic.name for topic in self._topics if topic.name not in counts
+                  and topic.name in map(self.resolve_topic_name, ALWAYS)]
+        if counts and silent:
+            self.get_logger().warning(f'nothing came on {", ".join(silent)}: was it remapped?')
         for node in self._unreported:
             if any(row.publisher.startswith(node) and self.resolve_topic_name(row.name) in counts
                    for row in TOPICS.values()):

@@ -459,6 +459,9 @@ def test_refuses_what_is_no_bag(tmp_path: Path, name: str, content: bytes) -> No
 def test_refuses_a_folder_without_bag_and_an_absent_path(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='is not a bag: expected a rosbag2 directory'):
         read_bag(tmp_path)
+    (tmp_path / 'bag').mkdir()   # the folder of a run
+    with pytest.raises(InputError, match='/bag meant'):
+        read_bag(tmp_path)
     with pytest.raises(InputError, match='absent does not exist'):
         read_bag(tmp_path / 'absent')
     (tmp_path / 'metadata.yaml').write_text('}{')

@@ -313,6 +313,22 @@ def test_waits_for_no_answer_that_nobody_is_left_to_give(
     assert run.force_n is not None and len(run) > 50
 
 
+def test_a_run_that_ends_waits_for_a_recorder_that_stands_still(
+        start_node: Start, call: Call, tmp_path: Path) -> None:
+    a_bag(tmp_path / 'bag', 5000, 5000.0)
+    recorder, replay = record_replay(start_node, call, tmp_path / 'bag', output=tmp_path / 'again')
+    recorder.send(signal.SIGSTOP)
+    try:
+        replay.wait_for('published all')
+        time.sleep(3.0)   # longer than a node waits after Ctrl-C
+    finally:
+        recorder.send(signal.SIGCONT)
+    assert replay.exit_status() == 0
+    assert recorder.stop() == 0, recorder.text
+    topics = read_contents(tmp_path / 'again', lambda _: True).topics
+    assert {len(topic.data) for topic in topics.values()} == {5000}
+
+
 def test_lost_messages_are_told_and_the_exit_status_is_1(
         start_node: Start, ros_node: Any, tmp_path: Path) -> None:
     recorder = start_node(RECORDER, output=tmp_path / 'bag', topics='[force]')
@@ -373,13 +389,16 @@ def test_parameters_that_were_not_reported_in_time_are_told(
     said = capfd.readouterr().err
     assert 'the parameters of asi_actuator are not in the bag' in said
     assert 'the parameters of asi_controller' not in said   # none of its topics is
+    assert ('nothing came on /joint_states, /valve_position, /velocity, /valve_command: '
+            'was it remapped?') in said
 
 
 @pytest.mark.parametrize(('options', 'reason'), [
     ({'output': '.'}, 'exists already: a bag is never written over'),
     ({'configuration': '/absent.json', 'output': 'bag'},
      "configuration = '/absent.json' cannot be used"),
-    ({'topics': "['a b']", 'output': 'bag'}, 'Invalid topic name')])
+    ({'topics': "['a b']", 'output': 'bag'}, 'Invalid topic name'),
+    ({'outptu': 'bag'}, 'outptu is not a parameter: did you mean output?')])
 def test_refuses_bad_parameters(start_node: Start, tmp_path: Path, options: dict[str, str],
                                 reason: str) -> None:
     options = {name: str(tmp_path / value) if name == 'output' else value
@@ -392,7 +411,8 @@ def test_refuses_bad_parameters(start_node: Start, tmp_path: Path, options: dict
 
 
 def test_ends_cleanly_by_sigterm_with_nothing_recorded(start_node: Start, tmp_path: Path) -> None:
-    recorder = start_node(RECORDER, output=tmp_path / 'bag')
+    # The mode is what a file for all nodes gives.
+    recorder = start_node(RECORDER, output=tmp_path / 'bag', mode='realtime', use_sim_time=True)
     recorder.wait_for('recording to')
     recorder.send(signal.SIGTERM)
     assert recorder.exit_status() == 0
