@@ -336,8 +336,10 @@ def slipping(elements, sizes, moved, velocity, p):
         elements[i] = min(max(elements[i] + moved / (reach * sizes[i]), -1.0), 1.0)
         share += elements[i] / PLAYS
     stiction = p.friction_stiction_push if share >= 0.0 else p.friction_stiction_pull
+    coulomb = p.friction_coulomb * (
+        1.0 + math.copysign(1.0, share) * p.friction_coulomb_asymmetry)
     fall = math.exp(-abs(velocity) / p.friction_stribeck_velocity)
-    return share * (p.friction_coulomb + (stiction - p.friction_coulomb) * fall)
+    return share * (coulomb + (stiction - coulomb) * fall)
 
 
 @jit

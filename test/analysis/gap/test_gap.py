@@ -16,7 +16,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
-from asi_analysis.gap.check.check import score
+from asi_analysis.gap.check.check import score, truth_of
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import (
@@ -77,6 +77,17 @@ def test_errors_within_the_tolerance_are_no_gap():
     assert answer['gap']['after_nrmse'] < 1.2 * answer['gap']['refitted_nrmse']
     answer |= {'report': None, 'exports': [], 'quality': [], 'reliable': True}
     assert problems(answer, 'asi gap') == []
+
+
+def test_asymmetry_of_the_friction_that_the_model_has():
+    # Its mean over both directions stays, so in motion it is little but a constant force.
+    seals = {'friction.model': 'full', 'friction.coulomb': 40.0, 'friction.stiction_push': 40.0,
+             'friction.stiction_pull': 40.0}
+    run = recorded(real={**REAL, **seals}, friction__coulomb_asymmetry=0.8)
+    answer = document(diagnose([run], {**TEXTBOOK, **seals}, simulate=False))
+    assert 'friction_asymmetry' in answer['ambiguity_set']
+    (found,) = (each for each in answer['which'] if each['effect'] == 'friction_asymmetry')
+    assert found['parameters']['friction_coulomb_asymmetry'] == pytest.approx(0.8, abs=0.1)
 
 
 @pytest.mark.parametrize('absent', [
@@ -468,6 +479,11 @@ def test_score_compares_verdicts_with_the_truth():
     assert figures['interval_coverage'] == 0.0
     assert figures['size_coverage'] == 0.0   # of the case where the effect is right
     assert figures['unknown_rate'] is None
+
+
+def test_something_unknown_needs_no_name_in_the_answers():
+    assert truth_of({'kind': 'outside', 'effects': []}) == 'unknown'
+    assert truth_of({'kind': 'none', 'effects': []}) == 'no_gap'
 
 
 def test_interrupted_check_continues(tmp_path, monkeypatch):
