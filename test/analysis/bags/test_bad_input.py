@@ -6,6 +6,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tracemalloc
 import warnings
 import zipfile
 from pathlib import Path
@@ -134,15 +135,20 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_left_out(declared: int, tmp_path: 
     bomb = zstandard.ZstdCompressor().compress(bytes(300_000_000))
     with (tmp_path / 'a.mcap').open('wb') as file:
         writer = Writer(file)
-        writer.start()
+        writer.start('ros2')
         chunk = Chunk('zstd', bomb, 0, 0, 0, declared)
         chunk.write(writer._Writer__record_builder)  # type: ignore[attr-defined]
         file.write(writer._Writer__record_builder.end())  # type: ignore[attr-defined]
         writer.finish()
     contents = read_contents(tmp_path / 'a.mcap', lambda _: True)
     assert 'unpack' in contents.problems[0]
-    with pytest.raises(InputError, match='unpack'):
-        read_bag(tmp_path / 'a.mcap')
+    for read in (read_bag, preview, lambda path: import_recording(
+            path, ['force=/f/data'], out=tmp_path / 'bag')):
+        tracemalloc.start()
+        with pytest.raises(InputError, match='unpack'):
+            read(tmp_path / 'a.mcap')
+        assert tracemalloc.get_traced_memory()[1] < 1e8
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
