@@ -78,6 +78,17 @@ def test_a_call_that_is_wrong_is_refused_in_one_line(
     assert not (tmp_path / 'new').exists()
 
 
+@pytest.mark.parametrize('words', [
+    ['BAG', '--gain', '3'], ['BAG', '--set', 'controller.gain=nan'], ['BAG', '--rate', '1000'],
+    ['--signal', 'force']])
+def test_an_option_without_effect_is_refused(
+        words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+        ) -> None:
+    status, said = asi(monkeypatch, capsys, 'attribute', *words)
+    assert status == 2
+    assert f'{words[-2]} has no effect' in said
+
+
 @pytest.mark.parametrize('kind', ['npz', 'mat'])
 def test_every_cut_of_an_archive_is_read_or_refused(kind: str, tmp_path: Path) -> None:
     whole, cut = tmp_path / f'whole.{kind}', tmp_path / f'cut.{kind}'
