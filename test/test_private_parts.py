@@ -11,7 +11,7 @@ import typer
 from mcap.stream_reader import StreamReader
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rosbags.rosbag1 import reader as ros1
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, storage_mcap
 
 from asi_analysis.bags.bag import write_bag
 from torture.inputs import recording
@@ -23,7 +23,9 @@ def storages(folder):
         return [storage.messages for storage in reader.storage.storages] and (
             # Replaced by those with a limit.
             {'bz2', 'lz4'} <= ros1.decompressors.keys()
-            and 'decompressors[' in inspect.getsource(ros1))
+            and {'zstd', 'lz4'} <= storage_mcap.DECOMPRESSORS.keys()
+            and 'decompressors[' in inspect.getsource(ros1)
+            and 'DECOMPRESSORS[compression](data, size)' in inspect.getsource(storage_mcap))
 
 
 PARTS = {

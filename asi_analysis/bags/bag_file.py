@@ -4,8 +4,9 @@ import json
 import os
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
@@ -23,7 +24,7 @@ from mcap.records import Channel, Chunk, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from numpy.lib.stride_tricks import sliding_window_view
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2 import Reader, ReaderError, storage_mcap
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from asi_analysis.bags.bag_writer import INFORMATION
@@ -237,7 +238,8 @@ class _McapDecoder:
 
     def add_chunk(self, chunk: Chunk) -> None:
         """Unpack a chunk. Raises ValueError for a wrong checksum, EndOfFile for a cut record."""
-        plain = replace(chunk, compression='', data=_unpacked(chunk, self.most_bytes))
+        plain = replace(chunk, compression='', data=_unpacked(
+            chunk.compression, self.most_bytes, chunk.data, chunk.uncompressed_size))
         stream, size = get_chunk_data_stream(plain, validate_crc=True)
         self.most_bytes -= size
         data = stream.read(size)
@@ -293,23 +295,41 @@ def _records_of(data):
     return starts[:count].copy(), place
 
 
-def _unpacked(chunk: Chunk, most_bytes: int) -> bytes:
+def _unpacked(compression: str, most_bytes: int, packed: bytes, size: int) -> bytes:
     """Return the unpacked bytes of a chunk. Raises ValueError for a wrong or too large size."""
-    size = chunk.uncompressed_size
-    if not chunk.compression:
-        return chunk.data
+    if not compression:
+        return packed
     if size > most_bytes:
         raise ValueError(TOO_MUCH)
-    if chunk.compression == 'zstd':
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
+    if compression == 'zstd':
+        with zstandard.ZstdDecompressor().stream_reader(packed) as stream:
             data = stream.read(size + 1)
-    elif chunk.compression == 'lz4':
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif compression == 'lz4':
+        data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
     else:
-        raise ValueError(f'a chunk is compressed by {chunk.compression!r}')
+        raise ValueError(f'a chunk is compressed by {compression!r}')
     if len(data) != size:
         raise ValueError('a chunk does not unpack to the size in its header')
     return data
+
+
+@contextmanager
+def opened_by_rosbags(path: Path) -> Iterator[Reader]:
+    """Open a bag by rosbags, which unpacks chunks of MCAP without a limit, with that of `path`."""
+    with chunks_of_limited_size(path), Reader(with_files_only(path)) as reader:
+        yield reader
+
+
+@contextmanager
+def chunks_of_limited_size(path: Path) -> Iterator[None]:
+    """Let rosbags unpack the chunks of MCAP files with the limit of `path`."""
+    unlimited = dict(storage_mcap.DECOMPRESSORS)
+    storage_mcap.DECOMPRESSORS.update({
+        name: partial(_unpacked, name, most_unpacked(path)) for name in unlimited})
+    try:
+        yield
+    finally:
+        storage_mcap.DECOMPRESSORS.update(unlimited)
 
 
 def _offered(channel: Channel, problems: list[str]) -> list[dict[str, Any]]:
@@ -349,7 +369,7 @@ def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Conten
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
             remaining -= len(_unzipped(packed, remaining))
-    with Reader(path) as reader:
+    with opened_by_rosbags(path) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
             topic = contents.topics.setdefault(connection.topic,

@@ -23,7 +23,12 @@ from asi_analysis.cli.options import (
     numbers,
     show,
 )
+from asi_analysis.errors import InputError
 from asi_analysis.terminal import bar
+
+# Of asi attribute without a bag.
+MODEL_STEP_N = 100.0
+MODEL_RATE_HZ = 5000.0
 
 
 @command('limit-cycle', 'asi limit-cycle runs/from_inside/bag runs/from_outside/bag')
@@ -84,8 +89,8 @@ def attribute(
     compensator: Compensator = None,
     gain: Annotated[float | None, typer.Option(
         help='Gain at which cycles are compared; default: a little above the onset')] = None,
-    step: Held = 100.0,
-    rate: Rate = 5000.0,
+    step: Held = MODEL_STEP_N,
+    rate: Rate = MODEL_RATE_HZ,
     set_: Settings = None,
     signal: Annotated[str | None, typer.Option(help='Output signal of the bag')] = None,
     report: Report = None,
@@ -97,6 +102,13 @@ def attribute(
     In the model: with each one alone, and with all others. In a bag of any loop: by the shapes of
     command and output; a bag of this actuator is also compared with its model.
     """
+    # Of what is analysed the parameters are known: an option would have no effect.
+    without_effect = {'--signal': signal is not None} if bag is None else {
+        '--compensator': compensator is not None, '--gain': gain is not None,
+        '--step': step != MODEL_STEP_N, '--rate': rate != MODEL_RATE_HZ, '--set': bool(set_)}
+    for option in (name for name, given in without_effect.items() if given):
+        raise InputError(f'{option} has no effect ' + (
+            'without a bag' if bag is None else f'on {bag}: it is an option of the model'))
     with bar() as progress:
         if bag is not None:
             from asi_analysis.bags.bag import read_bag

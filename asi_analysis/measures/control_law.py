@@ -76,7 +76,7 @@ class ControlLaw(NamedTuple):
     reference, signal: gain from the same sample to the command, NaN if it is not identifiable, or
     if the signal hardly has an effect; factor: recorded signal over the one that the controller
     compared with the reference, None if it is not identifiable; breaks: the parts that violate
-    the law.
+    the law; has_memory: the law has earlier samples, and shows that rows follow each other.
     """
 
     reference: float
@@ -86,6 +86,7 @@ class ControlLaw(NamedTuple):
     everywhere: bool    # no compared sample violates it
     exact: bool         # all compared samples satisfy it to rounding errors
     of_all: bool        # nearly all samples of the recording were compared
+    has_memory: bool
 
     def of_servo(self) -> 'ControlLaw':
         """Return what it says if the derivative of the signal may have been another input."""
@@ -137,13 +138,14 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
     factor = 1.0 if _same_static_gain(rows, factors, space) else _factor(rows, valid, span)
     if factor is None:
         factor = _scale(rows, valid, span, factors, known)
-    breaks = _breaks(rows, factors, residual, span, _has_memory(rows, valid, span))
+    has_memory = _has_memory(rows, valid, span)
+    breaks = _breaks(rows, factors, residual, span, has_memory)
     if factor is None or len(_lost(breaks)) > MOST_LOST:    # a few sines satisfy any equation
         breaks = [each for each in breaks if each not in _lost(breaks)]
     return ControlLaw(direct[0], direct[1], factor, tuple(breaks),
                       bool(np.abs(residual).max() < BREAK * span),
                       bool(np.abs(residual).max() < 10.0 * EXACT * span),
-                      len(rows.samples) > NEARLY_ALL * len(time))
+                      len(rows.samples) > NEARLY_ALL * len(time), has_memory)
 
 
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
@@ -188,6 +190,11 @@ def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows
             free &= command != extreme
     free[1:] &= command[1:] != command[:-1]
     free[:-1] &= command[1:] != command[:-1]
+    # Any linear controller rests at 0: what it does with the first change is known.
+    rests = (command == 0.0) & (reference == 0.0) & (signal == 0.0)
+    for begin in np.flatnonzero(rests[:-1] & ~rests[1:]):
+        part = slice(max(int(begin) + 1 - ORDER, 0), int(begin) + 1)
+        free[part] |= rests[part]
     usable = free & np.isfinite(reference) & np.isfinite(signal)
     steps = np.diff(time, prepend=time[0] - 1.0)
     usable &= np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)

@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 from scipy import signal
 
 from asi_analysis.arrays import Array
@@ -10,6 +11,8 @@ from asi_analysis.arrays import Array
 # Least correlation for a delay; largest difference of two correlations that count as equal.
 LEAST_CORRELATION: Final = 0.3
 EQUAL_CORRELATION: Final = 0.01
+# Correlation of an input with itself from which on it repeats.
+REPEATS: Final = 0.9
 
 
 def correlation_delay(input_: Array, output: Array, period_s: float) -> float | None:
@@ -18,8 +21,9 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float | 
 
     The lag with the largest correlation coefficient of the samples that overlap, up to half of the
     run, interpolated between samples; of equal ones, as those of a periodic input, the shortest in
-    which the output follows. The differences are correlated where that is clearer than of the
-    signals, as for a staircase.
+    which the output follows. Where the input repeats nearly, a lag counts as equal if its
+    correlation is nearer to the largest one than such a repetition would make it. The differences
+    are correlated where that is clearer than of the signals, as for a staircase.
     """
     if input_.size < 3:
         return None
@@ -31,6 +35,28 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float | 
 
 def largest_correlation(a: Array, b: Array) -> tuple[float, float]:
     """Return the largest correlation coefficient over the lags of `b`, and its lag in samples."""
+    lags, coefficient = _correlations(a, b)
+    top = int(np.argmax(coefficient))
+    best = float(coefficient[top])
+    own = np.interp(np.abs(lags - lags[top]), *_correlations(a, a), right=0.0)
+    near = np.flatnonzero((coefficient > best - EQUAL_CORRELATION) | (
+        (own > REPEATS) & (coefficient > 0.5 * (1.0 + own) * best)))
+    following = near[lags[near] >= 0]
+    near = following if following.size else near
+    k = int(near[np.argmin(np.abs(lags[near]))])
+    while 0 < k < coefficient.size - 1 and coefficient[k] < max(coefficient[k - 1],
+                                                                coefficient[k + 1]):
+        k += 1 if coefficient[k + 1] > coefficient[k - 1] else -1   # to the top of that peak
+    lag = float(lags[k])
+    if 0 < k < coefficient.size - 1:
+        left, middle, right = coefficient[k - 1:k + 2]
+        bend = left - 2.0 * middle + right
+        lag += float(0.5 * (left - right) / bend) if bend < 0.0 else 0.0
+    return best, lag
+
+
+def _correlations(a: Array, b: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the lags of `b` up to half of the samples, and the correlation at each."""
     most = a.size // 2
     lags = np.arange(-most, most + 1)
     products = signal.correlate(b, a, method='fft')[a.size - 1 - most:a.size + most]
@@ -49,19 +75,5 @@ def largest_correlation(a: Array, b: Array) -> tuple[float, float]:
     # While one of the signals is constant there is no correlation.
     least = [1e-3 * count / a.size * float(np.sum((each - each.mean()) ** 2)) for each in (a, b)]
     known = (spread[0] > least[0]) & (spread[1] > least[1])
-    coefficient = np.where(known, (products - sum_a * sum_b / count)
-                           / np.sqrt(np.maximum(spread[0] * spread[1], 1e-300)), -1.0)
-    best = float(coefficient.max())
-    near = np.flatnonzero(coefficient > best - EQUAL_CORRELATION)
-    following = near[lags[near] >= 0]
-    near = following if following.size else near
-    k = int(near[np.argmin(np.abs(lags[near]))])
-    while 0 < k < coefficient.size - 1 and coefficient[k] < max(coefficient[k - 1],
-                                                                coefficient[k + 1]):
-        k += 1 if coefficient[k + 1] > coefficient[k - 1] else -1   # to the top of that peak
-    lag = float(lags[k])
-    if 0 < k < coefficient.size - 1:
-        left, middle, right = coefficient[k - 1:k + 2]
-        bend = left - 2.0 * middle + right
-        lag += float(0.5 * (left - right) / bend) if bend < 0.0 else 0.0
-    return best, lag
+    return lags, np.where(known, (products - sum_a * sum_b / count)
+                          / np.sqrt(np.maximum(spread[0] * spread[1], 1e-300)), -1.0)

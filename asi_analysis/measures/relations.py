@@ -97,10 +97,13 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         return
     time, reference, values = run.time_s[both], run.reference_n[both], output[both]
     whole = whole_run(time)
-    if len(values) >= COPIED and np.ptp(values) > 0.0 and (values == reference).all():
-        yield Finding('copy', name, DOUBTFUL, whole,
-                      f'the {name_of(name)} equals its reference in every sample: is it measured?')
-        return
+    for other in ('reference', 'command'):
+        if len(values) >= COPIED and np.ptp(values) > 0.0 and other in run.signals() and (
+                values == run.signal(other)[both]).all():
+            yield Finding('copy', name, DOUBTFUL, whole,
+                          f'the {name_of(name)} equals its {other} in every sample: '
+                          'is it measured?')
+            return
     if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES:
         yield Finding('clipping', name, DOUBTFUL, whole,
                       f'the {name_of(name)} only jumps, and is constant in between: it is cut off')
@@ -309,7 +312,8 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
     return _ByCommand(problems, usual or found.factor == 1.0,
                       found.everywhere and found.signal < 0.0 and not found.reference < 0.0,
-                      found.everywhere, found.everywhere and found.of_all)
+                      found.everywhere,
+                      found.everywhere and found.of_all and found.has_memory)
 
 
 def _wrong_unit(found: ControlLaw, words: str, moved: float, correlation: float
@@ -324,6 +328,9 @@ def _wrong_unit(found: ControlLaw, words: str, moved: float, correlation: float
     if factor == -1.0 or factor is None and found.everywhere and found.signal > 0.0 and (
             found.reference > 0.0 or correlation < 0.0):
         return 'sign', f'the command rises with the {words}: is its sign right?'
+    if factor is None and found.everywhere and found.reference < 0.0 and correlation < 0.0:
+        return 'sign', (f'the command falls with the reference and with the {words}, which moves '
+                        'against its reference: is its sign right?')
     ratio = abs(found.reference / found.signal)
     if factor is None and (ratio > UNIT_FACTOR or ratio < 1.0 / UNIT_FACTOR or (
             np.isnan(ratio) and (size > MOST_GAIN and moved < SAME_SIZE

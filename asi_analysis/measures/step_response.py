@@ -239,6 +239,8 @@ TRANSIENT: Final = ('rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'se
 RETURNS: Final = 2.0
 # Largest share of missing samples in the steady part.
 LOST_SHARE: Final = 0.1
+# A rise in fewer sampling periods is mostly interpolated.
+RESOLVED: Final = 2.0
 
 
 class StepResponse(Result):
@@ -321,14 +323,19 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     if steady.reliable and abs(step.steady_state_error_n or np.inf) < resolution:
         steady = Trust(False, False, f'the {name} has a resolution of {resolution:.3g} '
                                      f'{run.unit(name)}')
+    rise = moving
+    if moving.reliable and (step.rise_time_s or np.inf) < RESOLVED * run.period_s:
+        rise = Trust(False, False, f'the samples are {1e3 * run.period_s:.4g} ms apart')
     reliable[step.time_s] = dict.fromkeys(TRANSIENT, moving.reliable) | {
-        'steady_state_error_n': steady.reliable}
+        'rise_time_s': rise.reliable, 'steady_state_error_n': steady.reliable}
     if moving.withheld:
         step = step._replace(rise_time_s=None, overshoot_percent=None, settling_time_2_s=None,
                              settling_time_5_s=None, rise_shape=None)
     if steady.withheld:
         step = step._replace(steady_state_error_n=None)
     notes = moving.note('rise, overshoot and settling') + steady.note('steady-state error')
+    if rise is not moving:
+        notes = rise.note('rise') + notes
     return step._replace(notes=(*step.notes, *notes))
 
 

@@ -6,12 +6,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
 from rosbags.typesys import TypesysError, get_types_from_msg
 
 from asi_analysis.bags import cdr
 from asi_analysis.bags.bag import Series, align, decode, time_base
-from asi_analysis.bags.bag_file import BROKEN, read_contents, with_files_only
+from asi_analysis.bags.bag_file import BROKEN, opened_by_rosbags, read_contents
 from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.lerobot import is_dataset
 from asi_analysis.bags.exchange.ros1_bag import read_ros1_table
@@ -68,7 +67,7 @@ def _learn_types(path: Path, missing: set[str]) -> None:
     rosbags makes code of them; its grammar allows only names, numbers and literals.
     """
     with (suppress(TypesysError, SyntaxError, *BROKEN),
-          Reader(with_files_only(path)) as reader):
+          opened_by_rosbags(path) as reader):
         for connection in reader.connections:
             definition = connection.msgdef
             if connection.msgtype in missing and definition.format == MessageDefinitionFormat.MSG:

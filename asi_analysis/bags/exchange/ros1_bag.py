@@ -15,7 +15,13 @@ from rosbags.rosbag1 import ReaderError, reader
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from asi_analysis.bags.bag import Series, align, time_base
-from asi_analysis.bags.bag_file import BROKEN, TOO_MUCH, most_unpacked, with_files_only
+from asi_analysis.bags.bag_file import (
+    BROKEN,
+    TOO_MUCH,
+    chunks_of_limited_size,
+    most_unpacked,
+    with_files_only,
+)
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 
@@ -27,8 +33,9 @@ def opened(path: Path) -> Iterator[AnyReader]:
     reader.decompressors |= {name: partial(_unpacked, new, most_unpacked(path))
                              for name, new in _DECOMPRESSORS.items()}
     try:
-        with AnyReader([with_files_only(path)],
-                       default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+        with chunks_of_limited_size(path), AnyReader(
+                [with_files_only(path)],
+                default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
             yield bag
     except InputError:
         raise

@@ -156,7 +156,10 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     """
     progress('detection', 0.0)
     segment = _segment_of(run, signal)
-    if segment.verdict == 'forced':
+    configuration = run.information
+    modelled = 'actuator' in configuration and 'controller' in configuration and (
+        segment.verdict in ('limit_cycle', 'unsteady', 'growing'))
+    if segment.verdict == 'forced' or modelled and not np.isfinite(segment.frequency_hz):
         raise InputError(f'{run.source or "the run"}: no oscillation of its own to attribute: '
                          f'{segment.why}')
     document: dict[str, Any] = {
@@ -168,9 +171,7 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     document['reliable'] = samples.reliable
     if np.isfinite(segment.frequency_hz):
         document |= {'frequency_hz': segment.frequency_hz, 'amplitude_n': segment.amplitude}
-    configuration = run.information
-    if 'actuator' in configuration and 'controller' in configuration and (
-            segment.verdict in ('limit_cycle', 'unsteady', 'growing')):
+    if modelled:
         return _marked(document | _by_model(run, segment, progress), samples, run, signal)
     progress('shape', 0.3)
     found = shape_of(run, document, signal)

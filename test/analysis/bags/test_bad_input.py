@@ -6,6 +6,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tracemalloc
 import warnings
 import zipfile
 from pathlib import Path
@@ -32,6 +33,7 @@ from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.qos import as_profile
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.loop.in_process import simulate
 from asi_common.files import write_text
 from asi_common.node.topics import STREAM_QOS
 from torture.inputs import as_sqlite
@@ -75,6 +77,17 @@ def test_a_call_that_is_wrong_is_refused_in_one_line(
     assert said.startswith('asi: ')
     assert said.count('\n') == 1
     assert not (tmp_path / 'new').exists()
+
+
+@pytest.mark.parametrize('words', [
+    ['BAG', '--gain', '3'], ['BAG', '--set', 'controller.gain=nan'], ['BAG', '--rate', '1000'],
+    ['--signal', 'force']])
+def test_an_option_without_effect_is_refused(
+        words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+        ) -> None:
+    status, said = asi(monkeypatch, capsys, 'attribute', *words)
+    assert status == 2
+    assert f'{words[-2]} has no effect' in said
 
 
 @pytest.mark.parametrize('kind', ['npz', 'mat'])
@@ -134,15 +147,20 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_left_out(declared: int, tmp_path: 
     bomb = zstandard.ZstdCompressor().compress(bytes(300_000_000))
     with (tmp_path / 'a.mcap').open('wb') as file:
         writer = Writer(file)
-        writer.start()
+        writer.start('ros2')
         chunk = Chunk('zstd', bomb, 0, 0, 0, declared)
         chunk.write(writer._Writer__record_builder)  # type: ignore[attr-defined]
         file.write(writer._Writer__record_builder.end())  # type: ignore[attr-defined]
         writer.finish()
     contents = read_contents(tmp_path / 'a.mcap', lambda _: True)
     assert 'unpack' in contents.problems[0]
-    with pytest.raises(InputError, match='unpack'):
-        read_bag(tmp_path / 'a.mcap')
+    for read in (read_bag, preview, lambda path: import_recording(
+            path, ['force=/f/data'], out=tmp_path / 'bag')):
+        tracemalloc.start()
+        with pytest.raises(InputError, match='unpack'):
+            read(tmp_path / 'a.mcap')
+        assert tracemalloc.get_traced_memory()[1] < 1e8
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
@@ -297,6 +315,18 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
         warnings.simplefilter('error')
         write_bag(a_run(), tmp_path / 'bag')
         assert len(read_bag(tmp_path / 'bag')) == 300
+
+
+def test_a_run_that_a_full_disk_ended_does_not_stand_in_the_way(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        def full(*_: object) -> None:
+            raise OSError(28, 'No space left on device')
+
+        patch.setattr('asi_analysis.bags.bag_writer.write_text', full)
+        with pytest.raises(OSError, match='No space left'):
+            simulate({}, {}, 0.02, out=tmp_path / 'run')
+    assert len(simulate({}, {}, 0.02, out=tmp_path / 'run')) == 100
 
 
 @pytest.mark.parametrize('variables', [{}, {'HOME': '/proc/none', 'LC_ALL': 'C'},

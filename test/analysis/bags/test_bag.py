@@ -598,7 +598,7 @@ def test_message_types_of_a_bag_run_nothing(
     topic.add(1, 1, wrench(1, 2.0))
     connection = SimpleNamespace(msgtype=kind, msgdef=SimpleNamespace(
         format=MessageDefinitionFormat.MSG, data=definition))
-    monkeypatch.setattr(bag_table, 'Reader', lambda path: nullcontext(
+    monkeypatch.setattr(bag_table, 'opened_by_rosbags', lambda path: nullcontext(
         SimpleNamespace(connections=[connection])))
     with pytest.raises(InputError, match='/a'):
         import_recording(tmp_path, ['force=/a/x'])

@@ -22,6 +22,7 @@ from asi_analysis.limit_cycle.attribution.classifier import WEIGHTS
 from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.in_process import simulate
 from asi_analysis.reporting.report import write_pictures
 from bench.train_attribution import examples, validate
 from bench.valve_loops import (
@@ -223,3 +224,9 @@ def test_a_quiet_run_has_no_oscillation_to_attribute(swing):
     force = 100.0 + swing * np.random.default_rng(1).normal(size=1000)
     with pytest.raises(InputError, match='oscillation|move'):
         attribute_cycle(Run(time_s, np.full(1000, 100.0), np.full(1000, 100.0), force))
+
+
+def test_a_step_of_our_actuator_that_settles_has_no_oscillation_to_attribute():
+    run = simulate({}, {'compensator': 'lead_lag', 'gain': 6.0, 'reference.amplitude': 300.0}, 0.5)
+    with pytest.raises(InputError, match='no oscillation of its own.*fewer than 3 cycles'):
+        attribute_cycle(run)

@@ -11,6 +11,8 @@ from scipy import optimize, signal
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.loop.in_process import simulate
+from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.correlation import correlation_delay
 from asi_analysis.measures.frequency_response import (
     actuator_bandwidth,
@@ -68,6 +70,17 @@ def test_delay_by_correlation_is_the_delay(kind, delay_s):
     noisy = late + 0.02 * np.std(x) * rng.standard_normal(count)
     assert correlation_delay(x, noisy, 1.0 / rate) == pytest.approx(delay_s, rel=0.02,
                                                                     abs=1.0 / rate)
+
+
+def test_a_delay_where_the_input_nearly_repeats():
+    """The start of a run makes the correlation a little larger one repetition later."""
+    run = simulate({'load.type': 'free'}, {
+        'reference.shape': 'multisine', 'reference.amplitude': 100.0, 'reference.frequency': 2.0,
+        'reference.end_frequency': 80.0}, 2.0, 1000.0)
+    assert analyze(run).correlation_delay_s == pytest.approx(0.002, abs=5e-4)
+    reference = run.signal('reference')
+    late = np.concatenate([np.zeros(977), reference])[:len(run)]
+    assert correlation_delay(reference, late, 1e-3) == pytest.approx(0.977, abs=1e-4)
 
 
 def test_signals_with_nothing_in_common_have_no_delay():

@@ -58,6 +58,8 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
     'late': ('order', lambda run: with_force(run, lambda f: late(f, 5))),
     'a little late': ('order', lambda run: with_force(run, lambda f: np.roll(f, 1))),
     'copied': ('copy', lambda run: replace(run, force_n=run.signal('reference').copy())),
+    'equal to the command': ('copy', lambda run: with_force(
+        run, lambda f: run.signal('command').copy())),
     'late reference': ('order', lambda run: replace(
         run, reference_n=late(run.signal('reference'), 30))),
     'reference a little late': ('order', lambda run: replace(
@@ -135,6 +137,34 @@ def test_a_reference_of_the_wrong_sign(compensator: str) -> None:
     run = a_loop(compensator=compensator)
     found = findings(replace(run, reference_n=-run.signal('reference')))
     assert [each.kind for each in found] == ['sign']
+
+
+def test_a_reference_of_the_wrong_sign_that_a_free_piston_hardly_follows() -> None:
+    run = a_loop('multisine', 'free', compensator='proportional')
+    assert findings(run) == []
+    assert [each.kind for each in findings(replace(
+        run, reference_n=-run.signal('reference')))] == ['sign']
+
+
+@pytest.mark.parametrize(('scale', 'kinds'), [(1.0, []), (4.4482216, ['unit']), (1e-3, ['unit'])])
+def test_a_loop_that_rests_without_noise_tells_its_unit(scale: float, kinds: list[str]) -> None:
+    """The only step is the first command after many that are 0."""
+    run = Run(*simulate_loop({}, {'compensator': 'lead_lag', 'reference.shape': 'step',
+                                  'reference.amplitude': 300.0}, 0.5, 5000.0))
+    assert [each.kind for each in findings(with_force(run, lambda f: scale * f))] == kinds
+
+
+def test_pieces_that_are_exchanged_with_a_controller_without_a_memory() -> None:
+    """Each row satisfies its control law, in any order."""
+    run = Run(*simulate_loop({}, {'compensator': 'proportional', 'gain': 12.0,
+                                  'reference.shape': 'step', 'reference.amplitude': 100.0},
+                             0.6, 5000.0))
+    run = replace(run, position_m=None, velocity_m_s=None, valve_position_m=None)
+    rows = np.concatenate([np.arange(553), np.arange(2281, 2581), np.arange(853, 2281),
+                           np.arange(553, 853), np.arange(2581, 3000)])
+    assert findings(run) == []
+    exchanged = replace(of_rows(run, rows), time_s=run.time_s)
+    assert [each.kind for each in findings(exchanged)] == ['jump']
 
 
 @pytest.mark.parametrize('change', [lambda f: 5.0 + f, lambda f: 0.5 * f])

@@ -132,3 +132,14 @@ def test_lost_samples_do_not_matter():
     holes = largest_step(step_responses(Run(whole.time_s, reference_n=reference, force_n=force)))
     assert holes.rise_time_s == pytest.approx(exact_rise(0.456, 100.0), rel=5e-3)
     assert holes.settling_time_2_s == pytest.approx(exact_settling(0.456, 100.0, 0.02), rel=5e-3)
+
+
+@pytest.mark.parametrize(('every', 'resolved'), [(20, True), (120, False)])
+def test_a_rise_between_two_samples_is_doubtful(every, resolved):
+    run = step_run(lambda t: second_order(t, 0.5, 100.0), start_s=0.12)
+    found = analyze(Run(run.time_s[::every], reference_n=run.reference_n[::every],
+                        force_n=run.force_n[::every]))
+    assert found.reliable['rise_time_s'] is resolved
+    assert found.reliable['overshoot_percent']
+    assert [note for note in found.notes if 'samples are 24 ms apart' in note] == (
+        [] if resolved else ['rise: doubtful, because the samples are 24 ms apart'])
