@@ -1,9 +1,9 @@
 """
-`python -m bench.public_recordings DIRECTORY`: recordings by others whose cause is known, diagnosed.
+`python -m bench.public_recordings DIRECTORY`: recordings by others, of known cause, diagnosed.
 
-`bench/public_recordings.toml` lists them. --links prints how to fetch them into DIRECTORY. Each is
-checked against its checksum, imported and diagnosed by the `asi` command itself, in a folder of
-its own, which --keep keeps; the table of the answers is printed.
+`bench/public_recordings.toml` lists them. --links prints how to fetch them into DIRECTORY.
+Each is checked against its checksum, imported and diagnosed by the `asi` command itself, in a
+folder of its own, which --keep keeps; the table of the answers is printed.
 """
 
 import argparse
@@ -38,7 +38,7 @@ class Answer(NamedTuple):
     notes: str = ''
 
 
-class Faulty(Exception):
+class FaultyError(Exception):
     """A recording is absent, another than the listed one, or a command ended in a traceback."""
 
 
@@ -71,15 +71,15 @@ def links(directory: str) -> Iterator[str]:
 
 
 def checked(directory: Path, rig: Mapping[str, Any]) -> dict[str, Path]:
-    """Return the files of a rig by name; raise Faulty if one is absent or another one."""
+    """Return the files of a rig by name; raise FaultyError if one is absent or another one."""
     files = {}
     for name, expected in rig['files'].items():
         path = directory / folder_of(rig) / name
         if not path.exists():
-            raise Faulty(f'{path}: not there (--links says how to fetch it)')
+            raise FaultyError(f'{path}: not there (--links says how to fetch it)')
         found = hashlib.sha256(path.read_bytes()).hexdigest()
         if found != expected:
-            raise Faulty(f'{path}: SHA-256 {found}, not the {expected} of the list')
+            raise FaultyError(f'{path}: SHA-256 {found}, not the {expected} of the list')
         files[name] = path
     return files
 
@@ -96,11 +96,11 @@ def with_difference(path: Path, names: Sequence[str], folder: Path) -> Path:
 
 
 def asi(arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run the command; raise Faulty if it ended in a traceback."""
+    """Run the command; raise FaultyError if it ended in a traceback."""
     done = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', *arguments], cwd=folder,
                           capture_output=True, text=True, check=False)
     if 'Traceback' in done.stderr or done.returncode not in (0, 1, 2):
-        raise Faulty(f'asi {shlex.join(arguments)}: {done.stderr[-2000:]}')
+        raise FaultyError(f'asi {shlex.join(arguments)}: {done.stderr[-2000:]}')
     return done
 
 
@@ -178,7 +178,7 @@ def main() -> None:
             try:
                 answer = diagnosed(Path(arguments.directory), rig, folder)
                 judgement = judged(rig, answer)
-            except Faulty as error:
+            except FaultyError as error:
                 answer, judgement = Answer('', 0.0, notes=str(error)), 'failed'
         counts[rig['half'], judgement] += 1
         print(f'| {rig["half"]} | {rig["name"]} | {rig["cause"]} | {answer.verdict} | '
