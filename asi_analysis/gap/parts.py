@@ -59,10 +59,10 @@ def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
 
     best = min(both_ways((PARTS, 2 * PARTS, 4 * PARTS)), key=lambda each: imbalance(*each))
     follows = _responses(driving)   # the best is the first that is balanced
-    if _seen(*best, follows) >= SEEN:
+    if _seen(best, follows) >= SEEN:
         return best
     return max((best, *both_ways(MORE_PARTS)), key=lambda each: (
-        min(_seen(*each, follows), WELL_SEEN), -imbalance(*each)))
+        min(_seen(each, follows), WELL_SEEN), -imbalance(*each)))
 
 
 def _responses(driving: Array) -> Array:
@@ -78,6 +78,7 @@ def _responses(driving: Array) -> Array:
     return recent / max(float(recent.sum()), 1e-300)
 
 
-def _seen(fit: Mask, held: Mask, follows: Array) -> float:
+def _seen(parts: tuple[Mask, Mask], follows: Array) -> float:
     """Return the least share of the responses in the fitted parts, and for model selection."""
+    fit, held = parts
     return min(float(follows[part].sum()) for part in (fit, held & ~reported(held)))

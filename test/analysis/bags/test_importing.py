@@ -355,3 +355,9 @@ def test_a_signed_register_read_as_unsigned_is_remarked_and_can_be_read(tmp_path
         warnings.simplefilter('error', InputWarning)
         run = import_recording(tmp_path / 'a.csv', ['force=load*int16'], 10.0)
     assert run.signal('force').tolist() == [5, 3, 1, 0, -1, -6, -5, -3, -1, 2, 4]
+
+
+def test_a_text_may_be_a_log(tmp_path: Path) -> None:
+    (tmp_path / 'a.log').write_text('time, values[0]\n0, 1\n1, 2\n')
+    run = import_recording(tmp_path / 'a.log', ['time=time', 'velocity=values[0][m/s]'])
+    assert run.signal('velocity').tolist() == [1.0, 2.0]
