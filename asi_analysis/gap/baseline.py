@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.stats import t
 
 from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError
@@ -67,13 +68,13 @@ def healthy_of(fitted: Fitted, tolerance: float, own: Mapping[str, float]) -> He
               for channel in group.channels}
     left, share, over = ({channel: float(each[n]) for channel, each in errors.items()}
                          for n in range(3))
-    spread = {field: _spread(fitted, field, values, own.get(field, tolerance))
+    spread = {field: _spread(fitted, field, *values, own.get(field, tolerance))
               for field, values in _values(fitted, over).items()}
     return Healthy(fitted, spread, left, share, over)
 
 
-def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
-    """Return, by field, the 95 % interval of a parameter and its values in single recordings."""
+def _values(fitted: Fitted, over_floor: Values) -> dict[str, tuple[list[float], list[float]]]:
+    """Return, by field, the 95 % intervals of a parameter and its values in single recordings."""
     group = fitted.problem.group
     measured_floor = replace(group, error_floor={
         channel: _measured_floor(level, group.noise[channel], over_floor[channel])
@@ -81,13 +82,13 @@ def _values(fitted: Fitted, over_floor: Values) -> dict[str, list[float]]:
     fitted = fitted._replace(problem=replace(fitted.problem, group=measured_floor, _key=b''))
     known = likelihood(fitted)
     alone = [_fitted_alone(fitted, recording) for recording in group.recordings]
-    found: dict[str, list[float]] = {}
+    found: dict[str, tuple[list[float], list[float]]] = {}
     for free in fitted.free:
         field = free.field.partition('@')[0]
         if field not in REMOVED and (field in CONSTANT or field not in OF_A_RECORDING):
-            found.setdefault(field, []).extend((
-                *interval(fitted, known, free.field),
-                *(values[free.field] for values in alone if free.field in values)))
+            ends, single = found.setdefault(field, ([], []))
+            ends.extend(interval(fitted, known, free.field))
+            single.extend(values[free.field] for values in alone if free.field in values)
     return found
 
 
@@ -96,13 +97,23 @@ def _measured_floor(level: float, noise: float, over_floor: float) -> float:
     return noise ** 2 + (level - noise ** 2) * min(over_floor, 1.0)
 
 
-def _spread(fitted: Fitted, field: str, values: Sequence[float], tolerance: float) -> Spread:
-    """Return the spread of a parameter from these values, at most its tolerance."""
+def _spread(fitted: Fitted, field: str, ends: Sequence[float], single: Sequence[float],
+            tolerance: float) -> Spread:
+    """
+    Return the spread of a parameter, at most its tolerance.
+
+    From the ends of its 95 % intervals, and from its values in single recordings: one more lies
+    with 95 % within their prediction interval (Student's), which is wide if they are two.
+    """
     frees = [free for free in fitted.free if free.field.partition('@')[0] == field]
     value = float(np.mean([fitted.record[free.field] for free in frees]))
     bounds = fitted.problem.parameter(frees[0])
     most = tolerance * abs(value) if field in NOMINAL_FIELDS else np.inf
-    below, above = (min(max(RANGE_FACTOR * each, LEAST_SPREAD * abs(value)), most)
+    values = [*ends, *single]
+    number = len(single)
+    next_one = float(t.ppf(0.975, number - 1) * np.std(single, ddof=1) * np.sqrt(
+        1.0 + 1.0 / number)) if number > 1 else 0.0
+    below, above = (min(max(RANGE_FACTOR * each, next_one, LEAST_SPREAD * abs(value)), most)
                     for each in (value - min(values), max(values) - value))
     return Spread(value, max(value - below, bounds.low), min(value + above, bounds.high),
                   frees[0].unit)

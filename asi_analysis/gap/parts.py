@@ -1,6 +1,7 @@
 """Parts of a recording: for the fit, for model selection and for validation."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -9,6 +10,10 @@ from asi_analysis.arrays import Array, Mask
 BURN_IN_S = 0.15        # left out at the start, where the inner states are not known
 BURN_OUT_S = 0.1        # left out at the end, since the motion after it is not known
 PARTS = 12              # of a recording, in turn: fit, model selection, fit, validation
+MORE_PARTS = (*range(5, 48), 64, 96)   # if in none of the usual ones a few steps are seen
+# Least share of the changes of the input in fit and model selection, and what is sought then.
+SEEN, WELL_SEEN = 0.05, 0.2
+RESPONSE = 0.02         # of the recording: as long as a change is followed, at least
 OUTSIDE = 0.01          # share of the held-out samples outside the range of the fitted parts
 
 
@@ -48,6 +53,32 @@ def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
         ratio = np.mean(size[held] ** 2) / max(np.mean(size[fit] ** 2), 1e-300)
         return max(beyond, abs(math.log2(max(ratio, 1e-300))) / 2.0, 1.0)
 
-    splits = [split(driving.size, period, parts) for parts in (PARTS, 2 * PARTS, 4 * PARTS)]
-    return min((each for fit, held in splits for each in ((fit, held), (held, fit))),
-               key=lambda each: imbalance(*each))   # the first that is balanced
+    def both_ways(parts: Iterable[int]) -> list[tuple[Mask, Mask]]:
+        splits = [split(driving.size, period, number) for number in parts]
+        return [each for fit, held in splits for each in ((fit, held), (held, fit))]
+
+    best = min(both_ways((PARTS, 2 * PARTS, 4 * PARTS)), key=lambda each: imbalance(*each))
+    follows = _responses(driving)   # the best is the first that is balanced
+    if _seen(best, follows) >= SEEN:
+        return best
+    return max((best, *both_ways(MORE_PARTS)), key=lambda each: (
+        min(_seen(each, follows), WELL_SEEN), -imbalance(*each)))
+
+
+def _responses(driving: Array) -> Array:
+    """
+    Return how much of the changes of an input each sample follows, with the sum 1.
+
+    The gap of a loop shows after its steps only: a part without one holds no evidence.
+    """
+    change = np.append(0.0, np.diff(driving) ** 2)
+    length = max(int(RESPONSE * driving.size), 3)
+    summed = np.cumsum(change)
+    recent = summed - np.append(np.zeros(length), summed[:-length])[:driving.size]
+    return recent / max(float(recent.sum()), 1e-300)
+
+
+def _seen(parts: tuple[Mask, Mask], follows: Array) -> float:
+    """Return the least share of the responses in the fitted parts, and for model selection."""
+    fit, held = parts
+    return min(float(follows[part].sum()) for part in (fit, held & ~reported(held)))

@@ -31,6 +31,11 @@ _TERM: Final = re.compile(
     rf'(?P<column>.+?)(?:\*(?P<scale>{_NUMBER}|[A-Za-z_]\w*))?(?P<offset>[+-]{_UNSIGNED})?$')
 
 
+# Scales that read an unsigned number as the signed one with the same bits, as registers hold it.
+SIGNED: Final = {'int16': 2.0 ** 16, 'int32': 2.0 ** 32}
+LEAST_WRAPPED: Final = 5    # samples near 0 and near the end of the range
+
+
 class Assignment(NamedTuple):
     """One mapping: signal = (column * scale + offset) in a unit."""
 
@@ -103,8 +108,10 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
         raise InputError(f'{path}: {mapping.text!r} names no column; there are '
                          + listed(table))
     found = _TERM.fullmatch(mapping.term)
+    span = 0.0
     if found and term not in (mapping.term, mapping.text.partition('=')[2].strip()):
-        scale = _scale(found['scale'], table, mapping, path)
+        span = 0.0 if found['scale'] in table else SIGNED.get(found['scale'] or '', 0.0)
+        scale = 1.0 if span else _scale(found['scale'], table, mapping, path)
         offset = float(found['offset'] or 0.0)
     unit, factor = conversion(mapping.unit) or ('', 1.0)
     if mapping.signal == 'time' and (
@@ -114,9 +121,27 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
                              'have their unit: leave scale and unit out')
         return seconds, 's'
     values = numbers_of(term, table[term], path)
+    if span:
+        values = (values + 0.5 * span) % span - 0.5 * span
+    elif mapping.signal != 'time' and (kind := wrapped(values)):
+        warnings.warn(f'{path}: column {term} has values near 0 and near the largest of {kind[1:]}'
+                      f', and none between: it looks like a signed number that was read as an '
+                      f'unsigned one; if so, map {mapping.signal}={term}*{kind}', InputWarning,
+                      stacklevel=2)
     if scale != 1.0 or offset != 0.0:
         values = values * scale + offset
     return (values if factor == 1.0 else values * factor), unit
+
+
+def wrapped(values: Array) -> str:
+    """Return the kind of signed number that values seem to be, read as unsigned; '' if none."""
+    known = values[np.isfinite(values)]
+    for kind, span in SIGNED.items():
+        near = [int(np.sum(known < 0.25 * span)), int(np.sum(known >= 0.75 * span))]
+        if (min(near) >= LEAST_WRAPPED and sum(near) == known.size and known.min() >= 0.0
+                and known.max() < span and np.all(known == np.round(known))):
+            return kind
+    return ''
 
 
 def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> float:

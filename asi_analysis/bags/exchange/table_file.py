@@ -29,7 +29,7 @@ BROKEN: Final = (OSError, ValueError, EOFError, NotImplementedError, TypeError, 
                  lzma.LZMAError, zipfile.BadZipFile,
                  SyntaxError, tokenize.TokenError)    # headers of numpy
 
-TEXTS: Final = ('.csv', '.tsv', '.txt', '.dat')
+TEXTS: Final = ('.csv', '.tsv', '.txt', '.dat', '.log')
 
 # column name → its values; a scalar of a MAT file is a column of one value
 Table = dict[str, npt.NDArray]

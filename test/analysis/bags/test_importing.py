@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -343,3 +344,20 @@ def by_bands(input_: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.nda
     bands = [slice(int(low / line_hz), int((low + 0.5) / line_hz)) for low in edges]
     gain = [abs(np.vdot(u[band], v[band]) / np.vdot(u[band], u[band])) for band in bands]
     return edges + 0.25, np.array(gain)
+
+
+def test_a_signed_register_read_as_unsigned_is_remarked_and_can_be_read(tmp_path: Path) -> None:
+    register = np.array([5, 3, 1, 0, 65535, 65530, 65531, 65533, 65535, 2, 4])
+    (tmp_path / 'a.csv').write_text('load\n' + '\n'.join(map(str, register)) + '\n')
+    with pytest.warns(InputWarning, match=r'map force=load\*int16'):
+        import_recording(tmp_path / 'a.csv', ['force=load'], 10.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error', InputWarning)
+        run = import_recording(tmp_path / 'a.csv', ['force=load*int16'], 10.0)
+    assert run.signal('force').tolist() == [5, 3, 1, 0, -1, -6, -5, -3, -1, 2, 4]
+
+
+def test_a_text_may_be_a_log(tmp_path: Path) -> None:
+    (tmp_path / 'a.log').write_text('time, values[0]\n0, 1\n1, 2\n')
+    run = import_recording(tmp_path / 'a.log', ['time=time', 'velocity=values[0][m/s]'])
+    assert run.signal('velocity').tolist() == [1.0, 2.0]

@@ -1,0 +1,59 @@
+"""Faults that recordings by others showed (doc/explanation/public_recordings.md), on our own."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_gap_joint import TWO_WAVES, joint
+
+from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputWarning
+from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.inference.hypotheses import Candidate, closes_its_gap
+from asi_analysis.gap.model.joint import rattling_in
+from asi_analysis.gap.parts import balanced_split, reported
+
+
+def pulse(count: int = 857) -> np.ndarray:
+    """Return one pulse: an edge in each of two parts that would be for validation only."""
+    return np.where((np.arange(count) > 253) & (np.arange(count) < 503), 0.4, 0.0)
+
+
+def test_the_only_steps_of_an_input_are_fitted_and_used_for_model_selection():
+    driving = pulse()
+    fit, held = balanced_split(driving, 0.008)
+    edges = np.flatnonzero(np.diff(driving))
+    for part in (fit, held & ~reported(held)):
+        assert any(part[edge:edge + 5].any() for edge in edges)
+    assert reported(held).any()
+
+
+def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
+    driving, output = pulse(), np.zeros(857)
+    speed = 0.0
+    for k in range(1, driving.size):     # 3 Hz, damping ratio 0.3, at 125 Hz
+        for _ in range(8):
+            speed += 0.001 * (18.8 ** 2 * (driving[k - 1] - output[k]) - 11.3 * speed)
+            output[k] += 0.001 * speed
+        output[k:] = output[k]
+    output += np.random.default_rng(3).normal(0.0, 1e-4, output.size)
+    run = Run(0.008 * np.arange(driving.size), reference_n=driving, velocity_m_s=output,
+              source='arm', information={'signals': {'reference': 'rad/s', 'velocity': 'rad/s'}})
+    with pytest.warns(InputWarning, match='servo is of second order: 3'):
+        diagnose([run], plant='joint')
+
+
+@pytest.mark.parametrize(('share', 'none'), [(0.0, True), (0.3, False)])
+def test_a_backlash_of_its_smallest_width_is_none(share: float, none: bool):
+    variant = rattling_in(None)[0]
+    fitted = SimpleNamespace(free=variant.free, theta=[share, 0.5, 0.5])
+    assert closes_its_gap(Candidate(('backlash',), (variant,), fitted)) == none
+
+
+@pytest.mark.filterwarnings('ignore:.*the joint has gravity')
+def test_a_third_run_of_a_machine_that_varies_is_no_change():
+    # The friction of the two healthy runs differs by 5 %, that of the third by 5 % more.
+    first, second, third = (joint(gravity=0.5, friction=friction, course=TWO_WAVES)
+                            for friction in (0.1, 0.105, 0.11))
+    answer = diagnose([third], plant='joint', baseline=[first, second])
+    assert answer.baseline['change'] != 'changed'
