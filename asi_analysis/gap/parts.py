@@ -58,20 +58,21 @@ def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
         return [each for fit, held in splits for each in ((fit, held), (held, fit))]
 
     best = min(both_ways((PARTS, 2 * PARTS, 4 * PARTS)), key=lambda each: imbalance(*each))
-    follows = _responses(driving)   # the best is the first that is balanced
+    follows = _responses(driving, period)   # the best is the first that is balanced
     if _seen(best, follows) >= SEEN:
         return best
     return max((best, *both_ways(MORE_PARTS)), key=lambda each: (
         min(_seen(each, follows), WELL_SEEN), -imbalance(*each)))
 
 
-def _responses(driving: Array) -> Array:
+def _responses(driving: Array, period: float) -> Array:
     """
     Return how much of the changes of an input each sample follows, with the sum 1.
 
     The gap of a loop shows after its steps only: a part without one holds no evidence.
     """
     change = np.append(0.0, np.diff(driving) ** 2)
+    change[:int(BURN_IN_S / period)] = 0.0
     length = max(int(RESPONSE * driving.size), 3)
     summed = np.cumsum(change)
     recent = summed - np.append(np.zeros(length), summed[:-length])[:driving.size]

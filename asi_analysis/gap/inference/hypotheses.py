@@ -57,6 +57,7 @@ from asi_analysis.gap.model.group import (
     with_lower_noise,
 )
 from asi_analysis.gap.model.predict import propagated_noise
+from asi_analysis.gap.model.rattling import is_closed
 from asi_analysis.gap.model.static import as_limit, at_the_end
 from asi_analysis.parallel import in_threads
 from asi_common.record import field_name
@@ -82,8 +83,6 @@ SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # Of a servo: if a fit leaves at most QUIET_RATIO times the noise variance, the model error is
 # small, and the error floor is the residual of that fit times FLOOR_MARGIN (mean squares).
 QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
-# The form of a backlash with two masses, and the share of its range below which a width is zero.
-FLOATING, CLOSED = ('backlash_floating', 1.0), 1e-3
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
@@ -269,19 +268,8 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
     polished = in_threads(lambda each: polish(group, each.fitted), near)
     found |= {each.names: each._replace(fitted=fitted)
               for each, fitted in zip(near, polished, strict=True)}
-    return {names: each for names, each in found.items() if not closes_its_gap(each)}
-
-
-def closes_its_gap(candidate: Candidate) -> bool:
-    """
-    Return whether a backlash with two masses has its smallest width: then it is none.
-
-    What is left of it is a soft, damped contact between two masses, and another cause is meant.
-    """
-    floating = any(FLOATING in variant.fixed for variant in candidate.variants)
-    return floating and any(
-        free.field == 'backlash' and share < CLOSED for free, share in zip(
-            candidate.fitted.free, candidate.fitted.theta, strict=True))
+    return {names: each for names, each in found.items()
+            if not is_closed(each.variants, each.fitted.free, each.fitted.theta)}
 
 
 def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:

@@ -9,6 +9,7 @@ and spring, which act on the load, not on the motor.
 """
 
 import math
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.optimize import lsq_linear
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.motion import Motion, judged
 from asi_analysis.gap.prepare import Recording
 
@@ -39,6 +41,10 @@ LEAST_SHARE: Final = 0.1   # of the mass behind the backlash: less is another ef
 RIGID_RESIDUAL: Final = 4e-4
 MOST_RESIDUAL: Final = 0.7
 CREEP: Final = 0.05   # share of the rms speed at which Coulomb friction is fully developed
+
+# The form of a backlash with two masses, and the share of its range below which a width is zero.
+FLOATING: Final = ('backlash_floating', 1.0)
+CLOSED: Final = 1e-3
 
 
 class Rattling(NamedTuple):
@@ -171,3 +177,15 @@ def rattling_of(recording: Recording, late: float) -> Rattling | None:
     explained = best.held_out < MOST_RESIDUAL * rigid.held_out
     plausible = LEAST_SHARE < best.load.share < SHARE_BOUNDS[1]
     return best.load if explained and plausible else None
+
+
+def is_closed(variants: Iterable[Variant], free: Sequence[Free], theta: Array) -> bool:
+    """
+    Return whether a fitted backlash with two masses has its smallest width: then it is none.
+
+    theta: the fitted values of `free`, as shares of their ranges. What is left is a soft, damped
+    contact between two masses, and another cause is meant.
+    """
+    floating = any(FLOATING in variant.fixed for variant in variants)
+    return floating and any(each.field == 'backlash' and share < CLOSED
+                            for each, share in zip(free, theta, strict=True))

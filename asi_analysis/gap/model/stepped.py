@@ -5,7 +5,6 @@ Its origin is arbitrary, as that of the position is. If the quantisation is not 
 of second order looks like one of first order with noise.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial

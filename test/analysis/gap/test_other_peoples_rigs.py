@@ -1,7 +1,5 @@
 """Faults that recordings by others showed (doc/explanation/public_recordings.md), on our own."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from test_gap_joint import TWO_WAVES, joint
@@ -9,8 +7,8 @@ from test_gap_joint import TWO_WAVES, joint
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.answer.command import diagnose
-from asi_analysis.gap.inference.hypotheses import Candidate, closes_its_gap
 from asi_analysis.gap.model.joint import rattling_in
+from asi_analysis.gap.model.rattling import is_closed
 from asi_analysis.gap.parts import balanced_split, reported
 
 
@@ -46,8 +44,7 @@ def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
 @pytest.mark.parametrize(('share', 'none'), [(0.0, True), (0.3, False)])
 def test_a_backlash_of_its_smallest_width_is_none(share: float, none: bool):
     variant = rattling_in(None)[0]
-    fitted = SimpleNamespace(free=variant.free, theta=[share, 0.5, 0.5])
-    assert closes_its_gap(Candidate(('backlash',), (variant,), fitted)) == none
+    assert is_closed((variant,), variant.free, np.array([share, 0.5, 0.5])) == none
 
 
 @pytest.mark.filterwarnings('ignore:.*the joint has gravity')
