@@ -281,7 +281,8 @@ def run(actuator: Mapping[str, Value], controller: Mapping[str, Value], duration
     'realtime'. rate_hz: control rate, Hz; 0: 5000 in lock-step, 1000 in real time. out: a
     directory that does not exist or is empty; default: runs/TIME-COMPENSATOR. plant: 'joint' runs
     a joint in place of the actuator, with its own parameters; the command is then the reference,
-    unless compensator or gain are given. Raises InputError for a parameter that is not allowed, RunFailedError if a node fails.
+    unless compensator or gain are given. Raises InputError for a parameter that is not allowed,
+    RunFailedError if a node fails.
 
     >>> import asi_analysis as asi
     >>> run = asi.run({}, {'compensator': 'lead4', 'reference.amplitude': 150.0}, 0.5,
