@@ -364,4 +364,4 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     return Gap(answer | {'report': None, 'exports': [], 'quality': quality_of(everything),
                          'reliable': not doubtful},
                runs=everything, diagnosis=diagnosis,
-               model=values if plant == 'actuator' else None)
+               model=values if plant in PHYSICS else None)

@@ -9,6 +9,7 @@ from typing import Any, Final
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.joint_files import mjcf, unsaid_in_urdf, urdf
 from asi_analysis.gap.answer.joint_model import JointModel, joint_model
+from asi_analysis.gap.answer.joint_parameters import node_parameters
 from asi_analysis.gap.answer.replay import replay_error
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.model_file import improved_model
@@ -20,8 +21,6 @@ from asi_common.parameter_file import write_parameters
 FORMATS: Final = {'.xml': 'MJCF', '.mjcf': 'MJCF', '.urdf': 'URDF', '.yaml': 'YAML',
                   '.yml': 'YAML'}
 NODE: Final = '/**/asi_actuator'
-# Of a joint, those that --model takes.
-PARAMETERS: Final = ('load_mass', 'load_damping', 'viscous', 'load_stiffness')
 
 
 def format_of(path: Path, plant: str) -> str:
@@ -45,30 +44,26 @@ def write_export(diagnosis: Diagnosis, model: Mapping[str, Value] | None, path: 
     """
     Write what was found into a file, in the format of its ending; returns its row of `exports`.
 
-    model: nominal parameters of the actuator, None of a joint. Raises InputError for a format or
-    a joint that cannot be written.
+    model: nominal parameters by name. Raises InputError for a format or a joint that cannot be
+    written.
     """
     kind = format_of(path, diagnosis.plant)
     row: dict[str, Any] = {'file': str(path), 'format': kind, 'unsaid': [], 'simulator': None,
                            'before_nrmse': None, 'after_nrmse': None, 'shrink': None}
-    if model is not None:
-        values, row['unsaid'] = improved_model(model, [diagnosis.best(w).fitted.record
+    if diagnosis.plant == 'actuator':
+        values, row['unsaid'] = improved_model(model or {}, [diagnosis.best(w).fitted.record
                                                        for w in diagnosis.groups])
         write_parameters(path, NODE, dict(sorted(values.items())))
         return row
-    found = joint_model(diagnosis)
-    row['unsaid'] = list(found.unsaid)
     origin = ('Written by asi gap from ' + ', '.join(run.source for run in diagnosis.runs)
               + '; values with their 95 % intervals:')
     if kind == 'YAML':
-        if found.kp:
-            raise InputError(f'--export {path}: the inertia behind a servo does not show, and '
-                             'load.mass is that: write .xml or .urdf')
-        spring = {'load.stiffness': found.stiffness} if found.stiffness else {}
-        write_parameters(path, NODE, {'load.mass': found.inertia, 'load.damping': found.damping,
-                                      **spring}, [origin, *found.notes.values()])
-        row['unsaid'] += [text for field, text in found.notes.items() if field not in PARAMETERS]
+        values, said, row['unsaid'] = node_parameters(diagnosis, model or {})
+        write_parameters(path, NODE, values, [
+            origin, *said, *(f'Not in this model: {each}' for each in row['unsaid'])])
         return row
+    found = joint_model(diagnosis)
+    row['unsaid'] = list(found.unsaid)
     if kind == 'URDF':
         write_text(path, urdf(found, origin))
         row['unsaid'] += unsaid_in_urdf(found)
