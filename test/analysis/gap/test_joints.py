@@ -1,5 +1,6 @@
 """Several joints of a robot, in a table and in one answer."""
 
+import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -96,6 +97,10 @@ def test_what_was_found_of_each_joint_is_written_together_or_apart(tmp_path):
     for path in paths[3:5]:
         names = {each.get('name') for each in ET.parse(path).iter('joint')}
         assert {'left/hip', 'knee'} <= names
+    if importlib.util.find_spec('mujoco') is not None:
+        import mujoco
+        for path in paths[3:5]:
+            assert mujoco.MjModel.from_xml_path(str(path)).njnt == 2
     knee = yaml.safe_load(paths[5].read_text())['actuators']['knee']
     assert knee['friction'] == pytest.approx(0.15, rel=0.05)
     assert knee['armature'] == pytest.approx(INERTIA, rel=0.05)
