@@ -27,7 +27,12 @@ class NodeTables(NamedTuple):
     file: str
     tables: dict[str, tuple[Parameter, ...]]
     texts: Mapping[str, str] = {}    # text above a table in doc/reference/parameters.md
-    with_: str = ''                  # of the same node: with which parameter it has these
+    condition: str = ''              # the value of a parameter with which the node has these
+
+    @property
+    def title(self) -> str:
+        """The node and, if it has these parameters not always, when."""
+        return self.node + (f' with {self.condition}' if self.condition else '')
 
 
 NODES: Final = (
@@ -66,7 +71,7 @@ def yaml_text(node: NodeTables) -> str:
             lines += [f'    # {title}', *parameter_lines(
                 defaults(table), {parameter.name: _comments(parameter) for parameter in table})]
     return parameter_file(f'/**/{node.node}', lines, [
-        f'Parameters of {node.node}{node.with_ and f" with {node.with_}"}, all at their defaults.', f'Written by `{COMMAND}`.'])
+        f'Parameters of {node.title}, all at their defaults.', f'Written by `{COMMAND}`.'])
 
 
 def _row(parameter: Parameter) -> str:
@@ -83,7 +88,7 @@ def markdown_text() -> str:
              'marked (fixed) only at the start. A value that is not allowed is refused with the '
              'reason and changes nothing.']
     for node in WRITTEN:
-        lines += ['', f'## /{node.node}{node.with_ and f", {node.with_}"}', '', f'File: `{node.file}`']
+        lines += ['', f'## /{node.title}', '', f'File: `{node.file}`']
         for title, table in node.tables.items():
             lines += ['', f'### {title}']
             if text := node.texts.get(title):

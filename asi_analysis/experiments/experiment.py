@@ -28,6 +28,9 @@ CONTROLLER_PARAMETERS: Final = COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS
 TABLES: Final = {'actuator': ACTUATOR_PARAMETERS, 'controller': CONTROLLER_PARAMETERS}
 NODE_PARAMETERS: Final = frozenset(
     parameter.name for parameter in ACTUATOR_NODE_PARAMETERS + CONTROLLER_NODE_PARAMETERS)
+# Of the watchdogs, limits as wide as they go.
+WIDEST: Final = {p.name: p.high for p in ACTUATOR_NODE_PARAMETERS
+                 if p.name in ('limit.force', 'limit.force_rate', 'limit.velocity')}
 # Gain with which the command to a joint is the reference itself: 0 would be the compensator's own.
 OPEN_LOOP: Final = 1e-12
 
@@ -55,7 +58,9 @@ class Experiment:
     @property
     def node_parameters(self) -> dict[str, Value]:
         """Parameters of the actuator's node that are not of the physics."""
-        plant: dict[str, Value] = {} if self.plant == 'actuator' else {'plant': self.plant}
+        # The limits of the node are made for the actuator; a simulated joint may be of any size.
+        plant: dict[str, Value] = {} if self.plant == 'actuator' else {
+            'plant': self.plant, **WIDEST}
         return {'mode': self.mode, 'rate_hz': float(self.rate_hz),
                 'duration': float(self.duration_s), **plant}
 

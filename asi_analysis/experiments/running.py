@@ -34,6 +34,8 @@ from asi_common.parameter_file import write_parameters
 MODULES: Final = {'controller': 'asi_controller.controller_node',
                   'recorder': 'asi_analysis.bags.nodes.recorder_node',
                   'actuator': 'asi_actuator.actuator_node'}
+# Parameters that both nodes take from the experiment.
+BOTH: Final = ('mode', 'rate_hz', 'await_recorder')
 # The ports of these domains do not overlap the ephemeral ports of Linux.
 DOMAINS: Final = range(42, 102)
 # A node that has not ended this long after SIGINT is killed.
@@ -88,8 +90,7 @@ def prepare(experiment: Experiment, out: Path) -> None:
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
         node = experiment.node_parameters | {'await_recorder': True}
         write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
-        of_both = {name: value for name, value in node.items()
-                   if name not in ('duration', 'plant')}
+        of_both = {name: value for name, value in node.items() if name in BOTH}
         write_parameters(out / 'controller.yaml', 'asi_controller',
                          {**experiment.controller, **of_both})
     except OSError as error:
