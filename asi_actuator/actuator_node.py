@@ -13,8 +13,7 @@ from asi_actuator.calibration import Rest
 from asi_actuator.driver import Health, make_driver
 from asi_actuator.driver.simulated import physical
 from asi_actuator.model.actuator import Measurement
-from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS, PHYSICS
 from asi_actuator.safety import Safety, State
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
@@ -33,9 +32,14 @@ class ActuatorNode(Node):
         """Make the node with options of rclpy's Node, such as parameter_overrides."""
         super().__init__('asi_actuator', automatically_declare_parameters_from_overrides=True,
                          **options)
+        # Which parameters there are depends on the plant. A plant that is not known is refused.
+        plant = 'actuator'
+        if self.has_parameter('plant'):
+            plant = str(self.get_parameter('plant').value)
         self.parameters = RosParameters(
-            self, ACTUATOR_NODE_PARAMETERS + ACTUATOR_PARAMETERS, physical)
+            self, ACTUATOR_NODE_PARAMETERS + PHYSICS.get(plant, PHYSICS['actuator']), physical)
         values = self.parameters.values
+        self.joint = plant == 'joint'
         self.rate_hz = control_rate(values)
         self.period_s = 1.0 / self.rate_hz
         self.calibration = calibration.load(str(values['calibration_file']))
@@ -74,8 +78,8 @@ class ActuatorNode(Node):
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(SetBool, '~/pause', self._pause)
         self.diagnostics = Diagnostics(self, self._describe, self._state)
-        self.get_logger().info(f'{values["driver"]}, {values["mode"]} at {self.rate_hz:g} Hz, '
-                               f'{self.safety.state}')
+        self.get_logger().info(f'{values["driver"]}, {plant}, {values["mode"]} at '
+                               f'{self.rate_hz:g} Hz, {self.safety.state}')
 
     def missing(self) -> list[str]:
         """Return the recorders that the first state still waits for."""
@@ -106,6 +110,8 @@ class ActuatorNode(Node):
         assert self.measured is not None
         self.statistics.tick(now_ns, self.health.saturated)
         force, valve, position, velocity = self.measured
+        if self.joint:   # it has no valve
+            valve = math.nan
         valve_velocity = (valve - self._valve_m) * self.rate_hz
         self._valve_m = valve
         return wire.state(stamp_ns, position, valve, velocity, valve_velocity,
@@ -205,6 +211,8 @@ class ActuatorNode(Node):
     def _load(self) -> str:
         """Return what loads the simulated force sensor, '' for nothing."""
         values = self.parameters.values
+        if self.joint:
+            return 'the plant is a joint: force_sensor.offset takes its offset off'
         thrust_n = self.rest.mean_valve_m() * (
             float(values['valve_characteristic.maximum_force'])
             / float(values['valve_characteristic.full_opening']))

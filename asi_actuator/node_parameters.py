@@ -3,8 +3,13 @@
 from importlib.metadata import entry_points
 from typing import Final
 
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_common.loop_parameters import LOOP_PARAMETERS
 from asi_common.parameter import Parameter
+
+# What the node can simulate, by its value of the parameter `plant`: the tables of the physics.
+PHYSICS: Final = {'actuator': ACTUATOR_PARAMETERS, 'joint': JOINT_PARAMETERS}
 
 # The drivers that are installed, by their value of the parameter `driver` (asi_actuator/driver).
 DRIVERS: Final = {entry.name: entry for entry in sorted(
@@ -53,6 +58,10 @@ ACTUATOR_NODE_PARAMETERS: tuple[Parameter, ...] = LOOP_PARAMETERS + (
               '~/calibrate; none if empty', read_only=True),
     Parameter('calibration_noise', 5.0, 'N',
               'Noise (standard deviation) up to which ~/calibrate trusts the mean', 0.0, 1e4),
+    Parameter('plant', 'actuator', '',
+              'actuator: the hydraulic one; joint: any joint or drive, moved by a force or a '
+              'servo. Their parameters differ (doc/how_to/simulate_a_joint.md)',
+              choices=tuple(PHYSICS), read_only=True),
     Parameter('driver', 'simulated', '',
               'simulated: the model; can: hardware on a CAN bus (doc/how_to/bridge.md); replay: '
               'the states of a bag', choices=tuple(DRIVERS), read_only=True),

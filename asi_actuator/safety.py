@@ -67,9 +67,12 @@ class Safety:
         self._state_age_s = number('limit.state_age')
         self._lost_states = number('limit.lost_states')
         self._bad_frames = number('limit.bad_frames')
-        self._full_opening_m = number('valve_characteristic.full_opening')
-        self._valve_gain = (number('valve_characteristic.gain') * self._full_opening_m
-                            / number('valve_characteristic.maximum_force'))
+        # A joint has no valve, whose position could disagree.
+        self._full_opening_m, self._valve_gain = math.inf, 0.0
+        if 'valve_characteristic.gain' in values:
+            self._full_opening_m = number('valve_characteristic.full_opening')
+            self._valve_gain = (number('valve_characteristic.gain') * self._full_opening_m
+                                / number('valve_characteristic.maximum_force'))
 
     def enable(self) -> str:
         """Enable commands; return the reason of a refusal, or ''."""

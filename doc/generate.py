@@ -140,12 +140,15 @@ def commands_page() -> str:
 
 def blocks_page() -> str:
     """Return the files of the model, each with its docstring and functions, for autodoc."""
-    blocks = sorted(path.stem for path in (ROOT / 'asi_actuator/model').glob('*.py')
-                    if path.stem not in ('__init__', 'actuator'))
+    modules = []
+    for folder, whole in (('model', 'actuator'), ('joint', 'joint')):
+        blocks = sorted(path.stem for path in (ROOT / 'asi_actuator' / folder).glob('*.py')
+                        if path.stem not in ('__init__', whole))
+        modules += [(folder, block) for block in [whole, *blocks]]
     return '\n'.join(
         f'## {block.replace("_", " ").capitalize()}\n\n```{{eval-rst}}\n'
-        f'.. automodule:: asi_actuator.model.{block}\n   :members:\n```\n'
-        for block in ['actuator', *blocks])
+        f'.. automodule:: asi_actuator.{folder}.{block}\n   :members:\n```\n'
+        for folder, block in modules)
 
 
 def api_page() -> str:

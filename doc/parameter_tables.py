@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_common.parameter import Parameter, defaults
@@ -26,6 +27,12 @@ class NodeTables(NamedTuple):
     file: str
     tables: dict[str, tuple[Parameter, ...]]
     texts: Mapping[str, str] = {}    # text above a table in doc/reference/parameters.md
+    condition: str = ''              # the value of a parameter with which the node has these
+
+    @property
+    def title(self) -> str:
+        """The node and, if it has these parameters not always, when."""
+        return self.node + (f' with {self.condition}' if self.condition else '')
 
 
 NODES: Final = (
@@ -39,6 +46,15 @@ NODES: Final = (
                {f'Compensator {name}': text for name, text in DOCUMENTATION.items()}
                | {f'Addition {name}': text for name, text in additions.DOCUMENTATION.items()}),
 )
+# The physics of the actuator's node with plant: joint.
+JOINT: Final = NodeTables(
+    'asi_actuator', 'config/joint.yaml',
+    {'Plant': tuple(parameter._replace(default='joint')
+                    for parameter in ACTUATOR_NODE_PARAMETERS if parameter.name == 'plant'),
+     'Physics of a joint': JOINT_PARAMETERS},
+    {'Physics of a joint': '[How to simulate a joint](../how_to/simulate_a_joint.md). A joint '
+     'that turns has rad, Nm and kg m2, one that slides m, N and kg.'}, 'plant: joint')
+WRITTEN: Final = (NODES[0], JOINT, *NODES[1:])
 
 
 def _comments(parameter: Parameter) -> list[str]:
@@ -55,7 +71,7 @@ def yaml_text(node: NodeTables) -> str:
             lines += [f'    # {title}', *parameter_lines(
                 defaults(table), {parameter.name: _comments(parameter) for parameter in table})]
     return parameter_file(f'/**/{node.node}', lines, [
-        f'Parameters of {node.node}, all at their defaults.', f'Written by `{COMMAND}`.'])
+        f'Parameters of {node.title}, all at their defaults.', f'Written by `{COMMAND}`.'])
 
 
 def _row(parameter: Parameter) -> str:
@@ -71,8 +87,8 @@ def markdown_text() -> str:
              'Change one while a node runs by `ros2 param set /asi_controller gain 8.0`; those '
              'marked (fixed) only at the start. A value that is not allowed is refused with the '
              'reason and changes nothing.']
-    for node in NODES:
-        lines += ['', f'## /{node.node}', '', f'File: `{node.file}`']
+    for node in WRITTEN:
+        lines += ['', f'## /{node.title}', '', f'File: `{node.file}`']
         for title, table in node.tables.items():
             lines += ['', f'### {title}']
             if text := node.texts.get(title):
@@ -85,5 +101,5 @@ def markdown_text() -> str:
 
 def files() -> dict[Path, str]:
     """Return the text of each file by its path in the repository."""
-    return {Path(node.file): yaml_text(node) for node in NODES} | {
+    return {Path(node.file): yaml_text(node) for node in WRITTEN} | {
         Path('doc/reference/parameters.md'): markdown_text()}

@@ -51,6 +51,9 @@ def run(
     actuator: ParameterFile = None,
     controller: ParameterFile = None,
     set_: Settings = None,
+    plant: Annotated[Literal['actuator', 'joint'], typer.Option(
+        help='joint: any joint or drive in place of the actuator, with parameters of its own; the '
+        'command is the reference, N, Nm or, of a servo, m or rad')] = 'actuator',
     out: Annotated[Path | None, typer.Option(
         help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
     in_process: Annotated[bool, typer.Option(
@@ -80,9 +83,9 @@ def run(
         named |= {'reference.shape': 'step', 'reference.amplitude': step}
     values = ex.gather({'actuator': actuator, 'controller': controller}, set_ or [],
                        {'actuator': {'load.type': load, 'force_sensor.noise_seed': seed},
-                        'controller': named}, duration)
+                        'controller': named}, duration, plant)
     planned = ex.checked(ex.Experiment(values['actuator'], values['controller'], duration, mode,
-                                       rate))
+                                       rate, plant))
     out = running.directory_of(planned, out)
     run_one = running.run_experiment
     if in_process:

@@ -76,8 +76,10 @@ def gap(
         callback=directory,
         help='Directory for an HTML report and the improved model file')] = None,
     export: Annotated[list[Path] | None, typer.Option(
-        metavar='FILE', help='What was found, for a simulator: .xml (MJCF of MuJoCo) or .urdf of '
-        'a joint, .yaml (what --model takes); may be repeated')] = None,
+        metavar='FILE|DIR', help='What was found, for a simulator: of a joint .xml (MJCF of '
+        'MuJoCo), .urdf or .isaac.yaml (Isaac Lab); .yaml: for our nodes and --model. With '
+        '--joint all, all joints in it; {joint} in its name, or a directory: one of each. May be '
+        'repeated')] = None,
     joint: Annotated[str | None, typer.Option(
         metavar='NAME|all', help='Of a bag with joint states, or a folder with a bag for each '
         'joint (asi import with {joint}): this one, or all in one table')] = None,
@@ -93,10 +95,14 @@ def gap(
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.bags.exchange.importing import read_joint, read_joints
     from asi_analysis.gap.answer.command import diagnose, parse_tolerances
-    from asi_analysis.gap.answer.export import format_of
+    from asi_analysis.gap.answer.export import for_each_joint, format_of
     for path in export or []:   # before the diagnosis, which takes long
-        format_of(path, plant)
-        new_file(path)
+        each = for_each_joint(path) if joint == 'all' else None
+        format_of(each or path, plant)
+        if each is None or each.parent == path.parent:
+            new_file(path)
+        else:
+            directory(path)
     if plan is not None:
         raise InputError(f'--plan {plan} is of what to record, and goes first and without '
                          f'recordings: asi gap --plan {plan}')
@@ -105,15 +111,13 @@ def gap(
         if plant != 'joint':
             raise InputError(f'--joint {joint} takes --plant joint')
         if joint == 'all':
-            if export:
-                raise InputError('--export takes one joint: --joint NAME')
             from asi_analysis.gap.answer.joints import diagnose_joints
             from asi_analysis.parallel import workers
             with workers(jobs), bar() as progress:
                 progress('reading', None)
                 show(diagnose_joints(
                     read_joints(bags), read_joints(baseline or []), read_joints(held_out or []),
-                    report, progress, model=model, tolerance=usual, drive=drive,
+                    report, progress, export or [], model=model, tolerance=usual, drive=drive,
                     settings=set_ or [], tolerances=own), as_json)
             return
     with bar() as progress:

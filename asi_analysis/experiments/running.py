@@ -34,6 +34,8 @@ from asi_common.parameter_file import write_parameters
 MODULES: Final = {'controller': 'asi_controller.controller_node',
                   'recorder': 'asi_analysis.bags.nodes.recorder_node',
                   'actuator': 'asi_actuator.actuator_node'}
+# Parameters that both nodes take from the experiment.
+BOTH: Final = ('mode', 'rate_hz', 'await_recorder')
 # The ports of these domains do not overlap the ephemeral ports of Linux.
 DOMAINS: Final = range(42, 102)
 # A node that has not ended this long after SIGINT is killed.
@@ -88,9 +90,9 @@ def prepare(experiment: Experiment, out: Path) -> None:
         (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
         node = experiment.node_parameters | {'await_recorder': True}
         write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
-        del node['duration']
+        of_both = {name: value for name, value in node.items() if name in BOTH}
         write_parameters(out / 'controller.yaml', 'asi_controller',
-                         {**experiment.controller, **node})
+                         {**experiment.controller, **of_both})
     except OSError as error:
         raise InputError(f'{out}: {error.strerror}') from None
 
@@ -271,21 +273,23 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
 
 def run(actuator: Mapping[str, Value], controller: Mapping[str, Value], duration_s: float = 1.0,
         *, mode: str = 'lockstep', rate_hz: float = 0.0, out: str | Path | None = None,
-        progress: Progress = silent) -> Run:
+        progress: Progress = silent, plant: str = 'actuator') -> Run:
     """
     Run one experiment over ROS: actuator, controller and recorder as processes; return its bag.
 
     actuator, controller: parameters by name (doc/reference/parameters.md), the rest at their
     defaults; without `reference.shape` the reference is a step. mode: 'lockstep' (repeatable) or
     'realtime'. rate_hz: control rate, Hz; 0: 5000 in lock-step, 1000 in real time. out: a
-    directory that does not exist or is empty; default: runs/TIME-COMPENSATOR. Raises InputError
-    for a parameter that is not allowed, RunFailedError if a node fails.
+    directory that does not exist or is empty; default: runs/TIME-COMPENSATOR. plant: 'joint' runs
+    a joint in place of the actuator, with its own parameters; the command is then the reference,
+    unless compensator or gain are given. Raises InputError for a parameter that is not allowed,
+    RunFailedError if a node fails.
 
     >>> import asi_analysis as asi
     >>> run = asi.run({}, {'compensator': 'lead4', 'reference.amplitude': 150.0}, 0.5,
     ...               out='runs/lead4')                                   # doctest: +SKIP
     """
-    experiment = planned(actuator, controller, duration_s, mode, rate_hz)
+    experiment = planned(actuator, controller, duration_s, mode, rate_hz, plant)
     return read_bag(run_experiment(experiment, directory_of(experiment, out), progress))
 
 
@@ -307,8 +311,8 @@ def summary(experiment: Experiment, bag: Path) -> RunSummary:
 
 def directory_of(experiment: Experiment, out: str | Path | None) -> Path:
     """Return the directory of an experiment: the given one, or a new one in runs/."""
-    return Path(out) if out else free_directory(
-        Path('runs'), str(experiment.controller['compensator']))
+    name = experiment.controller['compensator'] if experiment.plant == 'actuator' else 'joint'
+    return Path(out) if out else free_directory(Path('runs'), str(name))
 
 
 def free_directory(parent: Path, name: str) -> Path:

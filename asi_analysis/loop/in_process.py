@@ -122,6 +122,9 @@ def _record(experiment: Experiment, recorder: '_Recorder', progress: Progress) -
 
 def _safety(experiment: Experiment) -> Safety:
     """Return the safety logic of the actuator's node. Raises InputError for what needs nodes."""
+    if experiment.plant != 'actuator':
+        raise InputError(f'plant = {experiment.plant} needs the nodes: in one process there is '
+                         'the actuator only')
     if experiment.mode != 'lockstep':
         raise InputError(f'mode = {experiment.mode} needs the nodes: in one process it is '
                          'lockstep')

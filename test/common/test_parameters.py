@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from asi_common.node.ros_parameters import descriptor
 from asi_common.parameter import Parameter, ParameterError, completed, defaults
 from asi_common.topics import STREAM_DEPTH
-from doc.parameter_tables import NODES, NodeTables, files
+from doc.parameter_tables import WRITTEN, NodeTables, files
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
 ROOT = Path(__file__).parents[2]
-EVERY = [parameter for node in NODES for table in node.tables.values() for parameter in table]
+EVERY = [parameter for node in WRITTEN for table in node.tables.values() for parameter in table]
 
 # What a user may get wrong, and a word of the reason.
 REFUSED = {
@@ -146,7 +146,7 @@ def test_written_files_are_current() -> None:
             f'{path}: run python doc/generate.py')
 
 
-@pytest.mark.parametrize('node', NODES, ids=lambda node: node.node)
+@pytest.mark.parametrize('node', WRITTEN, ids=lambda node: node.file)
 def test_yaml_file_holds_the_defaults(node: NodeTables) -> None:
     def flat(tree: dict, prefix: str = '') -> dict:
         return {key: value for name, branch in tree.items()
@@ -190,11 +190,14 @@ def test_what_is_accepted_is_allowed_and_what_is_not_says_so(
             completed({parameter.name: value}, (parameter,))
 
 
-@pytest.mark.parametrize('which', ['actuator', 'controller'])
-def test_shipped_file_is_what_asi_run_reads(which: str) -> None:
-    from asi_analysis.experiments.experiment import TABLES, read_parameters
+@pytest.mark.parametrize(('file', 'which'), [
+    ('actuator', 'actuator'), ('controller', 'controller'), ('joint', 'actuator')])
+def test_shipped_file_is_what_asi_run_reads(file: str, which: str) -> None:
+    from asi_analysis.experiments.experiment import read_parameters, table_of
 
-    assert read_parameters(ROOT / 'config' / f'{which}.yaml', which) == defaults(TABLES[which])
+    plant = 'joint' if file == 'joint' else 'actuator'
+    assert read_parameters(ROOT / 'config' / f'{file}.yaml', which, plant) == defaults(
+        table_of(which, plant))
 
 
 def test_a_whole_number_that_is_no_float_is_refused() -> None:

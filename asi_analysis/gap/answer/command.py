@@ -12,6 +12,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
+from asi_actuator.node_parameters import PHYSICS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
@@ -58,9 +60,10 @@ def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Val
         return {}
     if plant == 'static':
         return _line(read_static(Path(model)) if isinstance(model, str | Path) else model)
-    known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
+    known = _names(plant) | {parameter.name for parameter in ACTUATOR_PARAMETERS}
     path = 'model' if isinstance(model, Mapping) else Path(model)
-    found = model if isinstance(model, Mapping) else read_parameters(Path(model), 'actuator')
+    found = model if isinstance(model, Mapping) else read_parameters(
+        Path(model), 'actuator', plant)
     for name in found.keys() - known - {parameter.name for parameter in TABLES['controller']}:
         near = get_close_matches(name, known, 1)
         warnings.warn(f'{path}: {name} is no parameter of the actuator, and left out'
@@ -68,6 +71,11 @@ def nominal_model(model: Model | None, plant: str = 'actuator') -> dict[str, Val
     values = {name: value for name, value in found.items() if name in known}
     _check_ranges(values, plant, str(path))
     return values
+
+
+def _names(plant: str) -> set[str]:
+    """Return the names of the parameters of a simulated plant."""
+    return {parameter.name for parameter in PHYSICS.get(plant, ACTUATOR_PARAMETERS)}
 
 
 def _check_ranges(values: Mapping[str, Value], plant: str, origin: str) -> None:
@@ -79,8 +87,12 @@ def _check_ranges(values: Mapping[str, Value], plant: str, origin: str) -> None:
         if not allowed or (name == 'load.mass' and value == 0.0):
             raise InputError(f'{origin}: {name} = {value!r} is not allowed: it takes a number '
                              + ('above 0' if name == 'load.mass' else 'from 0'))
+    own = {name: value for name, value in ranged.items()
+           if plant == 'joint' and name in _names(plant)}
     try:
-        completed(ranged, ACTUATOR_PARAMETERS)
+        completed(own, JOINT_PARAMETERS)
+        completed({name: value for name, value in ranged.items() if name not in own},
+                  ACTUATOR_PARAMETERS)
     except ParameterError as error:
         raise InputError(f'{origin}: {error}') from None
 
@@ -105,17 +117,22 @@ def _line(given: Mapping[str, Value]) -> dict[str, Value]:
     return {name: float(value) for name, value in given.items()}
 
 
-def recorded_model(runs: Sequence[Run]) -> dict[str, Value]:
+def recorded_model(runs: Sequence[Run], plant: str = 'actuator') -> dict[str, Value]:
     """
-    Return the actuator's parameters in the metadata of the first bag; {} without any.
+    Return the plant's parameters in the metadata of the first bag; {} without any.
 
-    Raises InputError if one is not allowed.
+    Raises InputError if one is not allowed, and for an actuator's model of a joint's bag.
     """
-    known = {parameter.name for parameter in ACTUATOR_PARAMETERS}
-    found = {name: value for name, value in runs[0].information.get('actuator', {}).items()
-             if name in known}
+    information = runs[0].information
+    recorded = information.get('plant', 'actuator')
+    if plant == 'actuator' and recorded == 'joint':
+        raise InputError(f'{runs[0].source}: recorded with plant = joint: --plant joint')
+    if plant != recorded:
+        return {}
+    found = {name: value for name, value in information.get('actuator', {}).items()
+             if name in _names(plant)}
     try:
-        completed(found, ACTUATOR_PARAMETERS)
+        completed(found, PHYSICS[plant])
     except ParameterError as error:
         raise InputError(f'{runs[0].source}: metadata of the run: {error}') from None
     return found
@@ -295,14 +312,15 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     own = _tolerances({**model_tolerances(model), **tolerances, '': tolerance})
     del own['']
     everything = [*runs, *held_out]
-    values = (recorded_model([*baseline, *runs]) if model is None and plant == 'actuator' else
+    values = (recorded_model([*baseline, *runs], plant) if model is None and plant in PHYSICS else
               nominal_model(model, plant))
+    recorded = bool(values) and model is None and plant == 'joint'
     for text in settings:
         if plant == 'static':
             name, _, number = text.partition('=')
             values |= _line({name.strip(): parameter_file.read_scalar(number.strip())})
             continue
-        _, name, value = parse_setting(f'actuator.{text}')
+        _, name, value = parse_setting(f'actuator.{text}', plant)
         values[name] = value
     if settings and plant != 'static':
         _check_ranges(values, plant, '--set')
@@ -319,6 +337,8 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     diagnosis = diagnosis_of(everything, values, plant, tolerance,
                              [False] * len(runs) + [True] * len(held_out), drive, progress, own,
                              healthy)
+    if recorded:
+        notes.append(f'nominal joint: from the metadata of {runs[0].source}')
     notes += [*_of_the_joint(diagnosis, values), *_of_the_tolerances(diagnosis)]
     if plant == 'static':
         notes = [_of_the_line(diagnosis, values), *notes]
@@ -344,4 +364,4 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     return Gap(answer | {'report': None, 'exports': [], 'quality': quality_of(everything),
                          'reliable': not doubtful},
                runs=everything, diagnosis=diagnosis,
-               model=values if plant == 'actuator' else None)
+               model=values if plant in PHYSICS else None)

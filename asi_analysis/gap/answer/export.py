@@ -4,32 +4,54 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+from asi_analysis.bags.exchange.joints import folder_name
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.gap.answer.joint_files import mjcf, unsaid_in_urdf, urdf
+from asi_analysis.gap.answer.joint_files import (
+    JOINT,
+    isaac_of,
+    mjcf,
+    mjcf_of,
+    unsaid_in_isaac,
+    unsaid_in_urdf,
+    urdf_of,
+)
 from asi_analysis.gap.answer.joint_model import JointModel, joint_model
+from asi_analysis.gap.answer.joint_parameters import node_parameters
 from asi_analysis.gap.answer.replay import replay_error
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.words import percent
 from asi_common.files import write_text
 from asi_common.parameter import Value
-from asi_common.parameter_file import write_parameters
+from asi_common.parameter_file import parameter_file, parameter_lines, write_parameters
 
 FORMATS: Final = {'.xml': 'MJCF', '.mjcf': 'MJCF', '.urdf': 'URDF', '.yaml': 'YAML',
                   '.yml': 'YAML'}
+ISAAC: Final = ('.isaac.yaml', '.isaac.yml')
 NODE: Final = '/**/asi_actuator'
-# Of a joint, those that --model takes.
-PARAMETERS: Final = ('load_mass', 'load_damping', 'viscous', 'load_stiffness')
+EACH: Final = '{joint}'     # in the name of a file: one of each joint
+
+
+class Exported(NamedTuple):
+    """
+    A joint, ready to be written.
+
+    model: as other simulators take it; parameters: those of our node, in words, what is left out.
+    """
+
+    model: JointModel
+    parameters: tuple[dict[str, Value], list[str], list[str]]
 
 
 def format_of(path: Path, plant: str) -> str:
     """Return the format that the ending of a file names. Raises InputError for another."""
-    found = FORMATS.get(path.suffix.lower())
+    found = 'Isaac Lab' if path.name.endswith(ISAAC) else FORMATS.get(path.suffix.lower())
     if found is None:
         raise InputError(f'--export {path}: the ending {path.suffix!r} is not allowed: .xml (MJCF '
-                         'of MuJoCo), .urdf or .yaml (what --model takes)')
+                         'of MuJoCo), .urdf, .isaac.yaml (Isaac Lab) or .yaml (our nodes, and '
+                         '--model)')
     if plant == 'actuator' and found != 'YAML':
         raise InputError(f'--export {path}: {found} has no words for a valve and its oil; write '
                          'the parameters of the actuator node (.yaml), or diagnose the load alone '
@@ -40,45 +62,93 @@ def format_of(path: Path, plant: str) -> str:
     return found
 
 
+def for_each_joint(path: Path) -> Path | None:
+    """
+    Return the file of each joint, with {joint} in its name; None: one file holds all joints.
+
+    A directory, or a name without an ending, gets a parameter file of each.
+    """
+    if EACH in path.name:
+        return path
+    return path / f'{EACH}.yaml' if path.is_dir() or not path.suffix else None
+
+
+def file_of(path: Path, joint: str) -> Path:
+    """Return the file of a joint."""
+    return path.with_name(path.name.replace(EACH, folder_name(joint)))
+
+
+def _row(path: Path, kind: str, unsaid: list[str]) -> dict[str, Any]:
+    return {'file': str(path), 'format': kind, 'unsaid': unsaid, 'simulator': None,
+            'before_nrmse': None, 'after_nrmse': None, 'shrink': None}
+
+
+def _origin(sources: list[str]) -> str:
+    return ('Written by asi gap from ' + ', '.join(dict.fromkeys(sources))
+            + '; values with their 95 % intervals:')
+
+
+def exported(diagnosis: Diagnosis, given: Mapping[str, Value]) -> Exported:
+    """Return a joint, ready to be written; given: its nominal parameters. Raises InputError."""
+    return Exported(joint_model(diagnosis), node_parameters(diagnosis, given))
+
+
 def write_export(diagnosis: Diagnosis, model: Mapping[str, Value] | None, path: Path
                  ) -> dict[str, Any]:
     """
     Write what was found into a file, in the format of its ending; returns its row of `exports`.
 
-    model: nominal parameters of the actuator, None of a joint. Raises InputError for a format or
-    a joint that cannot be written.
+    model: nominal parameters by name. Raises InputError for a format or a joint that cannot be
+    written.
     """
     kind = format_of(path, diagnosis.plant)
-    row: dict[str, Any] = {'file': str(path), 'format': kind, 'unsaid': [], 'simulator': None,
-                           'before_nrmse': None, 'after_nrmse': None, 'shrink': None}
-    if model is not None:
-        values, row['unsaid'] = improved_model(model, [diagnosis.best(w).fitted.record
-                                                       for w in diagnosis.groups])
+    if diagnosis.plant == 'actuator':
+        values, unsaid = improved_model(model or {}, [diagnosis.best(w).fitted.record
+                                                      for w in diagnosis.groups])
         write_parameters(path, NODE, dict(sorted(values.items())))
-        return row
-    found = joint_model(diagnosis)
-    row['unsaid'] = list(found.unsaid)
-    origin = ('Written by asi gap from ' + ', '.join(run.source for run in diagnosis.runs)
-              + '; values with their 95 % intervals:')
+        return _row(path, kind, unsaid)
+    found = exported(diagnosis, model or {})
+    row = write_joints({JOINT: found}, path, [run.source for run in diagnosis.runs])
+    return row | (_replayed(diagnosis, found.model) if kind == 'MJCF' else {})
+
+
+def write_joints(found: Mapping[str, Exported], path: Path, sources: list[str]
+                 ) -> dict[str, Any]:
+    """
+    Write joints by name into one file; returns its row of `exports`.
+
+    A parameter file has a section for the node of each joint, in the namespace of its name; one
+    alone is for a node in any namespace.
+    """
+    kind, origin = format_of(path, 'joint'), _origin(sources)
+    models = {name: each.model for name, each in found.items()}
+    unsaid = {name: list(each.parameters[2] if kind == 'YAML' else each.model.unsaid)
+              for name, each in found.items()}
     if kind == 'YAML':
-        if found.kp:
-            raise InputError(f'--export {path}: the inertia behind a servo does not show, and '
-                             'load.mass is that: write .xml or .urdf')
-        spring = {'load.stiffness': found.stiffness} if found.stiffness else {}
-        write_parameters(path, NODE, {'load.mass': found.inertia, 'load.damping': found.damping,
-                                      **spring}, [origin, *found.notes.values()])
-        row['unsaid'] += [text for field, text in found.notes.items() if field not in PARAMETERS]
-        return row
-    if kind == 'URDF':
-        write_text(path, urdf(found, origin))
-        row['unsaid'] += unsaid_in_urdf(found)
-        return row
-    text = mjcf(found, origin)
-    write_text(path, text)
-    return row | _replayed(diagnosis, found, text)
+        texts = [_section(name, each, origin) for name, each in found.items()]
+        write_text(path, '\n'.join(texts))
+    elif kind == 'URDF':
+        write_text(path, urdf_of(models, origin))
+        unsaid = {name: each + unsaid_in_urdf(models[name]) for name, each in unsaid.items()}
+    elif kind == 'MJCF':
+        write_text(path, mjcf(models[JOINT], origin) if len(models) == 1 and JOINT in models
+                   else mjcf_of(models, origin))
+    else:
+        write_text(path, isaac_of(models, origin))
+        unsaid = {name: each + unsaid_in_isaac(models[name]) for name, each in unsaid.items()}
+    return _row(path, kind, [text if name == JOINT else f'{name}: {text}'
+                             for name, texts in unsaid.items() for text in texts])
 
 
-def _replayed(diagnosis: Diagnosis, found: JointModel, text: str) -> dict[str, Any]:
+def _section(name: str, found: Exported, origin: str) -> str:
+    """Return the section of a joint's node in a parameter file."""
+    values, said, unsaid = found.parameters
+    node = NODE if name == JOINT else f'/{folder_name(name)}/asi_actuator'
+    return parameter_file(node, parameter_lines(values), [
+        origin, *said, *(f'Not in this model: {each}' for each in unsaid)])
+
+
+def _replayed(diagnosis: Diagnosis, found: JointModel) -> dict[str, Any]:
     """Return the errors of the motion in MuJoCo, nominal and as exported."""
     try:
         import mujoco
@@ -87,8 +157,7 @@ def _replayed(diagnosis: Diagnosis, found: JointModel, text: str) -> dict[str, A
     nominal = joint_model(diagnosis, nominal=True)
     row: dict[str, Any] = {'simulator': f'MuJoCo {mujoco.__version__}'}
     try:
-        errors = [replay_error(diagnosis, nominal, mjcf(nominal, '')),
-                  replay_error(diagnosis, found, text)]
+        errors = [replay_error(diagnosis, each, mjcf(each, '')) for each in (nominal, found)]
     except ValueError as error:   # such as an attribute that an older version does not know
         warnings.warn(f'{row["simulator"]} does not load the export: {str(error).splitlines()[0]}',
                       InputWarning, stacklevel=2)
@@ -99,8 +168,8 @@ def _replayed(diagnosis: Diagnosis, found: JointModel, text: str) -> dict[str, A
                   'shrink': 1.0 - errors[1] / errors[0] if errors[0] else 0.0}
 
 
-def in_words(exports: list[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield what was exported, in words."""
+def in_words(exports: list[Mapping[str, Any]], several: bool = False) -> Iterator[str]:
+    """Yield what was exported, in words; several: joints, which are not replayed together."""
     for row in exports:
         yield f'export: {row["file"]} ({row["format"]})' + (
             f'; not in it: {"; ".join(row["unsaid"])}' if row['unsaid'] else '')
@@ -109,7 +178,7 @@ def in_words(exports: list[Mapping[str, Any]]) -> Iterator[str]:
                    f'{percent(row["after_nrmse"])} of it (rms), and '
                    f'{percent(row["before_nrmse"])} with the nominal model: a shrink of '
                    f'{percent(row["shrink"])}.')
-        elif row['format'] == 'MJCF':
+        elif row['format'] == 'MJCF' and not several:
             yield (f'{row["simulator"]} could not replay the recording with it.'
                    if row['simulator'] else
                    'With MuJoCo installed (pip install mujoco) the recording is replayed with it.')

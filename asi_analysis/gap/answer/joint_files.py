@@ -1,4 +1,4 @@
-"""A joint as a file for a simulator: MJCF of MuJoCo, URDF."""
+"""Joints as a file for a simulator: MJCF of MuJoCo, URDF, actuators of Isaac Lab."""
 
 import math
 import re
@@ -8,8 +8,10 @@ from xml.etree import ElementTree as ET
 
 from asi_analysis.gap.answer.joint_model import JointModel
 from asi_analysis.gap.words import digits
+from asi_common.parameter_file import scalar
 
 GRAVITY: Final = 9.81           # m/s2
+JOINT: Final = 'joint'          # the name of one alone
 # MuJoCo's friction is a soft constraint. With a time constant of two steps, the least that it
 # takes, and hardly any softness a joint slides to rest within 0.4 % of Coulomb's law at this step;
 # with the usual values 3 % farther, at any step (test_export.py).
@@ -31,20 +33,48 @@ def steps(model: JointModel) -> int:
 
 def mjcf(model: JointModel, origin: str) -> str:
     """Return a joint as a model of MuJoCo; origin: what it was found from."""
-    step = model.period_s / steps(model)
-    root = ET.Element('mujoco', model='joint')
-    root.append(_comment([origin, *_about(model), *_hints(model)]))
+    return mjcf_of({JOINT: model}, origin)
+
+
+def mjcf_of(models: Mapping[str, JointModel], origin: str) -> str:
+    """Return joints by name as one model of MuJoCo, each with a link of its own in the world."""
+    step = min(model.period_s / steps(model) for model in models.values())
+    root = ET.Element('mujoco', model='robot' if len(models) > 1 else JOINT)
+    root.append(_comment([origin, *(
+        line for name, model in models.items()
+        for line in _named(name, [*_about(model), *_hints(model)]))]))
     ET.SubElement(root, 'compiler', angle='radian', autolimits='true')
     ET.SubElement(root, 'option', timestep=_text(step), integrator='implicitfast',
                   gravity=f'0 0 {-GRAVITY}')
-    body = ET.SubElement(ET.SubElement(root, 'worldbody'), 'body', name='link')
+    world = ET.SubElement(root, 'worldbody')
+    drives = ET.SubElement(root, 'actuator')
+    for name, model in models.items():
+        _add_joint(world, name, model, step)
+        _add(drives, 'general', {'name': _of(name, 'drive'), 'joint': name,
+                                 **_actuator(model, step)})
+    return _document(root)
+
+
+def _of(name: str, part: str) -> str:
+    """Return the name of a part of a joint."""
+    return part if name == JOINT else f'{name}_{part}'
+
+
+def _named(name: str, lines: Sequence[str]) -> list[str]:
+    """Return lines about a joint, with its name if it is one of several."""
+    return [line if name == JOINT else f'{name}: {line}' for line in lines]
+
+
+def _add_joint(world: ET.Element, name: str, model: JointModel, step: float) -> None:
+    """Add a joint with its link to the world of a model of MuJoCo."""
+    body = ET.SubElement(world, 'body', name=_of(name, 'link'))
     mass, place, inertia = _link(model)
     armature = 0.0
     if model.turns:   # gravity acts on a mass at its place; the rest is the rotor's or the link's
         inertia = min(inertia, TINY * model.inertia)
         armature = model.inertia - inertia - mass * (place[0] ** 2 + place[2] ** 2)
     joint: dict[str, str | float] = {
-        'name': 'joint', 'type': 'hinge' if model.turns else 'slide', 'axis': _axis(model),
+        'name': name, 'type': 'hinge' if model.turns else 'slide', 'axis': _axis(model),
         'armature': armature, 'damping': model.damping, 'frictionloss': model.friction,
         'stiffness': model.stiffness, 'springref': model.rest if model.stiffness else 0.0}
     if model.friction:
@@ -52,13 +82,11 @@ def mjcf(model: JointModel, origin: str) -> str:
     _add(body, 'joint', joint)
     _add(body, 'inertial', {'mass': mass, 'pos': _row(place),
                             'diaginertia': _row([inertia] * 3)})
-    _add(ET.SubElement(root, 'actuator'), 'general', _actuator(model, step))
-    return _document(root)
 
 
 def _actuator(model: JointModel, step: float) -> dict[str, str | float]:
     """Return the attributes of MuJoCo's actuator."""
-    drive: dict[str, str | float] = {'name': 'drive', 'joint': 'joint', 'gainprm': model.gain}
+    drive: dict[str, str | float] = {'gainprm': model.gain}
     if model.bias or model.kp:
         drive |= {'biastype': 'affine', 'biasprm': _row([model.bias, -model.kp, -model.kv])}
     if model.lag_s:
@@ -89,23 +117,36 @@ def _hints(model: JointModel) -> list[str]:
 
 def urdf(model: JointModel, origin: str) -> str:
     """Return a joint as a robot of two links; what URDF has no word for is in its comment."""
-    root = ET.Element('robot', name='joint')
-    unsaid = [f'URDF has no word for {each}' for each in unsaid_in_urdf(model)]
+    return urdf_of({JOINT: model}, origin)
+
+
+def urdf_of(models: Mapping[str, JointModel], origin: str) -> str:
+    """Return joints by name as a robot, each with a link of its own on the base."""
+    root = ET.Element('robot', name='robot' if len(models) > 1 else JOINT)
     root.append(_comment([
-        origin, *_about(model), *unsaid,
+        origin, *(line for name, model in models.items() for line in _named(name, [
+            *_about(model), *(f'URDF has no word for {each}'
+                              for each in unsaid_in_urdf(model))])),
         'limit: what was found, else the largest of the recording; the ends of the travel are not '
         'known from it.']))
     ET.SubElement(root, 'link', name='base')
-    inertial = ET.SubElement(ET.SubElement(root, 'link', name='link'), 'inertial')
+    for name, model in models.items():
+        _add_urdf_joint(root, name, model)
+    return _document(root)
+
+
+def _add_urdf_joint(root: ET.Element, name: str, model: JointModel) -> None:
+    """Add a joint with its link to a robot."""
+    inertial = ET.SubElement(ET.SubElement(root, 'link', name=_of(name, 'link')), 'inertial')
     mass, place, inertia = _link(model)
     ET.SubElement(inertial, 'origin', xyz=_row(place))
     ET.SubElement(inertial, 'mass', value=_text(mass))
     about = dict.fromkeys(('ixx', 'iyy', 'izz'), _text(inertia))
     ET.SubElement(inertial, 'inertia', about | {'ixy': '0', 'ixz': '0', 'iyz': '0'})
-    joint = ET.SubElement(root, 'joint', name='joint',
+    joint = ET.SubElement(root, 'joint', name=name,
                           type='continuous' if model.turns else 'prismatic')
     ET.SubElement(joint, 'parent', link='base')
-    ET.SubElement(joint, 'child', link='link')
+    ET.SubElement(joint, 'child', link=_of(name, 'link'))
     ET.SubElement(joint, 'axis', xyz=_axis(model))
     effort = model.most_push if math.isfinite(model.most_push) else model.seen_push
     speed = model.most_speed if math.isfinite(model.most_speed) else model.seen_speed
@@ -114,7 +155,42 @@ def urdf(model: JointModel, origin: str) -> str:
         limit |= {'lower': _text(model.travel[0]), 'upper': _text(model.travel[1])}
     ET.SubElement(joint, 'limit', limit)
     ET.SubElement(joint, 'dynamics', damping=_text(model.damping), friction=_text(model.friction))
-    return _document(root)
+
+
+def isaac_of(models: Mapping[str, JointModel], origin: str) -> str:
+    """
+    Return joints by name as the fields of Isaac Lab's `DelayedPDActuatorCfg`, in YAML.
+
+    What it has no word for is in comments. Its delays count steps of the physics: samples here.
+    """
+    lines = [f'# {line}' for line in (
+        origin, 'Fields of isaaclab.actuators.DelayedPDActuatorCfg, SI units. stiffness and '
+        'damping are the gains of the drive; friction is an effort (Isaac Sim 5 or later; before, '
+        'it was a coefficient).')] + ['actuators:']
+    for name, model in models.items():
+        late = round(model.delay_s / model.period_s)
+        effort = model.most_push if math.isfinite(model.most_push) else model.seen_push
+        speed = model.most_speed if math.isfinite(model.most_speed) else model.seen_speed
+        values: dict[str, float | int] = {
+            'stiffness': model.kp, 'damping': model.kv, 'armature': model.inertia,
+            'friction': model.friction, 'viscous_friction': model.damping,
+            'effort_limit': effort, 'velocity_limit': speed, 'min_delay': late,
+            'max_delay': late}
+        said = [*_about(model), f'a step of the delays: {_text(model.period_s)} s', *(
+            f'Isaac Lab has no word for {each}' for each in unsaid_in_isaac(model))]
+        lines += [f'  {scalar(name)}:', *(f'    # {line}' for line in said),
+                  f'    joint_names_expr: [{scalar(name)}]',
+                  *(f'    {field}: {scalar(value)}' for field, value in values.items())]
+    return '\n'.join(lines) + '\n'
+
+
+def unsaid_in_isaac(model: JointModel) -> list[str]:
+    """Return the values of a joint model that an actuator of Isaac Lab has no word for."""
+    gain = model.gain / model.kp if model.kp else model.gain
+    rest = {'gain': gain if abs(gain - 1.0) > 1e-9 else 0.0, 'constant push': model.bias,
+            'lag (s)': model.lag_s, 'spring': model.stiffness, 'gravity times sin q': model.sine,
+            'gravity times cos q': model.cosine}
+    return [f'{name} {_text(value)}' for name, value in rest.items() if value]
 
 
 def unsaid_in_urdf(model: JointModel) -> list[str]:

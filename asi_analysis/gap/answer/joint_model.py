@@ -16,6 +16,7 @@ from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
 from asi_analysis.gap.model.group import RIGID_ERROR
 from asi_analysis.gap.words import SIZES, between, digits, in_words, unit_of_free
 from asi_common.jit import FULL
+from asi_common.parameter import Value
 
 # Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
 HELD: Final = {
@@ -95,7 +96,7 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
     if servo:
         found = _followed(groups['valve'], records['valve'], run)
     else:
-        found = _moved(groups['load'], records['load'], diagnosis.runs)
+        found = moved_by(groups['load'], records['load'], diagnosis.runs)
         if 'valve' in records:
             found = _driven(found, records['valve'])
     if UNKNOWN in diagnosis.verdict and not nominal:
@@ -103,7 +104,7 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
     return found._replace(notes={**notes, **found.notes}, unsaid=(*unsaid, *found.unsaid))
 
 
-def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
+def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     """Return a joint that is moved by a force."""
     run = runs[0]
     recording = weighed.group.recordings[0]
@@ -119,7 +120,7 @@ def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     delay = float(p['drive_delay'])
     if delay:   # a command that is held is late by half a sample without any
         delay += float(p['drive_hold']) - 0.5 * recording.period_s * (run.force_n is None)
-    lag, second = _poles(p, 'drive_lag')
+    lag, second = poles(p, 'drive_lag')
     sine, cosine = (taken.get(name, 0.0) + float(p[name])
                     for name in ('gravity_sine', 'gravity_cosine'))
     driving = 'command' if run.force_n is None else 'force'
@@ -153,7 +154,7 @@ def _moved(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
                      for number, each in enumerate(loads, 1) if abs(each) > RIGID_ERROR * pushed))
 
 
-def _poles(p: np.void, field: str) -> tuple[float, float]:
+def poles(p: np.void, field: str) -> tuple[float, float]:
     """Return the time constants of a lag, s; the second, which is shorter, acts as a delay."""
     time, split = float(p[field]), float(p[f'{field}_split'])
     return time * (1.0 - split), time * split
@@ -168,7 +169,7 @@ def _driven(moved: JointModel, p: np.void) -> JointModel:
     """Return a joint whose force is what a drive makes of its command."""
     gain = float(p['valve_characteristic_gain'])
     shift, most = float(p['command_bias']), (float(p['valve_limit']) or np.inf) / abs(gain)
-    lag, second = _poles(p, 'valve_lag')
+    lag, second = poles(p, 'valve_lag')
     return moved._replace(
         gain=gain, bias=moved.bias + gain * shift, delay_s=float(p['command_delay']) + second,
         lag_s=lag, least_command=-most - shift, most_command=most - shift)
@@ -180,7 +181,7 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     assert run.reference_n is not None and run.position_m is not None
     taken, gain = recording.taken, float(p['valve_characteristic_gain'])
     origin = float(np.nanmean(run.reference_n))
-    lag, second = _poles(p, 'valve_lag')
+    lag, second = poles(p, 'valve_lag')
     delay = float(p['command_delay']) + second
     most_push, rate = taken.get('acceleration', np.inf), taken.get('rate', np.inf)
     limited = bool(np.isfinite(rate))
@@ -220,6 +221,40 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
         travel=(float(np.nanmin(run.position_m)), float(np.nanmax(run.position_m))),
         seen_push=w * w * float(np.ptp(run.position_m[np.isfinite(run.position_m)])),
         seen_speed=_most(np.gradient(run.position_m, run.time_s)))
+
+
+def followed_law(weighed: Weighed, p: np.void, run: Run) -> dict[str, Value]:
+    """
+    Return the servo of a unit inertia as parameters of a simulated joint.
+
+    Its acceleration and rate are limited as in the law that was fitted (servo.py), which a force
+    against a damping of MJCF only resembles.
+    """
+    found, taken = _followed(weighed, p, run), weighed.group.recordings[0].taken
+    values: dict[str, Value] = {
+        'load.mass': found.inertia, 'servo.kp': found.kp, 'servo.kv': found.kv or found.damping,
+        'drive.gain': found.gain / found.kp, 'drive.bias': found.bias / found.kp,
+        'command_path.delay': found.delay_s - poles(p, 'valve_lag')[1],
+        **dict(zip(('drive.lag_time', 'drive.second_lag_time'), poles(p, 'valve_lag'),
+                   strict=True))}
+    if p['valve_flexure_model'] != FULL and not taken:   # at once: the lag is the servo's own
+        values |= {'command_path.delay': found.delay_s, 'drive.lag_time': found.lag_s,
+                   'drive.second_lag_time': 0.0}
+    limits = {'servo.rate_limit': taken.get('rate', np.inf),
+              'servo.acceleration_limit': taken.get('acceleration', np.inf)}
+    return values | {name: float(value) for name, value in limits.items() if np.isfinite(value)}
+
+
+def in_words_of(diagnosis: Diagnosis, groups: Mapping[str, Weighed],
+                held: Mapping[str, frozenset[str]]) -> tuple[list[str], list[str]]:
+    """Return the values of the verdict in words: of fields that are held, and of others."""
+    said: list[str] = []
+    unsaid = [in_words(UNKNOWN, 'joint')] if UNKNOWN in diagnosis.verdict else []
+    for channel, weighed in groups.items():
+        for field, text in _sizes(diagnosis, weighed, diagnosis.best(weighed)).items():
+            (said if field.partition('@')[0] in held[channel] and '@' not in field
+             else unsaid).append(text)
+    return said, unsaid
 
 
 def _most(values: Array) -> float:

@@ -11,6 +11,17 @@ from asi_analysis import parallel
 from asi_analysis.bags.run import Array, Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.answer.export import (
+    Exported,
+    exported,
+    file_of,
+    for_each_joint,
+    write_joints,
+)
+from asi_analysis.gap.answer.export import (
+    in_words as exports_in_words,
+)
+from asi_analysis.gap.answer.joint_files import JOINT as ALONE
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.words import chance, in_words, percent, sizes_in_words
@@ -46,6 +57,7 @@ class JointGaps(Result):
                 yield (f'{each["joint"]}: {percent(each["coupling"])} of what is left of it '
                        f'moves with {each["coupled"]}')
         yield from (f'note: {note}' for note in self.notes)
+        yield from exports_in_words(self.exports, several=True)
 
 
 def _row(joint: Mapping[str, Any]) -> list[str]:
@@ -77,26 +89,34 @@ def diagnose_joints(recordings: Mapping[str, Sequence[Run]],
                     baseline: Mapping[str, Sequence[Run]] | None = None,
                     held_out: Mapping[str, Sequence[Run]] | None = None,
                     report: Path | None = None, progress: Progress = silent,
-                    **options: Any) -> JointGaps:
+                    exports: Sequence[Path] = (), **options: Any) -> JointGaps:
     """
     Return the diagnosis of each joint, by `diagnose` with these options, in parallel.
 
     recordings, baseline, held_out: by the name of the joint; report: directory for a report of
-    each. A joint that cannot be diagnosed has its error instead. Raises InputError if none can.
+    each; exports: files for a simulator, of all joints or, with {joint} in their names, of each;
+    a directory: a parameter file of each. A joint that cannot be diagnosed has its error instead.
+    Raises InputError if none can.
     Use it in `parallel.workers`.
     """
     work = [(runs, options | {'baseline': (baseline or {}).get(joint, ()),
                               'held_out': (held_out or {}).get(joint, ())},
-             report and report / joint) for joint, runs in recordings.items()]
+             report and report / joint, bool(exports)) for joint, runs in recordings.items()]
     for kind, others in (('healthy', baseline), ('held-out', held_out)):
         for joint in sorted(recordings.keys() - (others or recordings).keys()):
             raise InputError(f'{joint}: no {kind} recording of this joint')
     rows, rests = [], {}
-    for number, (joint, (answer, error, left)) in enumerate(zip(
+    found: dict[str, Exported] = {}
+    refused: list[str] = []
+    for number, (joint, (answer, error, left, export)) in enumerate(zip(
             recordings, parallel.each(_diagnosed, work), strict=True)):
         rows.append({'joint': joint, 'error': error, 'answer': answer, 'coupled': None,
                      'coupling': None})
         rests[joint] = left
+        if isinstance(export, Exported):
+            found[joint] = export
+        elif exports:
+            refused.append(f'not in the exports: {joint}: {export}')
         progress(f'{number + 1} of {len(recordings)} joints', (number + 1) / len(recordings))
     if all(row['answer'] is None for row in rows):
         raise InputError('; '.join(f'{row["joint"]}: {row["error"]}' for row in rows))
@@ -104,25 +124,54 @@ def diagnose_joints(recordings: Mapping[str, Sequence[Run]],
                     for run, other in zip(runs, next(iter(recordings.values())), strict=False))
     for row in rows if one_clock else ():
         row['coupled'], row['coupling'] = _coupled(row['joint'], rests, recordings)
-    return JointGaps({'joints': rows, 'notes': [
+    written = _written(exports, found, recordings)
+    return JointGaps({'joints': rows, 'exports': written, 'notes': [
+        *refused,
         'each joint is diagnosed by itself: what the others do to it is in what is left of it',
         'the joints have the same times: one clock' if one_clock else
         'the joints have times of their own, so that what is left of one is not compared with '
         'the motion of another']})
 
 
-def _diagnosed(runs: Sequence[Run], options: Mapping[str, Any], report: Path | None
-               ) -> tuple[dict[str, Any] | None, str | None, list[Rest]]:
-    """Return the document of a joint, or why there is none, and its residuals."""
+def _written(paths: Sequence[Path], found: Mapping[str, Exported],
+             recordings: Mapping[str, Sequence[Run]]) -> list[dict[str, Any]]:
+    """Write the joints into files; return the rows of `exports`."""
+    rows = []
+    for path in paths if found else ():
+        each = for_each_joint(path)
+        if each is None:
+            rows.append(write_joints(found, path, [
+                run.source for joint in found for run in recordings[joint]]))
+            continue
+        each.parent.mkdir(parents=True, exist_ok=True)
+        rows += [write_joints({ALONE: export}, file_of(each, joint),
+                              [run.source for run in recordings[joint]])
+                 for joint, export in found.items()]
+    return rows
+
+
+def _diagnosed(runs: Sequence[Run], options: Mapping[str, Any], report: Path | None, export: bool
+               ) -> tuple[dict[str, Any] | None, str | None, list[Rest], Exported | str | None]:
+    """
+    Return the document of a joint, or why there is none, and its residuals.
+
+    Last, if it is to be written: what is, or why it cannot be.
+    """
     with warnings.catch_warnings():   # they are among the notes
         warnings.simplefilter('ignore', InputWarning)
         try:
             gap = diagnose(runs, plant='joint', **options)
         except InputError as error:
-            return None, str(error), []
+            return None, str(error), [], str(error)
         if report:
             gap.write_report(report)
-    return gap.to_dict(), None, _rests(gap)
+    ready: Exported | str | None = None
+    if export:
+        try:
+            ready = exported(gap.diagnosis, gap.model or {})
+        except InputError as error:
+            ready = str(error)
+    return gap.to_dict(), None, _rests(gap), ready
 
 
 def _rests(gap: Gap) -> list[Rest]:

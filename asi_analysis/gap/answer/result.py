@@ -16,7 +16,7 @@ class Gap(Result):
     Where, why and how far a model differs from recordings: `diagnose`.
 
     The keys are those of `asi gap --json`; `runs` are the recordings, `diagnosis` what was fitted,
-    `model` the nominal parameters of the actuator, None of a joint.
+    `model` the nominal parameters of actuator or joint, None of a characteristic.
     """
 
     title = 'The sim-to-real gap'
@@ -45,7 +45,7 @@ class Gap(Result):
         return drawn(self.diagnosis, self)
 
     def write_report(self, out: Path) -> Path:
-        """Write report.html, its pictures and, of the actuator, improved.yaml into `out`."""
+        """Write report.html, its pictures and, of actuator or joint, improved.yaml into `out`."""
         from asi_analysis.gap.answer.report import write_gap_report
         page = write_gap_report(self.diagnosis, self, out, self.model)
         self['report'] = str(page)

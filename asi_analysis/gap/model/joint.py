@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
@@ -27,6 +28,7 @@ from asi_analysis.gap.model.gravity import (
     without_gravity,
 )
 from asi_analysis.gap.model.group import MODEL_ERROR, RIGID_ERROR, Group, make_group
+from asi_analysis.gap.model.model_file import joint_fields
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, rattling_of
 from asi_analysis.gap.model.servo import (
@@ -91,10 +93,10 @@ def drive_of(runs: Sequence[Run]) -> str:
     run = runs[0]
     present = run.signals()
     moves = 'position' in present or 'velocity' in present
-    if 'command' in present and (moves or 'force' not in present):
-        return 'force'
-    if 'command' in present:
-        return 'drive'
+    # The command of a simulated servo is a position: its reference.
+    commanded = 'command' in present and run.unit('command') not in ('m', 'rad')
+    if commanded:
+        return 'force' if moves or 'force' not in present else 'drive'
     followed = present.get(run.controlled()) if 'reference' in present else None
     if followed is None:
         if 'force' in present:
@@ -133,12 +135,17 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     rattling = _rattling(of, healthy or runs)
     found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness),
                         rattling)
+    told = bool({'gravity.sine', 'gravity.cosine'} & given.keys())
+    if told:
+        found = found._replace(sine=float(given.get('gravity.sine', 0.0)),
+                               cosine=float(given.get('gravity.cosine', 0.0)))
     found = found._replace(sine=found.sine + weight[0], cosine=found.cosine + weight[1])
     if rattling is not None:   # the weight beyond gravity at the middle of the motion
         middle = float(np.nanmean((healthy or runs)[0].signal('position')))
         rattling = rattling._replace(weight=rattling.weight - found.sine * np.sin(middle)
                                      - found.cosine * np.cos(middle))
     recordings, notes = without_gravity(recordings, runs, found)
+    notes = [] if told else notes
     of = without_gravity(of, healthy, found)[0] if healthy else recordings
     recordings, of = (from_one_origin(each, which, found.stiffness)
                       for each, which in ((recordings, runs), (of, healthy or runs)))
@@ -148,13 +155,15 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
             run.signal('position')))}) for run, r in zip(runs, recordings, strict=True)]
     notes = [*notes, *more, *_not_identifiable(recordings, runs)]
     groups = []
-    if all({'command', 'force'} <= run.signals().keys() for run in runs):
+    if all({'command', 'force'} <= run.signals().keys()
+           and run.unit('command') not in ('m', 'rad') for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
     holds = hidden and not turns and stiffness is None and all(
         run.position_m is not None for run in runs)
-    weighs = turns and (hidden or bool(healthy) or bool(found.sine or found.cosine))
-    mechanics = _mechanics(recordings, given, tolerance, force_measured, weighs, bool(healthy),
+    weighs = turns and (hidden or told or bool(healthy) or bool(found.sine or found.cosine))
+    mechanics = _mechanics(recordings, given, tolerance, force_measured, weighs,
+                           told or bool(healthy),
                            holds or bool(found.stiffness) and not found.given, rattling)
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
@@ -297,15 +306,18 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     """
     Return the group that compares the measured force with that of the motion.
 
-    weighs: the joint has gravity, which is free in every fit or, with healthy recordings, an
+    weighs: the joint has gravity, which is free in every fit or, if it is known (healthy), an
     effect; springs: it has a spring whose stiffness is not given; rattling: initial guess of a
     backlash.
     """
-    rest = {name: value for name, value in given.items() if name not in OF_ANY_SIZE}
+    own = {parameter.name for parameter in JOINT_PARAMETERS}
+    rest = {name: value for name, value in given.items() if name not in own}
     nominal = plant_record({**OFF, 'force_sensor.mass_share': 0.0, 'load.type': 'spring',
                             'load.stiffness': 0.0, **rest})
     for name in OF_ANY_SIZE & given.keys():
         nominal[name.replace('.', '_')] = given[name]
+    for name, known in joint_fields(given, force_measured).items():
+        nominal[name] = known
     identified, typical = _identified(recordings, float(nominal['load_stiffness']), springs)
     guess = rattling_mechanics(rattling, springs) if rattling else {}
     nuisance = []

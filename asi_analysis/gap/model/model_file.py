@@ -5,11 +5,12 @@ from typing import Final
 
 import numpy as np
 
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
 from asi_analysis.gap.model.simulator import of_simulator
 from asi_common.jit import FULL
-from asi_common.parameter import Value, completed
+from asi_common.parameter import Value, completed, defaults
 from asi_common.record import as_number, field_name
 
 # Fields of the effects that equal a parameter of the simulator.
@@ -63,6 +64,46 @@ def effect_fields(values: Mapping[str, Value]) -> dict[str, float]:
         fields['air_stiffening'] = 1.0 / float(values['fluid_dynamics.air_force'])
     if fields['viscous'] > 0.0:
         fields['friction_inside'] = float(values['friction.location'] == 'cylinder')
+    return fields | _coupled(values)
+
+
+def joint_fields(given: Mapping[str, Value], force_measured: bool) -> dict[str, float]:
+    """
+    Return the fields of effects that a joint's nominal parameters contain already.
+
+    given: parameters of a simulated joint, the others null; force_measured: delay and lag are
+    before the measured force, not between it and the motion.
+    """
+    values = defaults(JOINT_PARAMETERS) | {
+        parameter.name: given[parameter.name] for parameter in JOINT_PARAMETERS
+        if parameter.name in given}
+
+    def number(name: str) -> float:
+        return float(values[name])
+
+    lags = number('drive.lag_time'), number('drive.second_lag_time')
+    late = {} if force_measured else {
+        'drive_delay': number('command_path.delay'), 'drive_lag': sum(lags),
+        'drive_lag_split': min(lags) / sum(lags) if any(lags) else 0.0}
+    fields = {'viscous': number('friction.viscous'), **late, **_coupled(values)}
+    if values['friction.model'] == 'linear':
+        fields['viscous'] += number('friction.linear_gain')
+    level = number('friction.coulomb')
+    if values['friction.model'] != 'full' or level == 0.0:
+        return fields
+    breakaway = max(1.0, 0.5 * (number('friction.stiction_push')
+                                + number('friction.stiction_pull')) / level)
+    return fields | {
+        'friction_level': level, 'friction_breakaway': breakaway - 1.0,
+        'friction_asymmetry': number('friction.coulomb_asymmetry'),
+        'friction_stribeck': number('friction.stribeck_velocity'), 'friction_falling': 2.0,
+        'friction_bristle': level * breakaway / number('friction.presliding_stiffness'),
+        'friction_rounding': number('friction.presliding_slip')}
+
+
+def _coupled(values: Mapping[str, Value]) -> dict[str, float]:
+    """Return the fields of compliance and backlash, of the actuator's parameters or a joint's."""
+    fields: dict[str, float] = {}
     stiffness = float(values['coupling.stiffness'])
     if gap := float(values['backlash.gap']):
         fields['backlash'] = 0.5 * gap
@@ -111,7 +152,7 @@ def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
         stiffening = float(p['air_stiffening'])
         changed['fluid_dynamics.air_force'] = (
             float(p['force_scale']) / stiffening if stiffening > 0.0 else NO_STIFFENING_N)
-    changed |= _friction(p, values) | _coupling(p) | _external_force(p)
+    changed |= friction_parameters(p, values) | coupling_parameters(p) | external_force(p)
     if p['sensor_offset'] != 0.0:
         changed['force_sensor.offset'] = float(p['force_sensor_offset'] + p['sensor_offset'])
     if p['sensor_gain_error'] != 0.0:
@@ -120,7 +161,7 @@ def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
     return changed
 
 
-def _friction(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
+def friction_parameters(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
     """Return nominal friction plus that of the effects, as parameters of the simulator."""
     changed: dict[str, Value] = {}
     full = values['friction.model'] == 'full'
@@ -144,7 +185,7 @@ def _friction(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
     return changed
 
 
-def _coupling(p: np.void) -> dict[str, Value]:
+def coupling_parameters(p: np.void) -> dict[str, Value]:
     """Return compliance and backlash as parameters of the simulator."""
     changed: dict[str, Value] = {}
     if p['backlash'] > 0.0:
@@ -158,7 +199,7 @@ def _coupling(p: np.void) -> dict[str, Value]:
     return changed
 
 
-def _external_force(p: np.void) -> dict[str, Value]:
+def external_force(p: np.void) -> dict[str, Value]:
     """Return the largest disturbance as the simulator's external force: it has only one."""
     sizes = {name: abs(float(p[name]))
              for name in ('disturbance', 'disturbance_wave', 'disturbance_pulse')}

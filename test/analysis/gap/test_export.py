@@ -160,7 +160,12 @@ def test_urdf_has_what_it_has_words_for(arm, tmp_path):
 
 def test_parameters_are_read_again_as_the_nominal_joint(arm, tmp_path):
     values = nominal_model(arm.write_export(tmp_path / 'joint.yaml'), 'joint')
-    assert values == pytest.approx({'load.mass': INERTIA, 'load.damping': DAMPING}, rel=0.05)
+    known = {'load.mass': INERTIA, 'load.damping': DAMPING, 'gravity.sine': GRAVITY,
+             'friction.coulomb': FRICTION, 'friction.stiction_push': FRICTION}
+    assert {name: values[name] for name in known} == pytest.approx(known, rel=0.05)
+    assert values['joint.type'] == 'revolute'
+    again = diagnose(arm.runs, values, plant='joint')
+    assert again.verdict == 'no_gap'
 
 
 def test_without_mujoco_the_answer_says_how_to_get_it(arm, tmp_path, monkeypatch):

@@ -1,13 +1,16 @@
 """Several joints of a robot, in a table and in one answer."""
 
+import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+import yaml
 from documented import problems
-from test_gap_joint import RATE_HZ, TIME_S, joint
+from test_gap_joint import INERTIA, RATE_HZ, TIME_S, joint
 
 from asi_analysis.bags.exchange.importing import import_joints, read_joint, read_joints
 from asi_analysis.bags.exchange.summary import ImportedJoints
@@ -69,6 +72,41 @@ def test_each_joint_is_diagnosed_and_one_that_cannot_be_says_why():
         diagnose_joints({'wheel': robot['wheel']})
     with pytest.raises(InputError, match='knee: no healthy recording of this joint'):
         diagnose_joints({'knee': robot['knee']}, {'hip': robot['hip']})
+
+
+def test_what_was_found_of_each_joint_is_written_together_or_apart(tmp_path):
+    robot = {'left/hip': [joint(late_s=0.012)[SHORT]], 'knee': [joint(friction=0.15)[SHORT]]}
+    paths = [tmp_path / name for name in (
+        'each', '{joint}.xml', 'robot.yaml', 'robot.xml', 'robot.urdf', 'robot.isaac.yaml')]
+    with workers(2):
+        answer = diagnose_joints(robot, exports=paths)
+    assert problems(json.loads(json.dumps(answer.to_dict(), allow_nan=False)),
+                    'asi gap --joint all') == []
+    assert [Path(row['file']).name for row in answer.exports] == [
+        'left_hip.yaml', 'knee.yaml', 'left_hip.xml', 'knee.xml', *(p.name for p in paths[2:])]
+    # One file of all nodes has a namespace for each; each of the others is for a node anywhere.
+    together = yaml.safe_load(paths[2].read_text())
+    assert list(together) == ['/left_hip/asi_actuator', '/knee/asi_actuator']
+    for name in ('left_hip', 'knee'):
+        values = together[f'/{name}/asi_actuator']['ros__parameters']
+        alone = yaml.safe_load((tmp_path / 'each' / f'{name}.yaml').read_text())
+        assert alone['/**/asi_actuator']['ros__parameters'] == values
+        assert values['plant'] == 'joint'
+    assert together['/left_hip/asi_actuator']['ros__parameters']['command_path'][
+        'delay'] == pytest.approx(0.012, rel=0.1)
+    for path in paths[3:5]:
+        names = {each.get('name') for each in ET.parse(path).iter('joint')}
+        assert {'left/hip', 'knee'} <= names
+    if importlib.util.find_spec('mujoco') is not None:
+        import mujoco
+        for path in paths[3:5]:
+            assert mujoco.MjModel.from_xml_path(str(path)).njnt == 2
+    knee = yaml.safe_load(paths[5].read_text())['actuators']['knee']
+    assert knee['friction'] == pytest.approx(0.15, rel=0.05)
+    assert knee['armature'] == pytest.approx(INERTIA, rel=0.05)
+    assert knee['stiffness'] == knee['damping'] == knee['min_delay'] == 0
+    assert yaml.safe_load(paths[5].read_text())['actuators']['left/hip']['max_delay'] == round(
+        0.012 * RATE_HZ)
 
 
 def test_what_another_joint_does_to_one_is_told():
