@@ -196,7 +196,10 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                 f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, "joint"))} '
                 f'({origin if DOTTED[field] in values or diagnosis.healthy else "identified"})'
                 for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
-                ) + ('' if diagnosis.healthy else _gravity(weighed.group.recordings[0], p, run))
+                ) + ('' if diagnosis.healthy else _gravity(
+                    weighed.group.recordings[0], p, run,
+                    origin if {'gravity.sine', 'gravity.cosine'} & values.keys() else
+                    'identified'))
                 + ', and a constant force')
         else:
             p = diagnosis.best(weighed).fitted.record
@@ -209,7 +212,7 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
     return notes
 
 
-def _gravity(recording: Recording, p: np.void, run: Run) -> str:
+def _gravity(recording: Recording, p: np.void, run: Run, origin: str) -> str:
     """Return the words for the gravity of a joint; '' if it has none."""
     sine, cosine = (recording.taken.get(name, 0.0) + float(p[name])
                     for name in ('gravity_sine', 'gravity_cosine'))
@@ -217,7 +220,7 @@ def _gravity(recording: Recording, p: np.void, run: Run) -> str:
         return ''
     return (f', gravity {digits(math.hypot(sine, cosine), unit_of("N", "load", run, "joint"))} '
             'times the sine of the position less '
-            f'{math.degrees(math.atan2(-cosine, sine)):.3g} degrees (identified)')
+            f'{math.degrees(math.atan2(-cosine, sine)):.3g} degrees ({origin})')
 
 
 def _of_the_line(diagnosis: Diagnosis, values: Mapping[str, Value]) -> str:
