@@ -1,6 +1,5 @@
 """An experiment computed in one process, instead of over ROS: the same samples, the same bag."""
 
-import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -81,21 +80,11 @@ def run_in_process(experiment: Experiment, out: Path, progress: Progress = silen
         raise
     except BaseException as error:
         writer.abandon(error)
-        if isinstance(error, OSError):      # a full disk: the same call shall work once it is not
-            _clear(out)
         raise
     if recorder.ended:
         raise RunFailedError('the actuator ended in a fault, the valve command is 0: '
                              f'{safety.reason}; the bag so far: {out / "bag"}')
     return out / 'bag'
-
-
-def _clear(folder: Path) -> None:
-    for each in folder.iterdir():
-        if each.is_dir():
-            shutil.rmtree(each, ignore_errors=True)
-        else:
-            each.unlink(missing_ok=True)
 
 
 def _record(experiment: Experiment, recorder: '_Recorder', progress: Progress) -> None:

@@ -33,7 +33,6 @@ from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.qos import as_profile
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.loop.in_process import simulate
 from asi_common.files import write_text
 from asi_common.node.topics import STREAM_QOS
 from torture.inputs import as_sqlite
@@ -315,18 +314,6 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
         warnings.simplefilter('error')
         write_bag(a_run(), tmp_path / 'bag')
         assert len(read_bag(tmp_path / 'bag')) == 300
-
-
-def test_a_run_that_a_full_disk_ended_does_not_stand_in_the_way(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        def full(*_: object) -> None:
-            raise OSError(28, 'No space left on device')
-
-        patch.setattr('asi_analysis.bags.bag_writer.write_text', full)
-        with pytest.raises(OSError, match='No space left'):
-            simulate({}, {}, 0.02, out=tmp_path / 'run')
-    assert len(simulate({}, {}, 0.02, out=tmp_path / 'run')) == 100
 
 
 @pytest.mark.parametrize('variables', [{}, {'HOME': '/proc/none', 'LC_ALL': 'C'},
