@@ -302,9 +302,9 @@ def test_dead_node_is_named(recording, tmp_path):
                    if 'asi_controller.controller_node' in path.read_text())
     os.kill(int(controller.parent.name), signal.SIGKILL)
     assert process.wait(PATIENCE_S) == 1
-    complaint = process.stderr.read().strip()
+    # A slow machine is told to wait, which is no complaint.
+    complaint, = (line for line in process.stderr.read().splitlines() if 'waiting for' not in line)
     assert 'controller' in complaint and 'SIGKILL' in complaint
-    assert len(complaint.splitlines()) == 1
     assert processes_of(out) == []
     from asi_analysis.bags.bag import read_bag
     assert len(read_bag(out / 'bag')) > 100

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +32,12 @@ print(*sorted(names))
 
 def sockets(pid: int) -> set[str]:
     """Return the IPv4 addresses that the UDP sockets of a process are bound to."""
-    inodes = {os.readlink(file)[8:-1] for file in Path(f'/proc/{pid}/fd').iterdir()
-              if os.readlink(file).startswith('socket:')}
+    inodes = set()
+    for file in Path(f'/proc/{pid}/fd').iterdir():
+        with suppress(FileNotFoundError):   # closed in between
+            kind, _, inode = os.readlink(file).partition(':')
+            if kind == 'socket':
+                inodes.add(inode[1:-1])
     rows = [line.split() for line in Path(f'/proc/{pid}/net/udp').read_text().splitlines()[1:]]
     return {'.'.join(str(int(row[1][place:place + 2], 16)) for place in (6, 4, 2, 0))
             for row in rows if row[9] in inodes}
