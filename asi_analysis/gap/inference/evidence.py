@@ -37,10 +37,14 @@ def weigh(group: Group, found: Mapping[Names, Found]) -> dict[Names, float]:
     level = mean_squares(least.problem, least.best.residual)
     equal = equal_below(least) if group.other_formulation else 0.0 * level
     simplest = _simplest_explained(found)
-    rough = {names: _log_posterior(f, counts, level, model, np.maximum(
-        equal, mean_squares(simplest.problem, simplest.best.residual))
-        if simplest and len(names) > len(simplest.names) else equal)
-        for names, f in found.items()}
+
+    def no_evidence_below(names: Names) -> Array:
+        if simplest is None or len(names) <= len(simplest.names):
+            return equal
+        return np.maximum(equal, mean_squares(simplest.problem, simplest.best.residual))
+
+    rough = {names: _log_posterior(f, counts, level, model, no_evidence_below(names))
+             for names, f in found.items()}
     highest = max(rough.values())
     evidence = {names: rough[names] + _log_volume(f, counts / total, model)
                 for names, f in found.items() if rough[names] > highest - NEGLIGIBLE}
@@ -80,7 +84,8 @@ def _log_posterior(found: Found, counts: Array, level: Array, model: Array, equa
     Return the log posterior density of a hypothesis at its most probable parameters.
 
     Up to a constant. All by channel: counts: effective samples; mean squares in error floors:
-    level: residual of the best hypothesis; model: model error; equal: as of `equal_below`.
+    level: residual of the best hypothesis; model: model error; equal: a smaller residual counts
+    as this.
     """
     mean, precision = found.problem.prior
     left = np.maximum(mean_squares(found.problem, found.best.residual), equal)

@@ -117,8 +117,7 @@ def _guesses(servo: Servo, recording: Recording) -> list[Steps]:
     response = np.fft.rfft(np.diff(response_of(servo, jump), append=1.0), 2 * size)
     power = {}
     for count in np.arange(1.5, MOST_STEPS, SPACING):
-        first = _moved(Steps(span / count, 0.0), reference, 0.0, 0.0)
-        tried = [first._replace(phase=first.phase + later) for later in np.arange(0, 1, SPACING)]
+        tried = [Steps(span / count, phase) for phase in np.arange(0.0, 1.0, SPACING)]
         changes = np.array([steps.of(reference) - reference for steps in tried])
         moved = np.fft.irfft(response * np.fft.rfft(changes, 2 * size))[:, :size]
         left = np.var((error - moved)[:, r.fit], axis=1)
