@@ -13,12 +13,11 @@ from asi_actuator.joint.drive import pushed
 from asi_actuator.joint.position_forces import position_force
 from asi_actuator.model.backlash import contact, spring_and_damper
 from asi_actuator.model.friction import friction
-from asi_actuator.model.load import external_force
+from asi_actuator.model.load import MOST_ROUNDS, bracketed, external_force
 from asi_common.jit import inlined
 
 # A Newton step that is so small, as a share of the velocity or in m/s or rad/s, is the last.
 LAST_STEP: Final = 1e-10
-MOST_ROUNDS: Final = 60
 
 
 @inlined
@@ -56,12 +55,7 @@ def mechanics(state, push, apart, p, h):
         change = -residual / steepness
         if abs(change) <= LAST_STEP * (1.0 + abs(velocity)):
             break
-        if residual > 0.0:
-            high = velocity
-        else:
-            low = velocity
-        if not low <= velocity + change <= high:
-            change = 0.5 * (low + high) - velocity
+        change, low, high = bracketed(velocity, change, residual, low, high)
     if p.servo_rate_limit > 0.0 and p.servo_kp > 0.0:
         velocity = min(max(velocity, -p.servo_rate_limit), p.servo_rate_limit)
     mean = 0.5 * (state.velocity + velocity)

@@ -79,6 +79,22 @@ def felt_force(state, apart, p):
 
 
 @inlined
+def bracketed(velocity, change, residual, low, high):
+    """
+    Return the next change of a velocity (m/s), and the bracket of the solution.
+
+    change: the Newton step; where it leaves the bracket, bisection takes its place.
+    """
+    if residual > 0.0:
+        high = velocity
+    else:
+        low = velocity
+    if not low <= velocity + change <= high:
+        change = 0.5 * (low + high) - velocity
+    return change, low, high
+
+
+@inlined
 def load(state, static_before, opening, steady, p):
     """
     Advance piston, seals, hydraulic force and load by a sub-step.
@@ -130,12 +146,7 @@ def load(state, static_before, opening, steady, p):
         change = -residual / steepness
         if abs(change) <= LINEAR_STEP:
             break
-        if residual > 0.0:
-            high = velocity
-        else:
-            low = velocity
-        if not low <= velocity + change <= high:
-            change = 0.5 * (low + high) - velocity
+        change, low, high = bracketed(velocity, change, residual, low, high)
     velocity += change
     if apart:
         force = touch.force + 0.5 * touch.damping * (state.velocity + velocity)
