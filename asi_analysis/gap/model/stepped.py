@@ -11,6 +11,7 @@ from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.servo import Servo, left_of, response_of, second_order, thinned
@@ -20,7 +21,7 @@ MOST_STEPS: Final = 60     # over the range of the reference
 # Initial guesses: all numbers of steps over the range and all phases, at this spacing; at most so
 # many samples are used; the best ones are refined, with ranges that become smaller.
 SPACING: Final = 0.1
-GUESS_SAMPLES: Final = 6000
+GUESS_SAMPLES: Final = 3000
 CANDIDATES: Final = 5
 OFFSETS: Final = np.linspace(-1.0, 1.0, 5)
 RANGES: Final = (0.05, 0.025, 0.012, 0.006, 0.003)
@@ -114,12 +115,13 @@ def _guesses(servo: Servo, recording: Recording) -> list[Steps]:
     one = np.ones(size)
     one[0] = 0.0
     jump = replace(r, command=one, valve_position=np.zeros(size))
-    response = np.fft.rfft(np.diff(response_of(servo, jump), append=1.0), 2 * size)
+    length = next_fast_len(2 * size, real=True)
+    response = rfft(np.diff(response_of(servo, jump), append=1.0), length)
     power = {}
     for count in np.arange(1.5, MOST_STEPS, SPACING):
         tried = [Steps(span / count, phase) for phase in np.arange(0.0, 1.0, SPACING)]
         changes = np.array([steps.of(reference) - reference for steps in tried])
-        moved = np.fft.irfft(response * np.fft.rfft(changes, 2 * size))[:, :size]
+        moved = irfft(response * rfft(changes, length), length)[:, :size]
         left = np.var((error - moved)[:, r.fit], axis=1)
         best = int(np.argmin(left))
         power[tried[best]] = left[best]
