@@ -8,7 +8,7 @@ import numpy as np
 from asi_analysis.bags.run import Run
 from asi_analysis.experiments.experiment import Experiment
 from asi_analysis.loop.bench import step_experiment
-from asi_analysis.measures.oscillation import fit_sine
+from asi_analysis.measures.sinusoids.sinusoid import fit
 from asi_analysis.paper.facts.conditions import Conditions, StepTest
 
 
@@ -92,15 +92,15 @@ def limit_cycle(recorded: Recorded, frequency_hz: float) -> Cycle:
     run = recorded.run
     steady = run.time_s >= 0.5 * run.time_s[-1]
     time, force = run.time_s[steady], run.signal('force')[steady]
-    harmonics = [(k * frequency_hz, abs(fit_sine(time, force, k * frequency_hz)[0]))
-                 for k in range(1, 10)]
+    # All harmonics together: one by one, the fundamental would leak into the weak ones.
+    found = fit(time, force, frequency_hz)
+    assert found is not None   # the run has the samples of tens of cycles
+    harmonics = [(k * found.frequency_hz, abs(size)) for k, size in enumerate(found.harmonics, 1)]
     window = np.hanning(time.size)
     count = PADDED * time.size   # so that a line between two bins has its height
     amplitude = 2.0 * np.abs(np.fft.rfft((force - force.mean()) * window, count)) / window.sum()
-    fundamental = harmonics[0][1]
     full = float(recorded.experiment.actuator['valve_characteristic.full_opening'])
-    return Cycle(frequency_hz, fundamental,
-                 float(np.sqrt(sum(a * a for _, a in harmonics[1:]))) / fundamental,
+    return Cycle(frequency_hz, found.amplitude, found.thd,
                  float(np.abs(run.signal('valve_position')[steady]).max()) / full,
                  float(np.abs(run.signal('command')[steady]).max()), harmonics,
                  (np.fft.rfftfreq(count, run.period_s), amplitude), steady)

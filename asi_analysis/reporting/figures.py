@@ -207,7 +207,7 @@ def hysteresis_loop(command: Array, valve_position: Array, straight: tuple[float
                       textcoords='offset points', color=ORANGE, fontweight='bold')
         axes.set(xlabel='valve command (N)', ylabel='valve position (µm)')
         axes.xaxis.set_major_locator(MaxNLocator(7))
-        axes.legend(loc='upper left')
+        figure.legend(*axes.get_legend_handles_labels(), loc='outside upper center', ncols=2)
         return figure
 
 

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
@@ -81,8 +82,11 @@ def test_cycle_and_loop_are_measured(demo):
     """A cycle near the paper's 90 Hz; a loop at least as wide as the play that makes it."""
     frequency = demo['limit_cycle'].analysis['oscillation']['frequency_hz']
     cycle = limit_cycle(demo['limit_cycle'], frequency)
-    # The drawn line is as high as the amplitude beside it.
-    assert max(cycle.spectrum[1]) == pytest.approx(cycle.amplitude_n, rel=0.02)
+    # The drawn lines are as high as the amplitudes beside them, also the weak ones.
+    place, height = cycle.spectrum
+    for harmonic, size in cycle.harmonics[:7]:
+        near = np.abs(place - harmonic) < 0.1 * frequency
+        assert max(height[near]) == pytest.approx(size, rel=0.05)
     assert 80.0 < frequency < 100.0
     assert cycle.distortion < 0.08
     loop = hysteresis_loop(demo['hysteresis'])
