@@ -22,12 +22,14 @@ from asi_analysis.gap.findings.edges import PLACED, placed
 from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
+from asi_analysis.gap.inference.beyond_tolerance import SENSOR_GAIN as GAIN
+from asi_analysis.gap.inference.beyond_tolerance import with_tolerated_gain
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.lower_band import with_lower_band
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
-from asi_analysis.gap.inference.search import explained_by_simulator
+from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import (
     Likelihood,
     at_limit,
@@ -216,7 +218,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy)
     own = {field_name(name): share for name, share in tolerances.items()}
     uncertain = sorted({DOTTED.get(free.field, free.field) for group in (*groups, *simulated)
-                        for free in group.nuisance if free.scale == 'nominal'})
+                        for free in group.nuisance if free.scale == 'nominal'}
+                       | ({DOTTED[GAIN]} if plant == 'actuator' else set()))
     for name in tolerances.keys() - set(uncertain):
         raise InputError(f'tolerance {name}: no uncertain parameter of the nominal model; '
                          f'uncertain are: {", ".join(uncertain) or "none"}')
@@ -270,6 +273,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             weighed = [at_one_rate(each) for each in weighed]
     if machine:
         weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
+    elif plant == 'actuator':
+        weighed = [with_tolerated_gain(each, own.get(GAIN, tolerance)) for each in weighed]
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     as_fitted, weighed = weighed, [placed(each) for each in weighed]

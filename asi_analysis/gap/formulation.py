@@ -15,7 +15,7 @@ from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import Group
 
 TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
-MODEL_SAMPLES = 100.0     # effective sample size of the model error of a channel
+MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channel
 
 
 def with_formulation(group: Group, other: bool) -> Group:

@@ -1,43 +1,94 @@
-"""A nominal model that fits only with a parameter beyond its tolerance is not `no_gap`."""
+"""
+Nominal parameters beyond their tolerance, and the gain of the force sensor within it.
 
-from asi_analysis.gap.inference.hypotheses import Weighed
+A fit with a nominal parameter beyond its tolerance has one more cause: that parameter. A gain of
+the sensor within its tolerance is none. It is free only as an effect: as one more uncertain
+parameter it would scale all the others.
+"""
+
+import math
+from dataclasses import replace
+
+from scipy.stats import norm
+
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant
 from asi_analysis.gap.model.group import Group
 
 MOST_PARAMETERS = 2   # beyond their tolerance, to be named as the cause; more: `unknown`
+LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
+# Probability that the laws are the simulator's own, if the noise would hide another formulation.
+# With others, a value just beyond the tolerance may be due to them.
+OWN_LAWS = 0.6
+EFFECT = 'sensor_gain'
+SENSOR_GAIN = 'force_sensor_gain'
+GAIN_ERROR = 'sensor_gain_error'   # of the block-wise model, relative to the nominal gain
+LIMIT_95 = float(norm.ppf(0.975))
 
 
-def with_null_named(weighed: Weighed) -> Weighed:
+def with_parameters_named(weighed: Weighed) -> Weighed:
     """
-    Return a group whose null hypothesis keeps all parameters within their tolerances.
+    Return a group whose hypotheses keep all other parameters within their tolerances.
 
-    Normal priors let the null fit leave them. If the 95 % interval of a nominal parameter lies
-    beyond its tolerance, that fit and its probability belong to the hypothesis of this parameter.
-    If it takes more than MOST_PARAMETERS of them, the cause is `unknown`.
+    Normal priors let a fit leave them. If the 95 % interval of a nominal parameter lies beyond its
+    tolerance, that fit and its probability belong to the hypothesis with this parameter, as far as
+    the laws are the simulator's own. If the nominal model takes more than MOST_PARAMETERS of them,
+    the cause is `unknown`.
     """
-    null, group, chance = weighed.candidates[()], weighed.group, weighed.probability
-    if chance[()] == 0.0 or not null.fitted.at_limit:
-        return weighed
-    known, found = likelihood(null.fitted), dict[str, Variant]()
-    for free in null.fitted.free:
+    group = weighed.group
+    shown = any(group.other_error[channel] > group.error_floor[channel]
+                for channel in group.channels)
+    share = 1.0 if shown else OWN_LAWS
+    chance, candidates = dict(weighed.probability), dict(weighed.candidates)
+    for names, candidate in weighed.candidates.items():
+        if weighed.probability[names] < LEAST_PROBABILITY:
+            continue
+        more = _beyond(weighed, names)
+        if not more:
+            continue
+        if len(more) > MOST_PARAMETERS:
+            if names:
+                continue
+            richer: Names = (UNKNOWN,)
+        else:
+            richer = tuple(sorted({*names, *more}))
+            if richer not in candidates:
+                candidates[richer] = _freed(candidate, richer, tuple(more.values()))
+        moved = share * weighed.probability[names]
+        chance[richer] = chance.get(richer, 0.0) + moved
+        chance[names] -= moved
+    return weighed._replace(candidates=candidates, probability=chance)
+
+
+def _freed(candidate: Candidate, names: Names, more: tuple[Variant, ...]) -> Candidate:
+    """Return a hypothesis with further effects, whose parameters have no prior any more."""
+    fields = {free.field for variant in more for free in variant.free}
+    problem = candidate.fitted.problem
+    free = tuple(each._replace(prior=math.inf) if each.field in fields else each
+                 for each in problem.free)
+    return Candidate(names, (*candidate.variants, *more), candidate.fitted._replace(
+        problem=replace(problem, free=free), free=free))
+
+
+def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
+    """Return the effects of parameters that are beyond their tolerance, with their forms."""
+    group, candidate = weighed.group, weighed.candidates[names]
+    fitted, found = candidate.fitted, dict[str, Variant]()
+    own = {free.field for variant in candidate.variants for free in variant.free}
+    suspects = [free for free in fitted.free if free.field in fitted.at_limit.keys() - own]
+    if not suspects:
+        return found
+    known = likelihood(fitted)
+    for free in suspects:
         nominal = float(group.nominal[free.field])
-        if free.field in null.fitted.at_limit and all(
-                abs(end / nominal - 1.0) > 2.0 * free.prior
-                for end in interval(null.fitted, known, free.field)):
+        if all(abs(end / nominal - 1.0) > 2.0 * free.prior
+               for end in interval(fitted, known, free.field)):
             effect, variant = form_of(group, free.field)
-            found[effect.name] = variant
-    names = tuple(sorted(found))
-    if not names:
-        return weighed
-    candidates = dict(weighed.candidates)
-    if len(names) > MOST_PARAMETERS:
-        names = (UNKNOWN,)
-    elif chance[()] > chance.get(names, 0.0):
-        candidates[names] = null._replace(names=names,
-                                          variants=tuple(found[name] for name in names))
-    return weighed._replace(candidates=candidates, probability=chance | {
-        (): 0.0, names: chance.get(names, 0.0) + chance[()]})
+            if effect.name not in names:
+                found[effect.name] = variant
+    return found
 
 
 def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
@@ -45,3 +96,42 @@ def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
     return min(((effect, variant) for effect in group.effects for variant in effect.variants
                 if field in {free.field for free in variant.free}),
                key=lambda found: len(found[1].free))
+
+
+def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
+    """
+    Return a group in which `sensor_gain` is a gain beyond its tolerance.
+
+    That part of the probability of a hypothesis with this effect that lies within the tolerance,
+    by the interval of the fitted gain, belongs to the hypothesis without it.
+    """
+    chance, candidates = dict(weighed.probability), dict(weighed.candidates)
+    for names, candidate in weighed.candidates.items():
+        if EFFECT not in names or chance[names] < LEAST_PROBABILITY:
+            continue
+        within = _share_within(candidate, tolerance)
+        rest = _without(names)
+        if within * chance[names] > chance.get(rest, 0.0):
+            candidates[rest] = candidate._replace(names=rest)
+        for each in [n for n in chance if EFFECT in n and set(names) == set(n) - {UNKNOWN}]:
+            moved = within * chance[each]
+            chance[each] -= moved
+            chance[_without(each)] = chance.get(_without(each), 0.0) + moved
+    return weighed._replace(candidates=candidates, probability=chance)
+
+
+def _without(names: Names) -> Names:
+    return tuple(name for name in names if name != EFFECT)
+
+
+def _share_within(candidate: Candidate, tolerance: float) -> float:
+    """Return the probability that the fitted gain is within its tolerance."""
+    fitted = candidate.fitted
+    group = fitted.problem.group
+    field = GAIN_ERROR if GAIN_ERROR in {free.field for free in fitted.free} else SENSOR_GAIN
+    value, *ends = (
+        each if field == GAIN_ERROR else each / float(group.nominal[SENSOR_GAIN]) - 1.0
+        for each in (float(fitted.record[field]), *interval(fitted, likelihood(fitted), field)))
+    deviation = max((ends[1] - ends[0]) / (2.0 * LIMIT_95), 1e-9)
+    inside = norm.cdf((tolerance - value) / deviation) - norm.cdf((-tolerance - value) / deviation)
+    return float(inside)

@@ -278,10 +278,10 @@ class Found(NamedTuple):
     @property
     def relative_residual(self) -> Array:
         """Return the mean square residual of each channel over the highest that noise explains."""
-        return mean_squares(self.problem, self.best.residual) / self._explained
+        return mean_squares(self.problem, self.best.residual) / self.explained
 
     @property
-    def _explained(self) -> float:
+    def explained(self) -> float:
         """Return the highest mean square residual that noise explains, in error floors."""
         samples = self.best.residual.size / len(self.problem.group.channels)
         return MARGIN + NOISE_ERROR / math.sqrt(samples)
@@ -298,9 +298,30 @@ class Found(NamedTuple):
 
     @property
     def largest_cost(self) -> float:
-        """Return the highest cost of a residual that noise explains."""
+        """Return the highest cost of a residual that noise and any model error explain."""
         rows, _ = self.problem.split(self.best.residual)
-        return 0.5 * self._explained * float(power(self.problem.group).sum()) * rows.shape[1]
+        return 0.5 * self.explained * float(
+            power(self.problem.group) @ self._any_formulation) * rows.shape[1]
+
+    @property
+    def noise_cost(self) -> float:
+        """Return the cost of a residual that is as large as the error floor."""
+        rows, _ = self.problem.split(self.best.residual)
+        return 0.5 * float(power(self.problem.group).sum()) * rows.shape[1]
+
+    @property
+    def _any_formulation(self) -> Array:
+        """Return the error floor of laws formulated in another way, over that in use."""
+        group = self.problem.group
+        if group.other_formulation or group.floor_measured:
+            return np.ones(len(group.channels))
+        return np.array([1.0 + group.other_error[channel] / group.error_floor[channel]
+                         for channel in group.channels])
+
+    @property
+    def far(self) -> bool:
+        """Return whether it leaves more than noise and the model error of other formulations."""
+        return bool((self.relative_residual / self._any_formulation).max() > 1.0)
 
     @property
     def unexplained(self) -> bool:
@@ -311,6 +332,11 @@ class Found(NamedTuple):
     def prior_cost(self) -> float:
         """Return the negative log prior density of the nominal parameters, up to a constant."""
         return self.problem.prior_cost(self.best.theta)
+
+    @property
+    def as_fitted(self) -> Fitted:
+        """Return the hypothesis as a `Fitted`, which the rest of the diagnosis uses."""
+        return fitted(self.problem, self.best)
 
     @property
     def at_nominal(self) -> 'Found':

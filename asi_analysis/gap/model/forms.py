@@ -120,6 +120,8 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     ),
     'friction_asymmetry': (
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
+              needs=('friction_model', 'friction_coulomb')),
+        _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
               _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), needs=('friction_model',)),
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
               _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), *_BREAKAWAY,

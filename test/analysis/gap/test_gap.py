@@ -80,6 +80,19 @@ def test_errors_within_the_tolerance_are_no_gap():
     assert problems(answer, 'asi gap') == []
 
 
+def test_a_gain_of_the_sensor_is_an_effect_only_beyond_its_tolerance():
+    # With stiffness and gain at opposite ends, the other parameters cannot stand for the gain.
+    off = {'load__stiffness': 1.7e5, 'load__mass': 0.58, 'force_sensor__offset': 25.0}
+    within = diagnose([recorded(force_sensor__gain=0.85, **off)], TEXTBOOK)
+    assert within.verdict == ('sensor_offset',) and within.joined[within.verdict] > 0.7
+    # Unless the sensor is known to be calibrated.
+    known = diagnose([recorded(force_sensor__gain=0.85, **off)], TEXTBOOK,
+                     tolerances={'force_sensor.gain': 0.01})
+    assert 'sensor_gain' in known.verdict
+    beyond = diagnose([recorded(force_sensor__gain=0.6, **off)], TEXTBOOK)
+    assert set(beyond.verdict) == {'sensor_gain', 'sensor_offset'}
+
+
 def test_asymmetry_of_the_friction_that_the_model_has():
     # Its mean over both directions stays, so in motion it is little but a constant force.
     seals = {'friction.model': 'full', 'friction.coulomb': 40.0, 'friction.stiction_push': 40.0,

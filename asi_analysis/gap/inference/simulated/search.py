@@ -17,11 +17,7 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
-from asi_analysis.gap.inference.beyond_tolerance import with_null_named
-from asi_analysis.gap.inference.evidence import ODDS_AGAINST, weigh
-from asi_analysis.gap.inference.fit import Fitted
-from asi_analysis.gap.inference.formulation import COST_RANGE, in_best_formulation, in_formulation
-from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
@@ -30,18 +26,16 @@ from asi_analysis.gap.inference.posterior import (
     ROUNDS,
     Found,
     Posterior,
-    fitted,
     mean_squares,
     most_probable,
 )
 from asi_analysis.gap.inference.probability import (
-    SIMULATOR,
     Names,
-    as_probability,
-    unknown_odds,
-    with_unknown,
 )
-from asi_analysis.gap.inference.screen import Start, screen
+from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST
+from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
+from asi_analysis.gap.inference.simulated.formulation import COST_RANGE, in_best_formulation
+from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
     VALVE_GAIN,
@@ -52,7 +46,6 @@ from asi_analysis.gap.model.group import (
     with_lower_noise,
     with_simulated_valve,
 )
-from asi_analysis.gap.model.predict import measured
 from asi_analysis.gap.model.simulator import SUBSTEPS_S
 from asi_analysis.gap.model.start import SEAL
 from asi_common.record import field_name
@@ -65,10 +58,10 @@ ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 5
 # does not explain.
 CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
 SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
+# A fit competes with the best as long as its model error is at most this multiple larger.
+EXCESS_RANGE = 2.0
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
-# The model is of this machine if it leaves at most this share of each signal's mean square.
-FOLLOWED_SHARE = 0.5
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -89,14 +82,14 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
         return None if first is None else [first.weighed]
     rest, = others
     second = _explained(with_simulated_valve(
-        rest, _most_probable(first.weighed).fitted.record, gain), tick, alone)
+        rest, most_probable_of(first.weighed).fitted.record, gain), tick, alone)
     if second is None:
         return None
     # If the laws behind the valve are formulated in another way, so are the valve's, although
     # its position may not show it.
     changed = (second.weighed.group.other_formulation
                and not first.weighed.group.other_formulation)
-    return [(_weighed(first.found, alone, True) if changed else None) or first.weighed,
+    return [(weighed_of(first.found, alone, True) if changed else None) or first.weighed,
             second.weighed]
 
 
@@ -116,68 +109,14 @@ class _Explained(NamedTuple):
     """A group that the simulator explains, and its fitted hypotheses."""
 
     weighed: Weighed
-    found: dict[Names, Found]
+    found: Mapping[Names, Found]
 
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
     found = _hypotheses(_with_noise_from_fit({(): _null(group)})[()], tick, alone)
-    weighed = _weighed(found, alone)
+    weighed = weighed_of(found, alone)
     return None if weighed is None else _Explained(weighed, found)
-
-
-def _weighed(found: Mapping[Names, Found], alone: bool, other: bool | None = None
-             ) -> Weighed | None:
-    """
-    Return a group with the probabilities of its hypotheses, if one of them explains it.
-
-    alone: as in `explained_by_simulator`; other: whether the laws are formulated in another way,
-    if known.
-    """
-    if other is not None:
-        found = in_formulation(found, other)
-    group = found[()].problem.group
-    if not alone and not _only_noise_left(found):
-        return None
-    candidates = {names: Candidate(names, f.variants, _as_fitted(f)) for names, f in found.items()}
-    weighed = Weighed(group, candidates, weigh(group, found))
-    best, gap, unknown = found[_most_probable(weighed).names], found[()].relative_residual, 0.0
-    # Its sizes are reported, so its parameters are fitted to the end, also from nominal values:
-    # friction makes the cost rough.
-    best = best._replace(best=min((most_probable(best.problem, start.best.theta, converged=0.0)
-                                   for start in (best, best.at_nominal)),
-                                  key=lambda each: each.cost))
-    candidates[best.names] = Candidate(best.names, best.variants, _as_fitted(best))
-    if best.unexplained:
-        if not (alone and _follows_signals(found[()])):
-            return None
-        unknown = as_probability(max(
-            unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
-            for left, before in zip(best.relative_residual, gap, strict=True)))
-    elif group.other_formulation and not best.names:   # the model error may mask an effect
-        unknown = SIMULATOR.masked * max(1.0 - group.noise[channel] ** 2 / level
-                                         for channel, level in group.error_floor.items())
-    if unknown > 0.0:
-        chance = {names: weighed.probability[names] for names in candidates}
-        weighed = weighed._replace(probability=with_unknown(
-            chance, unknown, float((1.0 - np.sqrt(best.relative_residual / gap)).max())))
-    # A parameter of laws formulated in another way means something slightly different: a value
-    # just beyond its tolerance is not a finding.
-    return weighed if group.other_formulation else with_null_named(weighed)
-
-
-def _follows_signals(null: Found) -> bool:
-    """Return whether the nominal model, refitted, explains enough of the power of each signal."""
-    group = null.problem.group
-    power = np.array([np.mean(np.concatenate(
-        [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
-        / group.error_floor[channel] for channel in group.channels])
-    return bool(np.all(mean_squares(null.problem, null.best.residual) < FOLLOWED_SHARE * power))
-
-
-def _most_probable(weighed: Weighed) -> Candidate:
-    names = max(weighed.candidates, key=lambda names: weighed.probability[names])
-    return weighed.candidates[names]
 
 
 def _null(group: Group) -> Found:
@@ -228,7 +167,7 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
 
     alone: as in `explained_by_simulator`.
     """
-    null.problem.group.scale.update(initial_guesses(_as_fitted(null)))
+    null.problem.group.scale.update(initial_guesses(null.as_fitted))
     # Large errors of nominal parameters may stand for an effect: then the screen starts from the
     # nominal values.
     hidden = null.unexplained or null.prior_cost > SUSPECT_PRIOR_COST
@@ -270,7 +209,7 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
     """
     pairs = _with_second(first, tick, alone)
     best = min(pairs.values(), key=lambda each: each.best.cost)
-    if best.unexplained or not _may_need_another_effect(pairs[first.names]):
+    if best.far or not _may_need_another_effect(pairs[first.names]):
         return pairs
     return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick,
                                         alone))
@@ -395,8 +334,9 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
     at_leader, at_base = NONE, NONE
-    goal = leader.best.cost + COST_RANGE
-    if leader.unexplained and not alone:
+    goal = (leader.best.cost + COST_RANGE
+            + EXCESS_RANGE * max(leader.best.cost - leader.noise_cost, 0.0))
+    if leader.far and not alone:
         goal, at_base = min(goal, leader.largest_cost), screened.slopes
         at_leader = _columns(leader.problem, leader.problem.jacobian(
             leader.best.theta, base=leader.best.residual))
@@ -492,8 +432,3 @@ def _freed_fields(found: Found) -> tuple[set[str], set[str]]:
     """Return the fields that are free in a fit, and those among them of its last effect."""
     return ({free.field for free in found.problem.free},
             {free.field for variant in found.variants[-1:] for free in variant.free})
-
-
-def _as_fitted(found: Found) -> Fitted:
-    """Return a hypothesis as a `Fitted`, which the rest of the diagnosis uses."""
-    return fitted(found.problem, found.best)

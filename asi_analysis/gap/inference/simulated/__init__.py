@@ -1,0 +1,1 @@
+"""Hypotheses of the simulator itself: their search, their evidence, what they explain."""

@@ -1,0 +1,199 @@
+"""
+Evidence (marginal likelihood) of fitted hypotheses, and their probabilities.
+
+By Laplace's approximation (MacKay, Information Theory, Inference and Learning Algorithms, 2003,
+ch. 27 and 28). What a hypothesis leaves beyond the noise is its model error: an unknown signal of
+unknown size, with MODEL_SAMPLES effective samples (Kennedy and O'Hagan, J. R. Stat. Soc. B 63,
+2001). So no hypothesis is certain because another one leaves a little more.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from asi_analysis.arrays import Array
+from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
+from asi_analysis.gap.inference.fit import independent_samples
+from asi_analysis.gap.inference.posterior import (
+    Best,
+    Found,
+    mean_squares,
+    most_probable,
+    power,
+)
+from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import UNKNOWN
+from asi_analysis.gap.model.group import Group
+
+# Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
+# forty together, so that a false alarm is rare.
+ODDS_AGAINST = 7.0
+# Log odds below the best at which the posterior volume is not computed: it can make up for less.
+NEGLIGIBLE = 40.0
+ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
+
+
+class _Noise(NamedTuple):
+    """White noise by channel: effective samples, and the mean square in error floors."""
+
+    samples: Array
+    level: Array
+
+    def excess(self, left: Array) -> Array:
+        """Return the mean square model error of a mean square residual, over that of the noise."""
+        return np.maximum(left / self.level - 1.0, 0.0)
+
+    def weight(self, excess: Array) -> Array:
+        """Return the weight of the data beside such a model error; 1: there is none."""
+        return 1.0 / (1.0 + self.samples / MODEL_SAMPLES * excess)
+
+
+def weigh(group: Group, found: Mapping[Names, Found]
+          ) -> tuple[dict[Names, float], dict[Names, Found]]:
+    """
+    Return the probability of every hypothesis by its effects, and the hypotheses.
+
+    That of `unknown` is 0 here. Some hypotheses are added: fits whose nominal parameters are so
+    improbable that they are an effect.
+    """
+    least = min(found.values(), key=lambda f: f.best.cost)
+    samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
+                                  'known')
+    level = mean_squares(least.problem, least.best.residual)
+    noise = _Noise(np.array([samples[channel] for channel in group.channels]),
+                   np.minimum(level, least.explained) * _noise_share(group))
+    equal = equal_below(least) if group.other_formulation else 0.0 * level
+    simplest = _simplest_explained(found)
+
+    def value(each: Found) -> float:
+        """Return the log posterior; a residual below that of `simplest` is no evidence."""
+        low = equal if simplest is None or len(each.names) <= len(simplest.names) else (
+            np.maximum(equal, mean_squares(simplest.problem, simplest.best.residual)))
+        return _log_posterior(each, noise, low)
+
+    highest = max(map(value, found.values()))
+    near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
+            if value(each) > highest - NEGLIGIBLE]
+    near += [more for each in near for more in _with_improbable_named(each)]
+    highest = max(map(value, near))
+    evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
+    for each in near:
+        weight = value(each)
+        if weight > highest - NEGLIGIBLE:
+            weight += _log_volume(each, noise)
+            if weight > evidence.get(each.names, -math.inf):
+                evidence[each.names] = weight
+                fits[each.names] = each
+    highest = max(evidence.values())
+    weights = {names: math.exp(value - highest) for names, value in evidence.items()}
+    chance = {names: value / sum(weights.values()) for names, value in weights.items()}
+    # As long as the residual is no more than noise, there is no unknown effect.
+    return {**chance, (UNKNOWN,): 0.0}, fits
+
+
+def _noise_share(group: Group) -> Array:
+    """Return the share of noise in the error floor of each channel."""
+    return np.array([1.0 - group.other_formulation * group.other_error[channel]
+                     / group.error_floor[channel] for channel in group.channels])
+
+
+def _with_improbable_named(found: Found) -> Iterator[Found]:
+    """
+    Yield a fit as that of one more effect, whose parameters are nominal ones of improbable values.
+
+    The values are the same, but the effect's prior is uniform.
+    """
+    problem = found.problem
+    cost = dict(zip((free.field for free in problem.free), _prior_costs(found), strict=True))
+    for effect in problem.group.effects:
+        for variant in effect.variants:
+            fields = {free.field for free in variant.free}
+            if (effect.name not in found.names and fields <= cost.keys()
+                    and sum(cost[field] for field in fields) > ODDS_AGAINST):
+                free = tuple(each._replace(prior=math.inf) if each.field in fields else each
+                             for each in problem.free)
+                yield found._replace(names=tuple(sorted((*found.names, effect.name))),
+                                     variants=(*found.variants, variant),
+                                     problem=replace(problem, free=free))
+
+
+def _prior_costs(found: Found) -> Array:
+    """Return the negative log prior density of each parameter, relative to its highest."""
+    mean, precision = found.problem.prior
+    return 0.5 * precision * (found.best.theta - mean) ** 2
+
+
+def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
+    """
+    Return the hypothesis with the fewest effects that leaves only noise, if there is one.
+
+    A smaller residual is no evidence for more effects: a formulation that hardly differs from the
+    simulator's leaves as much. Improbable nominal parameters are.
+    """
+    explained = [each for each in found.values() if not each.unexplained]
+    return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
+
+
+def equal_below(best: Found) -> Array:
+    """
+    Return the mean square residual of each channel below which hypotheses fit equally well.
+
+    In error floors. best: the hypothesis with the lowest cost. The model error of laws that are
+    formulated in another way is an unknown signal, so a smaller difference is no evidence.
+    """
+    level = mean_squares(best.problem, best.best.residual)
+    return np.maximum(level + model_error(best.problem.group), 1.0)
+
+
+def _with_model_error(found: Found, noise: _Noise) -> Found:
+    """
+    Return a hypothesis, fitted with the weight that its model error leaves to the data.
+
+    Fitted as if there were only white noise, nominal parameters take improbable values to make
+    a model error a little smaller.
+    """
+    problem = found.problem
+    weight = noise.weight(noise.excess(mean_squares(problem, found.best.residual)))
+    if weight.min() > 0.5:
+        return found
+    group = replace(problem.group, weight=dict(zip(problem.group.channels, map(float, weight),
+                                                   strict=True)))
+    theta = most_probable(replace(problem, group=group), found.best.theta, ROUNDS).theta
+    residual = problem.residual(theta)
+    return found._replace(best=Best(theta, problem.cost(theta, residual), residual))
+
+
+def _log_posterior(found: Found, noise: _Noise, equal: Array) -> float:
+    """
+    Return the log posterior density of a hypothesis at its most probable parameters.
+
+    Up to a constant. equal: mean square residual by channel, in error floors; a smaller one
+    counts as this.
+    """
+    precision = found.problem.prior[1]
+    left = np.maximum(mean_squares(found.problem, found.best.residual), equal)
+    normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
+    return (0.5 * MODEL_SAMPLES * float(np.log(noise.weight(noise.excess(left))).sum())
+            - 0.5 * float(others @ others)
+            - float(_prior_costs(found).sum())
+            + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
+            - ODDS_AGAINST * len(found.names))
+
+
+def _log_volume(found: Found, noise: _Noise) -> float:
+    """Return the log of the posterior volume of the parameters, by Laplace's approximation."""
+    problem, theta = found.problem, found.best.theta
+    precision = problem.prior[1]
+    of_channels, others = problem.split(problem.jacobian(theta))
+    weight = (noise.samples / of_channels.shape[1] / power(problem.group) / noise.level
+              * noise.weight(noise.excess(mean_squares(problem, found.best.residual))))
+    square = (np.einsum('c,cni,cnj->ij', weight, of_channels, of_channels, optimize=True)
+              + others.T @ others + np.diag(precision))
+    normal = precision > 0.0
+    # Of a uniform prior, the volume is at most the range.
+    square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())
+    _, log_det = np.linalg.slogdet(square)
+    return 0.5 * theta.size * math.log(2.0 * math.pi) - 0.5 * float(log_det)

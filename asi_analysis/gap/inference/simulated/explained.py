@@ -1,0 +1,108 @@
+"""The probabilities of the simulator's hypotheses, if one of them explains the recordings."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from asi_analysis.gap.formulation import model_error
+from asi_analysis.gap.inference.beyond_tolerance import with_parameters_named
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.posterior import (
+    Best,
+    Found,
+    Posterior,
+    mean_squares,
+    most_probable,
+)
+from asi_analysis.gap.inference.probability import (
+    SIMULATOR,
+    Names,
+    as_probability,
+    unknown_odds,
+    with_unknown,
+)
+from asi_analysis.gap.inference.simulated.evidence import weigh
+from asi_analysis.gap.inference.simulated.formulation import in_formulation
+from asi_analysis.gap.model.effects import UNKNOWN
+from asi_analysis.gap.model.predict import measured
+
+# The model is of this machine if it leaves at most this share of each signal's mean square.
+FOLLOWED_SHARE = 0.5
+
+
+def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = None
+             ) -> Weighed | None:
+    """
+    Return a group with the probabilities of its hypotheses, if one of them explains it.
+
+    alone: as in `explained_by_simulator`; other: whether the laws are formulated in another way,
+    if known.
+    """
+    if other is not None:
+        found = in_formulation(found, other)
+    group = found[()].problem.group
+    if not alone and all(each.far for each in found.values()):
+        return None
+    chance, found = weigh(group, found)
+    candidates = {names: Candidate(names, f.variants, f.as_fitted) for names, f in found.items()}
+    weighed = Weighed(group, candidates, chance)
+    # A parameter of laws formulated in another way means something slightly different: a value
+    # just beyond its tolerance is not a finding.
+    if not group.other_formulation:
+        weighed = with_parameters_named(weighed)
+    best, gap, unknown = _fitted_to_the_end(weighed), found[()].relative_residual, 0.0
+    candidates = weighed.candidates | {best.names: Candidate(best.names, best.variants,
+                                                             best.as_fitted)}
+    weighed = weighed._replace(candidates=candidates)
+    if all(each.far for each in found.values()):
+        if not _follows_signals(found[()]):
+            return None
+        unknown = as_probability(max(
+            unknown_odds(left, before, SIMULATOR, SIMULATOR.unknown_floor)
+            for left, before in zip(best.relative_residual, gap, strict=True)))
+    elif not best.names and (group.other_formulation or best.unexplained):
+        unknown = SIMULATOR.masked * _model_share(best)   # a model error may mask an effect
+    if unknown == 0.0:
+        return weighed
+    outside = weighed.probability[(UNKNOWN,)]
+    chance = with_unknown({names: weighed.probability[names] for names in candidates}, unknown,
+                          float((1.0 - np.sqrt(best.relative_residual / gap)).max()))
+    return weighed._replace(probability=chance | {(UNKNOWN,): chance[(UNKNOWN,)] + outside})
+
+
+def _fitted_to_the_end(weighed: Weighed) -> Found:
+    """
+    Return the most probable hypothesis with its parameters fitted to the end.
+
+    Also from nominal values: friction makes the cost rough.
+    """
+    chosen = most_probable_of(weighed)
+    problem, theta = chosen.fitted.problem, chosen.fitted.theta
+    assert isinstance(problem, Posterior)
+    found = Found(chosen.names, chosen.variants, problem, Best(
+        theta, problem.cost(theta), problem.residual(theta)))
+    return found._replace(best=min(
+        (most_probable(problem, start.best.theta, converged=0.0)
+         for start in (found, found.at_nominal)), key=lambda each: each.cost))
+
+
+def _model_share(found: Found) -> float:
+    """Return the largest share of a channel's residual that may be model error."""
+    group = found.problem.group
+    return float(np.max(model_error(group) if group.other_formulation else
+                        1.0 - 1.0 / np.maximum(found.relative_residual, 1.0)))
+
+
+def _follows_signals(null: Found) -> bool:
+    """Return whether the nominal model, refitted, explains enough of the power of each signal."""
+    group = null.problem.group
+    power = np.array([np.mean(np.concatenate(
+        [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
+        / group.error_floor[channel] for channel in group.channels])
+    return bool(np.all(mean_squares(null.problem, null.best.residual) < FOLLOWED_SHARE * power))
+
+
+def most_probable_of(weighed: Weighed) -> Candidate:
+    """Return the most probable hypothesis that was fitted."""
+    names = max(weighed.candidates, key=lambda names: weighed.probability[names])
+    return weighed.candidates[names]
