@@ -64,7 +64,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
                                   'known')
     level = mean_squares(least.problem, least.best.residual)
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
-                   np.minimum(level, least.explained) * _noise_share(group))
+                   _noise_level(group, np.minimum(level, least.explained)))
     equal = equal_below(least) if group.other_formulation else 0.0 * level
     simplest = _simplest_explained(found)
 
@@ -94,10 +94,16 @@ def weigh(group: Group, found: Mapping[Names, Found]
     return {**chance, (UNKNOWN,): 0.0}, fits
 
 
-def _noise_share(group: Group) -> Array:
-    """Return the share of noise in the error floor of each channel."""
-    return np.array([1.0 - group.other_formulation * group.other_error[channel]
-                     / group.error_floor[channel] for channel in group.channels])
+def _noise_level(group: Group, level: Array) -> Array:
+    """
+    Return the mean square of the noise by channel, in error floors.
+
+    level: that of the residual which noise explains. The error of the simulator itself counts as
+    noise, the model error of laws formulated in another way does not.
+    """
+    others = np.array([group.other_formulation * group.other_error[channel]
+                       / group.error_floor[channel] for channel in group.channels])
+    return np.maximum(level * (1.0 - others), model_error(group) - others)
 
 
 def _with_improbable_named(found: Found) -> Iterator[Found]:
