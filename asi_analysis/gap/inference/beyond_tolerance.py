@@ -6,7 +6,6 @@ the sensor within its tolerance is none. It is free only as an effect: as one mo
 parameter it would scale all the others.
 """
 
-import math
 from dataclasses import replace
 
 from scipy.stats import norm
@@ -14,7 +13,7 @@ from scipy.stats import norm
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant
+from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant, without_prior
 from asi_analysis.gap.model.group import Group
 
 MOST_PARAMETERS = 2   # beyond their tolerance, to be named as the cause; more: `unknown`
@@ -64,12 +63,10 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
 
 def _freed(candidate: Candidate, names: Names, more: tuple[Variant, ...]) -> Candidate:
     """Return a hypothesis with further effects, whose parameters have no prior any more."""
-    fields = {free.field for variant in more for free in variant.free}
-    problem = candidate.fitted.problem
-    free = tuple(each._replace(prior=math.inf) if each.field in fields else each
-                 for each in problem.free)
-    return Candidate(names, (*candidate.variants, *more), candidate.fitted._replace(
-        problem=replace(problem, free=free), free=free))
+    fitted = candidate.fitted
+    free = without_prior(fitted.free, more)
+    return Candidate(names, (*candidate.variants, *more), fitted._replace(
+        free=free, problem=replace(fitted.problem, free=free)))
 
 
 def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
@@ -111,7 +108,7 @@ def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
             continue
         within = _share_within(candidate, tolerance)
         rest = _without(names)
-        if within * chance[names] > chance.get(rest, 0.0):
+        if rest not in candidates or within * chance[names] > chance.get(rest, 0.0):
             candidates[rest] = candidate._replace(names=rest)
         for each in [n for n in chance if EFFECT in n and set(names) == set(n) - {UNKNOWN}]:
             moved = within * chance[each]

@@ -108,6 +108,12 @@ def freed(effects: Iterable[Effect], change: Callable[[tuple[Free, ...]], tuple[
         for effect in effects)
 
 
+def without_prior(free: Iterable[Free], variants: Iterable[Variant]) -> tuple[Free, ...]:
+    """Return free parameters; those of these forms of effects have no prior any more."""
+    fields = {each.field for variant in variants for each in variant.free}
+    return tuple(each._replace(prior=math.inf) if each.field in fields else each for each in free)
+
+
 FORCE_SIDE = ('force',)
 LOAD_SIDE = ('load',)
 BOTH = ('force', 'load')

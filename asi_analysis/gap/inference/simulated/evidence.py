@@ -25,7 +25,7 @@ from asi_analysis.gap.inference.posterior import (
     power,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.model.effects import UNKNOWN
+from asi_analysis.gap.model.effects import UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group
 
 # Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
@@ -113,23 +113,18 @@ def _with_improbable_named(found: Found) -> Iterator[Found]:
     The values are the same, but the effect's prior is uniform.
     """
     problem = found.problem
-    cost = dict(zip((free.field for free in problem.free), _prior_costs(found), strict=True))
+    mean, precision = problem.prior
+    costs = 0.5 * precision * (found.best.theta - mean) ** 2
+    cost = dict(zip((free.field for free in problem.free), costs, strict=True))
     for effect in problem.group.effects:
         for variant in effect.variants:
             fields = {free.field for free in variant.free}
             if (effect.name not in found.names and fields <= cost.keys()
                     and sum(cost[field] for field in fields) > ODDS_AGAINST):
-                free = tuple(each._replace(prior=math.inf) if each.field in fields else each
-                             for each in problem.free)
-                yield found._replace(names=tuple(sorted((*found.names, effect.name))),
-                                     variants=(*found.variants, variant),
-                                     problem=replace(problem, free=free))
-
-
-def _prior_costs(found: Found) -> Array:
-    """Return the negative log prior density of each parameter, relative to its highest."""
-    mean, precision = found.problem.prior
-    return 0.5 * precision * (found.best.theta - mean) ** 2
+                yield found._replace(
+                    names=tuple(sorted((*found.names, effect.name))),
+                    variants=(*found.variants, variant),
+                    problem=replace(problem, free=without_prior(problem.free, [variant])))
 
 
 def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
@@ -184,7 +179,7 @@ def _log_posterior(found: Found, noise: _Noise, equal: Array) -> float:
     normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
     return (0.5 * MODEL_SAMPLES * float(np.log(noise.weight(noise.excess(left))).sum())
             - 0.5 * float(others @ others)
-            - float(_prior_costs(found).sum())
+            - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
             - ODDS_AGAINST * len(found.names))
 

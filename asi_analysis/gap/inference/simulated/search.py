@@ -29,9 +29,7 @@ from asi_analysis.gap.inference.posterior import (
     mean_squares,
     most_probable,
 )
-from asi_analysis.gap.inference.probability import (
-    Names,
-)
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE, in_best_formulation
