@@ -80,7 +80,7 @@ def _errors(answer: Mapping[str, Any], gap: bool) -> Table:
                  'noise': percent(row['noise_floor_nrmse']),
                  'shrink (95 % interval)': shrink_in_words(row) if there else '-'}
         rows.append([cells[name] for name in columns])
-    return Table(columns, rows, 'error (rms) on samples used for nothing else, as a share of the '
+    return Table(columns, rows, 'error (rms) on samples that no fit has seen, as a share of the '
                  'signal', columns[1:])
 
 
