@@ -315,8 +315,10 @@ def test_waits_for_no_answer_that_nobody_is_left_to_give(
 
 def test_a_run_that_ends_waits_for_a_recorder_that_stands_still(
         start_node: Start, call: Call, tmp_path: Path) -> None:
-    a_bag(tmp_path / 'bag', 5000, 5000.0)
+    a_bag(tmp_path / 'bag', 5000, 1000.0)
     recorder, replay = record_replay(start_node, call, tmp_path / 'bag', output=tmp_path / 'again')
+    # Stopped before it has subscribed, it could not be waited for.
+    wait_until(lambda: recorded('/force', tmp_path / 'again') > 0, 'the first message in the bag')
     recorder.send(signal.SIGSTOP)
     try:
         replay.wait_for('published all')
