@@ -21,6 +21,8 @@ NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the
 # simulator's own laws, the machine's are formulated in another way.
 COST_RANGE = 50.0
+# A fit competes with the best as long as its model error is at most this multiple larger.
+EXCESS_RANGE = 2.0
 HALVINGS = 8   # of the weight of the data, at most
 
 
@@ -61,8 +63,7 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     """Return all hypotheses with the error floor of that formulation; refitted if it changed."""
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
-        moved = {names: each._replace(best=most_probable(each.problem, each.best.theta))
-                 for names, each in moved.items()}
+        moved = _refitted(moved)
     if not other:
         return moved
     best = min(moved.values(), key=lambda each: each.best.cost)
@@ -71,6 +72,28 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
             if found[names] is not known.get(names)
             and (not names or each.best.cost < best.best.cost + COST_RANGE) else each
             for names, each in moved.items()}
+
+
+def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """Return hypotheses, refitted; those that do not compete with the best are given up."""
+    first = min(found, key=lambda names: found[names].best.cost)
+    leader = found[first]._replace(best=most_probable(found[first].problem,
+                                                      found[first].best.theta))
+    goal = goal_beside(leader)
+
+    def refit(each: Found) -> Best:
+        return most_probable(replace(each.problem, pool=None), each.best.theta, goal=goal)
+
+    others = {names: each for names, each in found.items() if names != first}
+    fits = leader.problem.in_parallel(refit, others.values())
+    return {first: leader} | {names: each._replace(best=best)
+                              for (names, each), best in zip(others.items(), fits, strict=True)}
+
+
+def goal_beside(leader: Found) -> float:
+    """Return the cost that a fit must reach to compete with the best one."""
+    return (leader.best.cost + COST_RANGE
+            + EXCESS_RANGE * max(leader.best.cost - leader.noise_cost, 0.0))
 
 
 def _nearest_to_nominal(found: Found, equal: Array) -> Found:

@@ -24,15 +24,20 @@ from asi_analysis.gap.inference.posterior import (
     GAIN_MARGIN,
     NONE,
     ROUNDS,
+    Best,
     Found,
     Posterior,
     mean_squares,
     most_probable,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST
+from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST, is_better_form
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
-from asi_analysis.gap.inference.simulated.formulation import COST_RANGE, in_best_formulation
+from asi_analysis.gap.inference.simulated.formulation import (
+    COST_RANGE,
+    goal_beside,
+    in_best_formulation,
+)
 from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
@@ -50,14 +55,13 @@ from asi_common.record import field_name
 
 # After the linear screen so many effects are fitted roughly, with so many Jacobians; and so many
 # of them, beside the best, until convergence.
-ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 5
+ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 3
+RIVALS = 7   # effects that are fitted in place of that of the best fit
 # The integration error of a long sub-step is corrected again after each fit: at most so often, and
 # until that changes the log posterior by less than SETTLED, or by less than a share of what noise
 # does not explain.
 CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
 SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
-# A fit competes with the best as long as its model error is at most this multiple larger.
-EXCESS_RANGE = 2.0
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
 
@@ -236,7 +240,7 @@ def _second_effect_alone(null: Found, first: Found, pair: Found) -> Found:
 def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
     """Return the union of two sets of fits; of a hypothesis in both, the better form."""
     return {**found, **{names: each for names, each in more.items()
-                        if names not in found or each.criterion < found[names].criterion}}
+                        if names not in found or is_better_form(each, found[names])}}
 
 
 def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
@@ -318,7 +322,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         if found.best.cost == math.inf:
             continue
         forms.setdefault(found.names, []).append(found)
-        if found.names not in fits or found.criterion < fits[found.names].criterion:
+        if found.names not in fits or is_better_form(found, fits[found.names]):
             fits[found.names] = found
         tick()
     if not fits:
@@ -332,8 +336,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
     at_leader, at_base = NONE, NONE
-    goal = (leader.best.cost + COST_RANGE
-            + EXCESS_RANGE * max(leader.best.cost - leader.noise_cost, 0.0))
+    goal = goal_beside(leader)
     if leader.far and not alone:
         goal, at_base = min(goal, leader.largest_cost), screened.slopes
         at_leader = _columns(leader.problem, leader.problem.jacobian(
@@ -349,7 +352,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
             shared.append(_with_values_of(form, null, _freed_fields(form)[0]))
         starts = [(min(shared, key=form.problem.cost), at_leader)]
         # Where the gap is large, the leader's parameter values may be a bad start.
-        if far and form.best is best_forms[form.names]:
+        if far and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
         of_effect = _freed_fields(form)[1]
         best = min((most_probable(form.problem, start, goal=goal, known={
@@ -360,13 +363,35 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked for form in forms[found.names]
                  if form is not ranked[0]]
+    known = {(form.names, form.variants) for form in (*remaining, leader)}
+    remaining += [form for form in _rivals(base, leader, tick)
+                  if (form.names, form.variants) not in known]
     for found in problem.in_parallel(converged_fit, sorted(remaining, key=_is_coarse)):
         # A rough fit was not corrected for the integration error: its cost is not comparable.
-        unfinished = fits[found.names].best is best_forms[found.names]
-        if unfinished or found.criterion < fits[found.names].criterion:
+        earlier = fits.get(found.names)
+        if (earlier is None or earlier.best is best_forms.get(found.names)
+                or is_better_form(found, earlier)):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return {names: found for names, found in fits.items() if found.best.cost < math.inf}
+
+
+def _rivals(base: Found, leader: Found, tick: Callable[[], None]) -> list[Found]:
+    """
+    Return the effects that may take the place of the leader's last one, as fits to begin with.
+
+    By a linear screen at the leader's parameter values: at those of the base, errors of nominal
+    parameters hide which effects look alike.
+    """
+    problem = replace(base.problem, group=leader.problem.group)
+    fields, own = _freed_fields(leader)
+    theta = _with_values_of(base, leader, fields - own)
+    residual = problem.residual(theta)
+    without = base._replace(problem=problem, best=Best(
+        theta, problem.cost(theta, residual), residual))
+    return [Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
+                  start.problem, Best(start.theta, math.inf, residual))
+            for start in screen(without, False, tick).best(RIVALS)]
 
 
 def _columns(problem: Posterior, jacobian: Array) -> dict[str, Array]:
