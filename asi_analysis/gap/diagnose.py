@@ -19,11 +19,11 @@ from asi_analysis.gap.experiment.next_course import choose_course
 from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.findings import localisation
 from asi_analysis.gap.findings.edges import PLACED, placed
+from asi_analysis.gap.findings.no_effect import SENSOR_GAIN as GAIN
+from asi_analysis.gap.findings.no_effect import with_gap_centre, with_tolerated_gain
 from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
-from asi_analysis.gap.inference.beyond_tolerance import SENSOR_GAIN as GAIN
-from asi_analysis.gap.inference.beyond_tolerance import with_tolerated_gain
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
@@ -274,7 +274,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     if machine:
         weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
     elif plant == 'actuator':
-        weighed = [with_tolerated_gain(each, own.get(GAIN, tolerance)) for each in weighed]
+        weighed = [with_tolerated_gain(with_gap_centre(each), own.get(GAIN, tolerance))
+                   for each in weighed]
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     as_fitted, weighed = weighed, [placed(each) for each in weighed]

@@ -1,14 +1,6 @@
-"""
-Nominal parameters beyond their tolerance, and the gain of the force sensor within it.
-
-A fit with a nominal parameter beyond its tolerance has one more cause: that parameter. A gain of
-the sensor within its tolerance is none. It is free only as an effect: as one more uncertain
-parameter it would scale all the others.
-"""
+"""A fit with a nominal parameter beyond its tolerance has one more cause: that parameter."""
 
 from dataclasses import replace
-
-from scipy.stats import norm
 
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names
@@ -21,10 +13,6 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 # Probability that the laws are the simulator's own, if the noise would hide another formulation.
 # With others, a value just beyond the tolerance may be due to them.
 OWN_LAWS = 0.6
-EFFECT = 'sensor_gain'
-SENSOR_GAIN = 'force_sensor_gain'
-GAIN_ERROR = 'sensor_gain_error'   # of the block-wise model, relative to the nominal gain
-LIMIT_95 = float(norm.ppf(0.975))
 
 
 def with_parameters_named(weighed: Weighed) -> Weighed:
@@ -93,42 +81,3 @@ def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
     return min(((effect, variant) for effect in group.effects for variant in effect.variants
                 if field in {free.field for free in variant.free}),
                key=lambda found: len(found[1].free))
-
-
-def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
-    """
-    Return a group in which `sensor_gain` is a gain beyond its tolerance.
-
-    That part of the probability of a hypothesis with this effect that lies within the tolerance,
-    by the interval of the fitted gain, belongs to the hypothesis without it.
-    """
-    chance, candidates = dict(weighed.probability), dict(weighed.candidates)
-    for names, candidate in weighed.candidates.items():
-        if EFFECT not in names or chance[names] < LEAST_PROBABILITY:
-            continue
-        within = _share_within(candidate, tolerance)
-        rest = _without(names)
-        if rest not in candidates or within * chance[names] > chance.get(rest, 0.0):
-            candidates[rest] = candidate._replace(names=rest)
-        for each in [n for n in chance if EFFECT in n and set(names) == set(n) - {UNKNOWN}]:
-            moved = within * chance[each]
-            chance[each] -= moved
-            chance[_without(each)] = chance.get(_without(each), 0.0) + moved
-    return weighed._replace(candidates=candidates, probability=chance)
-
-
-def _without(names: Names) -> Names:
-    return tuple(name for name in names if name != EFFECT)
-
-
-def _share_within(candidate: Candidate, tolerance: float) -> float:
-    """Return the probability that the fitted gain is within its tolerance."""
-    fitted = candidate.fitted
-    group = fitted.problem.group
-    field = GAIN_ERROR if GAIN_ERROR in {free.field for free in fitted.free} else SENSOR_GAIN
-    value, *ends = (
-        each if field == GAIN_ERROR else each / float(group.nominal[SENSOR_GAIN]) - 1.0
-        for each in (float(fitted.record[field]), *interval(fitted, likelihood(fitted), field)))
-    deviation = max((ends[1] - ends[0]) / (2.0 * LIMIT_95), 1e-9)
-    inside = norm.cdf((tolerance - value) / deviation) - norm.cdf((-tolerance - value) / deviation)
-    return float(inside)

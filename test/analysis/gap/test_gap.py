@@ -109,6 +109,17 @@ def test_asymmetry_of_the_friction_that_the_model_has():
     assert float(np.sqrt(np.mean(left ** 2))) < 1.2
 
 
+def test_the_place_of_a_gap_is_no_disturbance():
+    # Off its middle, a gap acts as a constant force beside one that is in the middle.
+    gap = {'backlash__gap': 2e-3, 'backlash__centre': 4e-4, 'backlash__location': 'spring_damper'}
+    run = recorded(load__stiffness=3e4, **gap)
+    diagnosis = diagnose([run], {**TEXTBOOK, 'load.stiffness': 3e4}, simulate=False)
+    assert diagnosis.verdict == ('backlash',)
+    fields = {free.field for weighed in diagnosis.groups
+              for free in diagnosis.best(weighed).fitted.free}
+    assert 'disturbance' in fields   # it was needed
+
+
 @pytest.mark.parametrize('absent', [
     ('position_m',), ('valve_position_m', 'position_m', 'velocity_m_s')])
 def test_no_gap_where_signals_are_absent(absent):

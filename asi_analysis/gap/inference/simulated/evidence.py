@@ -107,7 +107,7 @@ def is_better_form(form: Found, other: Found) -> bool:
     """
     both = (form, other)
     cost = [each.best.cost for each in both]
-    if not (form.far or other.far):
+    if math.isfinite(sum(cost)) and not (form.far or other.far):
         left = [mean_squares(each.problem, each.best.residual) for each in both]
         group = form.problem.group
         known = sum(int(recording.known.sum()) for recording in group.recordings)

@@ -1,0 +1,84 @@
+"""
+What is no effect of its own: a tolerated gain of the force sensor, and a constant force in a gap.
+
+Both are free in a fit only as effects.
+"""
+
+from scipy.stats import norm
+
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.inference.uncertainty import interval, likelihood
+from asi_analysis.gap.model.effects import UNKNOWN
+
+LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
+GAIN = 'sensor_gain'
+SENSOR_GAIN = 'force_sensor_gain'
+GAIN_ERROR = 'sensor_gain_error'   # of the block-wise model, relative to the nominal gain
+LIMIT_95 = float(norm.ppf(0.975))
+DISTURBANCE = 'disturbance_force'
+# Fields of a constant one: of the block-wise model and of the simulator.
+CONSTANT = frozenset(('disturbance', 'load_external_force'))
+
+
+def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
+    """
+    Return a group in which `sensor_gain` is a gain beyond its tolerance.
+
+    That part of the probability of a hypothesis with this effect that lies within the tolerance,
+    by the interval of the fitted gain, belongs to the hypothesis without it. The gain is free only
+    as an effect, since as one more uncertain parameter it would scale all the others.
+    """
+    for names, candidate in weighed.candidates.items():
+        if GAIN in names and weighed.probability[names] >= LEAST_PROBABILITY:
+            weighed = _moved(weighed, names, GAIN, _share_within(candidate, tolerance))
+    return weighed
+
+
+def with_gap_centre(weighed: Weighed) -> Weighed:
+    """
+    Return a group in which a constant force beside a backlash is no disturbance.
+
+    Where the middle of the gap lies is not known, and such a force shifts the load within it.
+    """
+    for names, candidate in weighed.candidates.items():
+        if {'backlash', DISTURBANCE} <= set(names) and _is_constant(candidate):
+            weighed = _moved(weighed, names, DISTURBANCE, 1.0)
+    return weighed
+
+
+def _is_constant(candidate: Candidate) -> bool:
+    """Return whether the disturbance of a hypothesis is constant in each recording."""
+    fields = [{free.field.partition('@')[0] for free in variant.free}
+              for variant in candidate.variants]
+    return any(each and each <= CONSTANT for each in fields)
+
+
+def _moved(weighed: Weighed, names: Names, effect: str, share: float) -> Weighed:
+    """Return a group in which a share of a hypothesis belongs to the one without an effect."""
+    chance, candidates = dict(weighed.probability), dict(weighed.candidates)
+    rest = _without(names, effect)
+    if rest not in candidates or share * chance[names] > chance.get(rest, 0.0):
+        candidates[rest] = candidates[names]._replace(names=rest)
+    for each in [n for n in chance if effect in n and set(names) == set(n) - {UNKNOWN}]:
+        moved = share * chance[each]
+        chance[each] -= moved
+        chance[_without(each, effect)] = chance.get(_without(each, effect), 0.0) + moved
+    return weighed._replace(candidates=candidates, probability=chance)
+
+
+def _without(names: Names, effect: str) -> Names:
+    return tuple(name for name in names if name != effect)
+
+
+def _share_within(candidate: Candidate, tolerance: float) -> float:
+    """Return the probability that the fitted gain is within its tolerance."""
+    fitted = candidate.fitted
+    group = fitted.problem.group
+    field = GAIN_ERROR if GAIN_ERROR in {free.field for free in fitted.free} else SENSOR_GAIN
+    value, *ends = (
+        each if field == GAIN_ERROR else each / float(group.nominal[SENSOR_GAIN]) - 1.0
+        for each in (float(fitted.record[field]), *interval(fitted, likelihood(fitted), field)))
+    deviation = max((ends[1] - ends[0]) / (2.0 * LIMIT_95), 1e-9)
+    inside = norm.cdf((tolerance - value) / deviation) - norm.cdf((-tolerance - value) / deviation)
+    return float(inside)
