@@ -285,7 +285,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None, healthy, machine)
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
-                         answer.best(w).fitted.record)
+                         answer.best(w).fitted.record, elsewhere=plant == 'actuator')
                for w in weighed for channel in w.group.channels]
     ambiguous = ambiguity_set(joined)
     if plant == 'actuator' and any('disturbance_force' in names for names in ambiguous):

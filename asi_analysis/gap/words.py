@@ -279,5 +279,6 @@ def _error(answer: Mapping[str, Any]) -> str:
                 f'the parameters refitted within their tolerance; the noise alone is {noise}.')
     return (f'On the validation samples the error of the {signal} falls from {before} to '
             f'{after} of the signal (rms); the noise alone is {noise}. The gap '
-            f'shrinks by {shrink_in_words(gap)}; the 95 % interval is for another recording of '
-            'this kind.')
+            f'shrinks by {shrink_in_words(gap)}; the 95 % interval is for another recording '
+            + ('of any amplitude and excitation.' if answer['plant'] == 'actuator' else
+               'of this kind.'))

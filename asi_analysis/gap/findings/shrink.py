@@ -11,8 +11,11 @@ from asi_analysis.gap.model.predict import measured, predict
 
 STRETCHES = 24   # of the validation samples: longer than the correlation time of the errors
 DRAWS = 1000
-# A fresh recording, of another amplitude and excitation, shows other errors of the model: what is
-# left is larger by a factor whose logarithm has this mean and standard deviation. From 88 cases
+# Factor on the standard deviation of a bootstrap over stretches: those of one recording do not
+# show how recordings differ.
+FRESH = 2.4
+# An actuator's recording of another amplitude and excitation shows other errors of the model: what
+# is left is larger by a factor whose logarithm has this mean and standard deviation. From 88 cases
 # of an examiner that is not in the repository; see doc/explanation/gap.md.
 WORSE, SPREAD = 0.6, 0.85
 QUANTILE = 1.96   # of the normal distribution, for 95 %
@@ -44,8 +47,14 @@ def stretches_error(group: Group, channel: str, p: np.void) -> Array:
     return np.array([np.mean(part ** 2) for part in stretches])
 
 
-def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> Shrink:
-    """Return the shrink of the gap of a channel."""
+def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void,
+              elsewhere: bool) -> Shrink:
+    """
+    Return the shrink of the gap of a channel.
+
+    elsewhere: its interval is for a fresh recording of another amplitude and excitation, not only
+    for one of the same kind.
+    """
     square = np.concatenate([measured(r, channel)[r.report] ** 2 for r in group.recordings])
     size = math.sqrt(float(square.mean())) or 1.0
     errors = {name: stretches_error(group, channel, p)
@@ -58,23 +67,24 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void) -> 
         return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
                       floor / size, 0.0, 0.0, 0.0)
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
-    low, high = _interval(shrink, errors['nominal'], errors['after'])
+    low, high = _interval(shrink, errors['nominal'], errors['after'], elsewhere)
     return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
                   floor / size, shrink, low, high)
 
 
-def _interval(shrink: float, nominal: Array, after: Array) -> tuple[float, float]:
+def _interval(shrink: float, nominal: Array, after: Array, elsewhere: bool
+              ) -> tuple[float, float]:
     """
     Return the 95 % interval of the shrink on a fresh recording.
 
-    nominal, after: mean square residual in each stretch; a bootstrap over these shows how exactly
-    this recording tells the shrink.
+    nominal, after: mean square residual in each stretch; elsewhere: as in `shrink_of`.
     """
     times = np.random.default_rng(1).multinomial(nominal.size, np.full(nominal.size,
                                                                        1.0 / nominal.size), DRAWS)
     left = 0.5 * np.log(np.maximum(times @ after, 1e-300) / np.maximum(times @ nominal, 1e-300))
-    known, share = QUANTILE * float(left.std()), max(shrink, 0.0)
     # Where the model changes little, both errors are larger by the same factor.
-    worse, spread = WORSE * share, math.hypot(known, QUANTILE * SPREAD * share)
-    least, most = (1.0 - (1.0 - shrink) * math.exp(worse + end) for end in (spread, -spread))
+    changed = elsewhere * max(shrink, 0.0)
+    spread = QUANTILE * math.hypot(FRESH * float(left.std()), SPREAD * changed)
+    least, most = (1.0 - (1.0 - shrink) * math.exp(WORSE * changed + end)
+                   for end in (spread, -spread))
     return least, most

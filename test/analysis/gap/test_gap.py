@@ -18,6 +18,7 @@ from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
 from asi_analysis.gap.check.check import score, truth_of
 from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, improved_of, plain
+from asi_analysis.gap.findings.shrink import _interval
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import (
     LinearScreen,
@@ -107,6 +108,15 @@ def test_asymmetry_of_the_friction_that_the_model_has():
     model = improved_of(diagnosis, completed({**TEXTBOOK, **seals}, ACTUATOR_PARAMETERS))
     left = simulate(as_record(model), run.command_n, 1e-3).force_n - run.force_n
     assert float(np.sqrt(np.mean(left ** 2))) < 1.2
+
+
+@pytest.mark.parametrize(('shrink', 'elsewhere', 'expected'), [
+    (0.98, False, (0.98, 0.98)),          # every stretch is alike
+    (0.98, True, (0.816, 0.993)), (0.0, True, (0.0, 0.0))])
+def test_a_recording_of_another_kind_may_show_other_errors(shrink, elsewhere, expected):
+    stretches = np.ones(24)
+    found = _interval(shrink, stretches, (1.0 - shrink) ** 2 * stretches, elsewhere)
+    assert found == pytest.approx(expected, abs=1e-3)
 
 
 def test_the_place_of_a_gap_is_no_disturbance():
