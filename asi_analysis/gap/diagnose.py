@@ -20,7 +20,7 @@ from asi_analysis.gap.experiment.next_motion import choose_motion
 from asi_analysis.gap.findings import localisation
 from asi_analysis.gap.findings.edges import PLACED, placed
 from asi_analysis.gap.findings.no_effect import SENSOR_GAIN as GAIN
-from asi_analysis.gap.findings.no_effect import with_gap_centre, with_tolerated_gain
+from asi_analysis.gap.findings.no_effect import place_of_gap, with_gap_centre, with_tolerated_gain
 from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
@@ -284,6 +284,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         notes.append(PLACED)
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None, healthy, machine)
+    notes += filter(None, (place_of_gap(answer.best(each)) for each in weighed))
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
                          answer.best(w).fitted.record, elsewhere=plant == 'actuator')
                for w in weighed for channel in w.group.channels]

@@ -6,12 +6,13 @@ Both are free in a fit only as effects.
 
 from scipy.stats import norm
 
+from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
+from asi_analysis.gap.model.blocks import load_constants
 from asi_analysis.gap.model.effects import UNKNOWN
 
-LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 GAIN = 'sensor_gain'
 SENSOR_GAIN = 'force_sensor_gain'
 GAIN_ERROR = 'sensor_gain_error'   # of the block-wise model, relative to the nominal gain
@@ -37,21 +38,37 @@ def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
 
 def with_gap_centre(weighed: Weighed) -> Weighed:
     """
-    Return a group in which a constant force beside a backlash is no disturbance.
+    Return a group in which a constant force beside a backlash is the place of its gap.
 
-    Where the middle of the gap lies is not known, and such a force shifts the load within it.
+    Where the middle of the gap lies is not known: away from it, the spring of the load pulls with
+    a constant force. A force that would place the gap outside the motion is a disturbance.
     """
+    furthest = weighed.group.scale['position']
     for names, candidate in weighed.candidates.items():
-        if {'backlash', DISTURBANCE} <= set(names) and _is_constant(candidate):
-            weighed = _moved(weighed, names, DISTURBANCE, 1.0)
+        if {'backlash', DISTURBANCE} <= set(names):
+            _, _, stiffness = load_constants(candidate.fitted.record)
+            force = _constant_force(candidate)
+            if force is not None and abs(force) <= stiffness * furthest:
+                weighed = _moved(weighed, names, DISTURBANCE, 1.0)
     return weighed
 
 
-def _is_constant(candidate: Candidate) -> bool:
-    """Return whether the disturbance of a hypothesis is constant in each recording."""
-    fields = [{free.field.partition('@')[0] for free in variant.free}
-              for variant in candidate.variants]
-    return any(each and each <= CONSTANT for each in fields)
+def place_of_gap(best: Candidate) -> str | None:
+    """Return the note on a constant force that is the place of a gap; None if there is none."""
+    force = _constant_force(best)
+    if force is None or DISTURBANCE in best.names or 'backlash' not in best.names:
+        return None
+    return (f'beside the backlash, a constant force of {force:.3g} N fits: it is taken for the '
+            'place of the gap; a constant force on the load would look the same')
+
+
+def _constant_force(candidate: Candidate) -> float | None:
+    """Return the largest constant disturbance of a hypothesis, N; None if it has none."""
+    for variant in candidate.variants:
+        fields = [free.field for free in variant.free]
+        if fields and all(field.partition('@')[0] in CONSTANT for field in fields):
+            return max((float(candidate.fitted.record[field]) for field in fields), key=abs)
+    return None
 
 
 def _moved(weighed: Weighed, names: Names, effect: str, share: float) -> Weighed:
