@@ -287,6 +287,16 @@ class Found(NamedTuple):
         return MARGIN + NOISE_ERROR / math.sqrt(samples)
 
     @property
+    def criterion(self) -> float:
+        """
+        Return half of the Bayesian information criterion, by which forms of an effect compare.
+
+        A form with more parameters costs less, but may be less probable.
+        """
+        count = sum(len(variant.free) for variant in self.variants)
+        return self.best.cost + 0.5 * count * math.log(self.best.residual.size)
+
+    @property
     def largest_cost(self) -> float:
         """Return the highest cost of a residual that noise and any model error explain."""
         rows, _ = self.problem.split(self.best.residual)

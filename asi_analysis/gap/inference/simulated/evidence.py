@@ -50,10 +50,6 @@ class _Noise(NamedTuple):
         """Return the weight of the data beside such a model error; 1: there is none."""
         return 1.0 / (1.0 + self.samples / MODEL_SAMPLES * excess)
 
-    def log_likelihood(self, left: Array) -> float:
-        """Return the log likelihood of mean square residuals, up to a constant."""
-        return 0.5 * MODEL_SAMPLES * float(np.log(self.weight(self.excess(left))).sum())
-
 
 def weigh(group: Group, found: Mapping[Names, Found]
           ) -> tuple[dict[Names, float], dict[Names, Found]]:
@@ -96,28 +92,6 @@ def weigh(group: Group, found: Mapping[Names, Found]
     chance = {names: value / sum(weights.values()) for names, value in weights.items()}
     # As long as the residual is no more than noise, there is no unknown effect.
     return {**chance, (UNKNOWN,): 0.0}, fits
-
-
-def is_better_form(form: Found, other: Found) -> bool:
-    """
-    Return whether a hypothesis is more probable in one form of its effects than in another.
-
-    By the Bayesian information criterion. If both leave no more than noise and model error, a
-    smaller residual counts as it does in the evidence.
-    """
-    both = (form, other)
-    cost = [each.best.cost for each in both]
-    if math.isfinite(sum(cost)) and not (form.far or other.far):
-        left = [mean_squares(each.problem, each.best.residual) for each in both]
-        group = form.problem.group
-        known = sum(int(recording.known.sum()) for recording in group.recordings)
-        noise = _Noise(known * np.array([group.judged_share[c] for c in group.channels]),
-                       np.minimum(np.minimum(*left), form.explained))
-        cost = [each.prior_cost - noise.log_likelihood(residual)
-                for each, residual in zip(both, left, strict=True)]
-    size = [sum(len(variant.free) for variant in each.variants) for each in both]
-    return (cost[0] - cost[1]
-            < 0.5 * (size[1] - size[0]) * math.log(form.best.residual.size))
 
 
 def _noise_level(group: Group, level: Array) -> Array:
@@ -203,7 +177,7 @@ def _log_posterior(found: Found, noise: _Noise, equal: Array) -> float:
     precision = found.problem.prior[1]
     left = np.maximum(mean_squares(found.problem, found.best.residual), equal)
     normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
-    return (noise.log_likelihood(left)
+    return (0.5 * MODEL_SAMPLES * float(np.log(noise.weight(noise.excess(left))).sum())
             - 0.5 * float(others @ others)
             - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())

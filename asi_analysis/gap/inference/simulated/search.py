@@ -31,7 +31,7 @@ from asi_analysis.gap.inference.posterior import (
     most_probable,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST, is_better_form
+from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import (
     COST_RANGE,
@@ -240,7 +240,7 @@ def _second_effect_alone(null: Found, first: Found, pair: Found) -> Found:
 def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
     """Return the union of two sets of fits; of a hypothesis in both, the better form."""
     return {**found, **{names: each for names, each in more.items()
-                        if names not in found or is_better_form(each, found[names])}}
+                        if names not in found or each.criterion < found[names].criterion}}
 
 
 def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
@@ -322,7 +322,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         if found.best.cost == math.inf:
             continue
         forms.setdefault(found.names, []).append(found)
-        if found.names not in fits or is_better_form(found, fits[found.names]):
+        if found.names not in fits or found.criterion < fits[found.names].criterion:
             fits[found.names] = found
         tick()
     if not fits:
@@ -363,14 +363,15 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked for form in forms[found.names]
                  if form is not ranked[0]]
-    known = {(form.names, form.variants) for form in (*remaining, leader)}
-    remaining += [form for form in _rivals(base, leader, tick)
-                  if (form.names, form.variants) not in known]
+    if base is not null:   # else the first screen was already made at fitted parameters
+        known = {(form.names, form.variants) for form in (*remaining, leader)}
+        remaining += [form for form in _rivals(base, leader, tick)
+                      if (form.names, form.variants) not in known]
     for found in problem.in_parallel(converged_fit, sorted(remaining, key=_is_coarse)):
         # A rough fit was not corrected for the integration error: its cost is not comparable.
         earlier = fits.get(found.names)
         if (earlier is None or earlier.best is best_forms.get(found.names)
-                or is_better_form(found, earlier)):
+                or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
     return {names: found for names, found in fits.items() if found.best.cost < math.inf}
