@@ -13,7 +13,7 @@ import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import Diagnosis, improved_of
-from asi_analysis.gap.inference.uncertainty import draw, likelihood
+from asi_analysis.gap.inference.uncertainty import LIMIT_95, draw, likelihood
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.onset import onset
@@ -118,5 +118,5 @@ def _interval(value: float | None, drawn: Sequence[float | None]
     known = [each for each in drawn if each is not None]
     if value is None or len(known) < len(drawn):
         return None, None
-    half = 1.96 * float(np.sqrt(np.mean((np.array(known) - value) ** 2)))
+    half = LIMIT_95 * float(np.sqrt(np.mean((np.array(known) - value) ** 2)))
     return value - half, value + half

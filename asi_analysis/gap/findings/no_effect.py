@@ -9,14 +9,13 @@ from scipy.stats import norm
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.uncertainty import interval, likelihood
+from asi_analysis.gap.inference.uncertainty import LIMIT_95, interval, likelihood
 from asi_analysis.gap.model.blocks import load_constants
 from asi_analysis.gap.model.effects import UNKNOWN
 
 GAIN = 'sensor_gain'
 SENSOR_GAIN = 'force_sensor_gain'
 GAIN_ERROR = 'sensor_gain_error'   # of the block-wise model, relative to the nominal gain
-LIMIT_95 = float(norm.ppf(0.975))
 DISTURBANCE = 'disturbance_force'
 # Fields of a constant one: of the block-wise model and of the simulator.
 CONSTANT = frozenset(('disturbance', 'load_external_force'))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.uncertainty import LIMIT_95
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import measured, predict
 
@@ -15,10 +16,9 @@ DRAWS = 1000
 # show how recordings differ.
 FRESH = 2.4
 # An actuator's recording of another amplitude and excitation shows other errors of the model: what
-# is left is larger by a factor whose logarithm has this mean and standard deviation. From 88 cases
-# of an examiner that is not in the repository; see doc/explanation/gap.md.
+# is left is larger by a factor whose logarithm has this mean and standard deviation. Set by hand
+# on cases of an examiner that is not in the repository: no command here repeats them.
 WORSE, SPREAD = 0.6, 0.85
-QUANTILE = 1.96   # of the normal distribution, for 95 %
 
 
 class Shrink(NamedTuple):
@@ -84,7 +84,7 @@ def _interval(shrink: float, nominal: Array, after: Array, elsewhere: bool
     left = 0.5 * np.log(np.maximum(times @ after, 1e-300) / np.maximum(times @ nominal, 1e-300))
     # Where the model changes little, both errors are larger by the same factor.
     changed = elsewhere * max(shrink, 0.0)
-    spread = QUANTILE * math.hypot(FRESH * float(left.std()), SPREAD * changed)
+    spread = LIMIT_95 * math.hypot(FRESH * float(left.std()), SPREAD * changed)
     least, most = (1.0 - (1.0 - shrink) * math.exp(WORSE * changed + end)
                    for end in (spread, -spread))
     return least, most

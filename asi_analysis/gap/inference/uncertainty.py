@@ -8,7 +8,7 @@ parameters that have a similar effect.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import norm
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
@@ -16,7 +16,8 @@ from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
 from asi_analysis.gap.inference.posterior import Posterior, power
 from asi_analysis.gap.inference.probability import CONSTANTS
 
-RISE = 0.5 * float(chi2.ppf(0.95, 1))   # of the negative log likelihood, at a 95 % limit
+LIMIT_95 = float(norm.ppf(0.975))   # standard deviations from the mean to a 95 % limit
+RISE = 0.5 * LIMIT_95 ** 2          # of the negative log likelihood there
 HALVINGS = 24
 # As shares of a parameter's range: the width in which the profile holds it; the distance from a
 # bound within which it is at that bound.
