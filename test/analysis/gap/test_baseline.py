@@ -78,6 +78,22 @@ def test_a_heavier_load_is_named_but_not_a_little_more():
     assert asked(rigid(0.0203, 3), rigid(0.02, 1), rigid(0.0208, 2)).verdict == 'no_gap'
 
 
+@pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a constant force')
+def test_a_greater_mean_torque_of_a_joint_that_turns_one_way_is_not_taken_for_the_healthy_one():
+    def turning(gain: float, seed: int) -> Run:
+        """Return a motor at a nearly constant speed, against friction."""
+        rng = np.random.default_rng(seed)
+        speed = 20.0 + 2.0 * np.sin(3.0 * TIME_S)
+        torque = gain * (0.05 + 1e-4 * speed + 0.005 * rng.standard_normal(TIME_S.size))
+        angle = 20.0 * TIME_S - 2.0 / 3.0 * np.cos(3.0 * TIME_S)
+        return Run(TIME_S, force_n=torque, position_m=angle, source='motor', information=PENDULUM)
+
+    healthy = turning(1.0, 1), turning(1.0, 2)
+    assert asked(turning(1.0, 3), *healthy).verdict == 'no_gap'
+    answer = asked(turning(1.4, 3), *healthy)
+    assert answer.baseline['change'] != 'none' or answer.probability < 0.9
+
+
 @pytest.mark.filterwarnings('ignore:the servo is of second order')
 def test_a_quicker_servo_is_named_and_the_same_one_has_not_changed():
     same, quicker = asked(servo(), servo()), asked(servo(pulsation=60.0), servo())
