@@ -29,7 +29,7 @@ RANGE_FACTOR: Final = 1.5
 NEAR_STARTS: Final = (1.2, 0.85)   # initial guesses of a fit, relative to the healthy value
 LEAST_PROBABILITY: Final = 0.01   # of an effect that is looked for in the healthy recordings
 # Parameters of a recording that belong to the machine nevertheless.
-CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance', 'load_offset')
+CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance')
 NUMERICAL: Final = frozenset(('maximum_substep',))
 # Identified from each recording and subtracted from it before the fit.
 REMOVED: Final = frozenset(('gravity_sine', 'gravity_cosine'))

@@ -5,7 +5,7 @@ Gravity acts on a joint that turns, m g l sin q; a spring c q on any joint. Both
 position, inertia and friction on the motion; all are identified together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -225,6 +225,7 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
 
     The model error is relative to the varying part of the force. The mean of `of` is subtracted;
     each recording's own, if those of `of` differ by more than twice the standard deviation.
+    of: the healthy recordings, if there are any, else the same ones.
     """
     def means(each: Sequence[Recording]) -> list[float]:
         return [float(r.force[r.valid].mean()) for r in each if r.force is not None]
@@ -238,5 +239,14 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
                        taken={**r.taken, 'constant': r.taken.get('constant', 0.0) + mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
-    return shifted, ['a constant force is subtracted, load_offset is relative to it: '
-                     + ', '.join(f'{mean:.4g}' for mean in dict.fromkeys(taken))]
+    notes = ['a constant force is subtracted, load_offset is relative to it: '
+             + _listed(dict.fromkeys(taken))]
+    if (now := means(recordings)) != common:
+        notes.append(f'the mean of the force is {_listed(now)}, in the healthy recordings '
+                     f'{_listed(common)}; whether it has changed is not judged')
+    return shifted, notes
+
+
+def _listed(values: Iterable[float]) -> str:
+    """Return values as text."""
+    return ', '.join(f'{value:.4g}' for value in values)
