@@ -24,6 +24,8 @@ COST_RANGE = 50.0
 # A fit competes with the best as long as its model error is at most this multiple larger.
 EXCESS_RANGE = 2.0
 HALVINGS = 8   # of the weight of the data, at most
+# Negative log prior of the nominal parameters above which their errors may stand for an effect.
+SUSPECT_PRIOR_COST = 3.0
 
 
 def in_best_formulation(found: Mapping[Names, Found],
@@ -60,9 +62,15 @@ def _with_formulation(found: Found, other: bool) -> Found:
 
 def in_formulation(found: Mapping[Names, Found], other: bool,
                    known: Mapping[Names, Found] = NONE) -> dict[Names, Found]:
-    """Return all hypotheses with the error floor of that formulation; refitted if it changed."""
+    """
+    Return hypotheses with the error floor of that formulation; refitted if it changed.
+
+    If the nominal model suffices in another formulation, it alone is returned.
+    """
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
+        if other and (plain := _sufficient(moved[()])) is not None:
+            return {(): plain}
         moved = _refitted(moved)
     if not other:
         return moved
@@ -72,6 +80,21 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
             if found[names] is not known.get(names)
             and (not names or each.best.cost < best.best.cost + COST_RANGE) else each
             for names, each in moved.items()}
+
+
+def _sufficient(null: Found) -> Found | None:
+    """
+    Return the nominal model, refitted, if no effect can have evidence beside it.
+
+    That is so if it leaves no more than the error floor, below which a smaller residual is no
+    evidence, and if its parameters are probable.
+    """
+    null = null._replace(best=most_probable(null.problem, null.best.theta))
+    if (mean_squares(null.problem, null.best.residual) > 1.0).any():
+        return None
+    if null.prior_cost > SUSPECT_PRIOR_COST:
+        null = _nearest_to_nominal(null, np.ones(len(null.problem.group.channels)))
+    return null if null.prior_cost <= SUSPECT_PRIOR_COST else None
 
 
 def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:

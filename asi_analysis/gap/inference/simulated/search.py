@@ -35,6 +35,7 @@ from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import (
     COST_RANGE,
+    SUSPECT_PRIOR_COST,
     goal_beside,
     in_best_formulation,
 )
@@ -62,8 +63,6 @@ RIVALS = 7   # effects that are fitted in place of that of the best fit
 # does not explain.
 CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
 SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
-# Negative log prior of the nominal parameters above which their errors may stand for an effect.
-SUSPECT_PRIOR_COST = 3.0
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
