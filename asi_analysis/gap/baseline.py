@@ -18,7 +18,7 @@ from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, most_probable
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, freed
+from asi_analysis.gap.model.effects import OF_A_RECORDING, UNKNOWN, Free, freed
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
@@ -230,6 +230,32 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
             rest = rest if rest in weighed.candidates else ()
             chance[rest] = chance.get(rest, 0.0) + chance.pop(names)
     return weighed._replace(probability=chance)
+
+
+def doubted_by_mean(weighed: Weighed, healthy: Healthy, tolerance: float) -> Weighed:
+    """
+    Return a group in which no change is as probable as an unknown one, if the mean force differs.
+
+    A joint that moves one way only shows the same for another constant load, which is no change of
+    the joint, for another friction, and for another gain of the force sensor. tolerance: of the
+    mean, as a share; its spread over the healthy recordings counts as well.
+    """
+    now, before = (_mean_forces(group) for group in (weighed.group, healthy.fitted.problem.group))
+    chance = weighed.probability
+    if not (now and before) or not chance.get((), 0.0):
+        return weighed
+    within = max(tolerance * abs(float(np.mean(before))), 2.0 * float(np.ptp(before)))
+    if max(abs(mean - np.mean(before)) for mean in now) <= within:
+        return weighed
+    half = 0.5 * chance[()]
+    return weighed._replace(probability={
+        **chance, (): half, (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + half})
+
+
+def _mean_forces(group: Group) -> list[float]:
+    """Return the mean force of each recording from which a large mean was subtracted."""
+    return [float(r.force[r.valid].mean()) + r.taken['mean'] for r in group.recordings
+            if r.force is not None and 'mean' in r.taken]
 
 
 def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy) -> bool:

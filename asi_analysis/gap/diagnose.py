@@ -13,7 +13,14 @@ import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.gap.baseline import Healthy, against, changed_only, healthy_of, shares
+from asi_analysis.gap.baseline import (
+    Healthy,
+    against,
+    changed_only,
+    doubted_by_mean,
+    healthy_of,
+    shares,
+)
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_course import choose_course
 from asi_analysis.gap.experiment.next_motion import choose_motion
@@ -272,7 +279,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:
-        weighed = [changed_only(each, machine[each.group.channels]) for each in weighed]
+        weighed = [doubted_by_mean(changed_only(each, was), was, tolerance)
+                   for each in weighed for was in [machine[each.group.channels]]]
     elif plant == 'actuator':
         weighed = [with_tolerated_gain(with_gap_centre(each), own.get(GAIN, tolerance))
                    for each in weighed]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import correlate
 
 from asi_actuator.model.load import FREE
-from asi_analysis.arrays import Array
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import MOTIONS
@@ -88,9 +88,11 @@ def check_joint(group: Group) -> None:
                 against = recording.motion
                 assert against is not None
                 inner = slice(against.pad, against.pad + real.size)
-                # A load takes power, whatever it is made of, and friction always does.
+                # A load takes power, whatever it is made of, and friction always does: in the
+                # mean, and in what varies.
                 velocity = against.velocity[inner]
-                with_velocity = float(np.corrcoef(real[valid], velocity[valid])[0, 1])
+                with_velocity = max(float(np.corrcoef(real[valid], velocity[valid])[0, 1]),
+                                    _power_share(recording, velocity, valid))
                 # A delayed force of a mass, however, may oppose the velocity.
                 with_acceleration = float(np.corrcoef(
                     real[valid], np.gradient(velocity)[valid])[0, 1])
@@ -123,6 +125,15 @@ def check_joint(group: Group) -> None:
             if reversed_:
                 raise InputError(f'{recording.source}: {what}: the sign is reversed; check the '
                                  'signs of both')
+
+
+def _power_share(recording: Recording, velocity: Array, valid: Mask) -> float:
+    """Return the mean power of the force, as a share of what in-phase signals would have."""
+    force = recording.force if recording.force is not None else recording.command
+    assert force is not None
+    whole = (force + recording.taken.get('constant', 0.0))[valid]
+    return float(np.mean(whole * velocity[valid])
+                 / np.sqrt(np.mean(whole ** 2) * np.mean(velocity[valid] ** 2)))
 
 
 def check_excitation(recording: Recording) -> None:

@@ -236,14 +236,16 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
     similar = max(common) - min(common) < 2.0 * deviation
     taken = [float(np.mean(common))] * len(recordings) if similar else means(recordings)
     shifted = [replace(r, force=r.force - mean, force_judged=r.force_judged - mean,
-                       taken={**r.taken, 'constant': r.taken.get('constant', 0.0) + mean})
+                       taken={**r.taken, 'constant': r.taken.get('constant', 0.0) + mean,
+                              'mean': mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
     notes = ['a constant force is subtracted, load_offset is relative to it: '
              + _listed(dict.fromkeys(taken))]
     if (now := means(recordings)) != common:
         notes.append(f'the mean of the force is {_listed(now)}, in the healthy recordings '
-                     f'{_listed(common)}; whether it has changed is not judged')
+                     f'{_listed(common)}: another constant load, friction or gain of the sensor, '
+                     'which are alike here')
     return shifted, notes
 
 
