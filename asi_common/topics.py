@@ -11,9 +11,9 @@ JOINTS: Final = (PISTON, 'valve')
 # machine with three times more work than cores a depth of 1000 lost one message in a thousand,
 # 30000 none.
 STREAM_DEPTH: Final = 30_000
-# The same in real time: 1 s at 1 kHz. Fast DDS keeps all that a killed reader has not received,
-# until it declares the reader dead (20 s), and drops it while the loop waits. For 20000 messages on
-# each topic that took 2 s, a fault; for 1000 it takes less than the commands may be old.
+# The same in real time: 1 s at 1 kHz. Fast DDS keeps what a killed reader has not received, until
+# it declares the reader dead (20 s), and drops it while the loop waits. For 20000 messages on each
+# topic that took 2 s, a fault; for 1000 it takes less than the commands may be old.
 REALTIME_DEPTH: Final = 1000
 
 
