@@ -25,6 +25,8 @@ PARAMETERS = {
     'mode': ('mode', str, NODES[:2], 'lockstep or realtime'),
     'rate_hz': ('rate_hz', float, NODES[:2],
                 'control rate; 0: 5000 in lock-step, 1000 in real time'),
+    'real_time_factor': ('real_time_factor', float, ('actuator',),
+                         'speed of lock-step; 1: at most that of a clock, 0: as fast as it can'),
     'duration': ('duration', float, ('actuator',), 'length of the run in s; 0: no end'),
     'driver': ('driver', str, ('actuator',), 'simulated, can, replay or another installed one'),
     'compensator': ('compensator', str, ('controller',),
@@ -43,6 +45,8 @@ OTHERS = (
      'a name that is no file here is that of one in config'),
     ('rviz', 'false', 'true: show the actuator in RViz'),
 )
+# Frames of the actuator per second of simulated time, for a smooth picture also in slow lock-step.
+FRAMES_HZ = 100.0
 # Time for the recorder to finish its bag after Ctrl-C, s, before SIGTERM, and then SIGKILL.
 FINISH_S = '30'
 
@@ -133,8 +137,8 @@ def _scene(given: dict[str, str]) -> list[Any]:
     scene: list[Any] = []
     names = ('tf', 'tf_static', 'clock')
     for package, parameters, arguments in (
-            ('robot_state_publisher', {'robot_description': ParameterValue(urdf, value_type=str)},
-             []),
+            ('robot_state_publisher', {'robot_description': ParameterValue(urdf, value_type=str),
+                                       'publish_frequency': FRAMES_HZ}, []),
             ('rviz2', {}, ['-d', str(config / 'asi_actuator.rviz')])):
         try:
             get_package_share_directory(package)

@@ -119,12 +119,12 @@ def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluate
     config = ROOT / 'config'
     launched = evaluated(params_file=f'{config}/actuator.yaml,quiet.yaml', rate_hz='500', gain='2',
                          driver='can', compensator='lead2', reference='sine', duration='3',
-                         mode='realtime', record='bag', namespace='left', log_level='debug',
-                         use_sim_time='true')
+                         real_time_factor='0.5', mode='realtime', record='bag', namespace='left',
+                         log_level='debug', use_sim_time='true')
     files, common = [str(config / 'actuator.yaml'), str(config / 'quiet.yaml')], {
         'rate_hz': 500.0, 'mode': 'realtime', 'await_recorder': True, 'use_sim_time': True}
     assert launched['actuator'].parameters == [
-        *files, common | {'driver': 'can', 'duration': 3.0}]
+        *files, common | {'driver': 'can', 'duration': 3.0, 'real_time_factor': 0.5}]
     assert launched['controller'].parameters == [
         *files, common | {'compensator': 'lead2', 'gain': 2.0, 'reference.shape': 'sine'}]
     assert launched['recorder'].parameters == [*files, {'output': 'bag', 'use_sim_time': True}]

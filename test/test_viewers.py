@@ -44,6 +44,28 @@ PLOTJUGGLER = {
     'DockArea': ('DockSplitter', {'name'}), 'plot': ('DockArea', {'mode', 'style'}),
     'curve': ('plot', {'name', 'color'}), 'currentTabIndex': ('tabbed_widget', {'index'}),
     'use_relative_time_offset': ('root', {'enabled'})}
+# What RViz reads (ros2/rviz, 591594e of jazzy): the properties of each plugin
+# (robot_model_display.cpp, tf_display.cpp, wrench_display.cpp, orbit_view_controller.cpp), of a
+# topic (qos_profile_property.cpp, message_filter_display.hpp).
+DISPLAY = {'Class', 'Name', 'Enabled'}
+RVIZ = {
+    'rviz_default_plugins/RobotModel': DISPLAY | {
+        'Visual Enabled', 'Collision Enabled', 'Update Interval', 'Alpha', 'Description Source',
+        'Description File', 'Description Topic', 'TF Prefix'},
+    'rviz_default_plugins/TF': DISPLAY | {
+        'Show Names', 'Show Axes', 'Show Arrows', 'Marker Scale', 'Update Interval',
+        'Frame Timeout'},
+    'rviz_default_plugins/Wrench': DISPLAY | {
+        'Topic', 'Accept NaN Values', 'Force Color', 'Torque Color', 'Alpha', 'Force Arrow Scale',
+        'Torque Arrow Scale', 'Arrow Width', 'History Length'},
+    'rviz_default_plugins/Orbit': {
+        'Class', 'Name', 'Distance', 'Focal Point', 'Yaw', 'Pitch', 'Target Frame'},
+    'rviz_default_plugins/MoveCamera': {'Class'}, 'rviz_common/Displays': {'Class', 'Name'}}
+RVIZ_TOPIC = {
+    'Value': None, 'Depth': None, 'Filter size': None,
+    'History Policy': {'System Default', 'Keep Last', 'Keep All'},
+    'Reliability Policy': {'System Default', 'Reliable', 'Best Effort'},
+    'Durability Policy': {'System Default', 'Transient Local', 'Volatile'}}
 STYLES = {'Lines', 'Dots', 'LinesAndDots', 'Sticks', 'Steps', 'StepsInv'}
 
 
@@ -125,6 +147,20 @@ def test_the_joints_and_the_frame_of_the_topics_are_in_one_tree() -> None:
     assert rviz['Global Options']['Fixed Frame'] == 'actuator'
     topics = [display['Topic']['Value'] for display in rviz['Displays'] if 'Topic' in display]
     assert topics == ['force'] and set(topics) <= set(TOPICS)
+
+
+def test_rviz_knows_every_property_of_its_configuration() -> None:
+    given = yaml.safe_load((CONFIG / 'asi_actuator.rviz').read_text())
+    manager = given['Visualization Manager']
+    assert given.keys() == {'Panels', 'Visualization Manager'}
+    assert manager.keys() == {'Class', 'Displays', 'Global Options', 'Tools', 'Views'}
+    for plugin in (*given['Panels'], *manager['Displays'], *manager['Tools'],
+                   manager['Views']['Current']):
+        assert plugin.keys() <= RVIZ[plugin['Class']]
+        for topic in (value for name, value in plugin.items() if name.endswith('Topic')):
+            assert topic.keys() <= RVIZ_TOPIC.keys()
+            assert all(topic[key] in known for key, known in RVIZ_TOPIC.items()
+                       if known and key in topic)
 
 
 def test_the_analyzers_take_every_status_of_the_nodes(

@@ -46,6 +46,11 @@ SLOW_SUBSCRIBER_S: Final = 30.0
 # callback if several nodes end at the same moment.
 END_S = 60.0
 PROFILES: Final = Path(__file__).parent
+# With one of these the user has chosen who may reach a node.
+CHOICES: Final = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS',
+                  'ROS_DISCOVERY_SERVER', 'FASTRTPS_DEFAULT_PROFILES_FILE')
+HERE_ALONE: Final = ('reached from this machine alone: ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET opens '
+                     'this node to the network (doc/how_to/security.md)')
 USAGE: Final = ('a node takes ROS arguments only: --ros-args -p NAME:=VALUE --params-file FILE '
                 '-r OLD:=NEW --log-level LEVEL; its parameters: doc/reference/parameters.md')
 
@@ -216,7 +221,9 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
     if at_once:
         end_quietly()
     choose_log_folder()
-    unprotected = choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
+    rmw = rclpy.get_rmw_implementation_identifier()
+    here_alone = stay_here(os.environ, rmw)
+    unprotected = choose_transport(os.environ, rmw)
     try:
         # rclpy's own handlers would shut the context down in the middle of a callback.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -254,6 +261,8 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
         made()
     if unprotected:
         node.get_logger().warning(unprotected)
+    if here_alone:
+        node.get_logger().info(HERE_ALONE)
     prefer(node)
     executor.add_node(node)
     finished = False
@@ -273,6 +282,19 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
         rclpy.try_shutdown()
         faulthandler.cancel_dump_traceback_later()
     return 0
+
+
+def stay_here(environment: MutableMapping[str, str], rmw: str) -> bool:
+    """
+    Set the range LOCALHOST unless the user has chosen one; return whether it was set.
+
+    ROS's default is the local network, from which anybody could move the valve. With another
+    middleware than Fast DDS that range does not keep them out, so there the default is left.
+    """
+    if not rmw.startswith('rmw_fastrtps') or any(map(environment.get, CHOICES)):
+        return False
+    environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    return True
 
 
 def choose_transport(environment: MutableMapping[str, str], rmw: str) -> str:

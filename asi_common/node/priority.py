@@ -1,4 +1,4 @@
-"""The real-time priority of a node, so that other programs do not delay its loop."""
+"""Real time: which nodes run in it, and their priority, so that other programs do not delay it."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ def prefer(node: Node) -> None:
     Those of the middleware too, as a message waits for them; threads that are made later inherit
     it. The log says whether it was permitted, as that of ros2_control does.
     """
-    if not node.has_parameter(PARAMETER) or node.get_parameter('mode').value != 'realtime':
+    if not in_real_time(node) or not node.has_parameter(PARAMETER):
         return
     priority = node.get_parameter(PARAMETER).value
     if not priority:
@@ -32,3 +32,8 @@ def prefer(node: Node) -> None:
             'this loop: doc/how_to/ros_conventions.md')
     else:
         node.get_logger().info(f'real-time priority {priority}')
+
+
+def in_real_time(node: Node) -> bool:
+    """Return whether a node runs on the wall clock."""
+    return node.has_parameter('mode') and node.get_parameter('mode').value == 'realtime'

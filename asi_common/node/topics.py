@@ -17,8 +17,9 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from asi_common.node.priority import in_real_time
 from asi_common.parameter import Parameter, ParameterError
-from asi_common.topics import STREAM_DEPTH, TOPICS
+from asi_common.topics import REALTIME_DEPTH, STREAM_DEPTH, TOPICS
 
 # A loop needs only the newest message.
 CONTROL_QOS: Final = QoSProfile(depth=10)
@@ -49,8 +50,9 @@ class SteadyClock:
 def create_publisher(node: Node, name: str) -> Publisher:
     """Return a publisher of one of the `TOPICS`, with its type and QoS."""
     topic = TOPICS[name]
+    depth = min(topic.depth, REALTIME_DEPTH) if in_real_time(node) else topic.depth
     return node.create_publisher(
-        message_class(topic.type), name, QoSProfile(depth=topic.depth),
+        message_class(topic.type), name, QoSProfile(depth=depth),
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from asi_common.node.ros_parameters import descriptor
 from asi_common.parameter import Parameter, ParameterError, completed, defaults
-from asi_common.topics import STREAM_DEPTH
+from asi_common.topics import REALTIME_DEPTH
 from doc.parameter_tables import WRITTEN, NodeTables, files
 
 ACTUATOR, CONTROLLER = 'asi_actuator.actuator_node', 'asi_controller.controller_node'
@@ -110,7 +110,7 @@ def test_quality_of_service_is_overridden_by_parameters(
     assert get_parameters('asi_actuator', [
         'qos_overrides./force.publisher.depth', 'qos_overrides./velocity.publisher.depth']
         ) == {'qos_overrides./force.publisher.depth': 7,
-              'qos_overrides./velocity.publisher.depth': STREAM_DEPTH}
+              'qos_overrides./velocity.publisher.depth': REALTIME_DEPTH}
     result, = set_parameters('asi_actuator', {'qos_overrides./force.publisher.depth': 8})
     assert not result.successful and 'read-only' in result.reason
 

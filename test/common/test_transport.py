@@ -1,4 +1,4 @@
-"""What the nodes can be reached by: with the range LOCALHOST by nothing but this machine."""
+"""What the nodes can be reached by: without a range, or with LOCALHOST, by this machine alone."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from conftest import Listener, NodeProcess
 
-from asi_common.node.executor import choose_transport
+from asi_common.node.executor import CHOICES, HERE_ALONE, choose_transport, stay_here
 
 ACTUATOR = 'asi_actuator.actuator_node'
 # Prints the nodes that are found once `asi_open` is, and has been for a while.
@@ -45,10 +45,11 @@ def sockets(pid: int) -> set[str]:
 
 @pytest.mark.skipif(sys.platform != 'linux', reason='needs /proc')
 @pytest.mark.parametrize('local', [
+    {'ROS_AUTOMATIC_DISCOVERY_RANGE': ''},
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'},
     {'ROS_LOCALHOST_ONLY': '1', 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
      'ROS_STATIC_PEERS': '192.0.2.1'}])
-def test_localhost_binds_no_socket_to_another_address(
+def test_without_a_range_or_with_localhost_no_socket_is_bound_to_another_address(
         local: dict[str, str], ros_environment: dict[str, str],
         start_node: Callable[..., NodeProcess], states: Listener) -> None:
     outside = dict(ros_environment)
@@ -56,6 +57,8 @@ def test_localhost_binds_no_socket_to_another_address(
     node = start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
     states.wait(3)
     assert sockets(node.pid) == {'127.0.0.1'}
+    by_default = not local['ROS_AUTOMATIC_DISCOVERY_RANGE']
+    assert (HERE_ALONE in node.text) == by_default
     ros_environment.clear()
     ros_environment |= outside
     ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SUBNET'
@@ -93,12 +96,13 @@ def other_namespace() -> Iterator[tuple[list[str], str]]:
         yield inside, ours
 
 
-def test_localhost_is_out_of_reach_of_another_network_namespace(
+def test_a_node_is_out_of_reach_of_another_network_namespace_unless_it_is_opened(
         other_namespace: tuple[list[str], str], ros_environment: dict[str, str],
         start_node: Callable[..., NodeProcess]) -> None:
     """Of one who names this machine as a peer; a node with the range SUBNET is found so."""
     inside, address = other_namespace
-    for name, range_ in (('asi_actuator', 'LOCALHOST'), ('asi_open', 'SUBNET')):
+    for name, range_ in (('asi_actuator', 'LOCALHOST'), ('asi_default', ''),
+                         ('asi_open', 'SUBNET')):
         ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = range_
         start_node(ACTUATOR, '-r', f'__node:={name}', mode='realtime', rate_hz=200.0
                    ).wait_for('realtime at')
@@ -124,3 +128,13 @@ def test_the_range_is_kept_where_no_profile_replaces_it_and_what_it_does_not_do_
     assert given.items() <= environment.items()
     assert bool(warning) == bool(word) and word in warning
     assert choose_transport({**given, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}, rmw) == ''
+
+
+@pytest.mark.parametrize('name', CHOICES)
+def test_a_range_is_set_only_where_the_user_has_chosen_nothing(name: str) -> None:
+    environment = {name: ''}
+    assert stay_here(environment, 'rmw_fastrtps_cpp')
+    assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
+    assert not stay_here({}, 'rmw_cyclonedds_cpp')
+    chosen = {name: '0'}
+    assert not stay_here(chosen, 'rmw_fastrtps_cpp') and chosen == {name: '0'}
