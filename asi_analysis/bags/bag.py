@@ -370,7 +370,7 @@ def _clock_was_set_back(ticks: Nanoseconds) -> bool:
 
 def align(base: Series, series: Series, hold: bool) -> dict[str, Array]:
     """
-    Return the values of a topic on the time base, NaN where there is no message.
+    Return the values of a topic on the time base, NaN where there is no message or no number.
 
     A message belongs to the tick with its stamp; without a stamp, to the tick that was published
     nearest in time. Values are held until the next message if fewer than half of the ticks, or of
@@ -400,7 +400,7 @@ def align(base: Series, series: Series, hold: bool) -> dict[str, Array]:
     else:
         message = np.full(len(ticks), -1)
         message[position[position >= 0]] = np.flatnonzero(position >= 0)
-    return {name: np.where(message >= 0, values[message], np.nan)
+    return {name: np.where((message >= 0) & np.isfinite(values[message]), values[message], np.nan)
             for name, values in series.values.items()}
 
 

@@ -156,6 +156,9 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
     '', 0 unless the control law is exact for samples that the recording has later.
     """
     change = np.diff(np.nan_to_num(command), 2, prepend=[0.0, 0.0])
+    most = min(LONGEST_DELAY, len(change) // 4)
+    if most < 1:
+        return '', 0
     # The part with the largest change rules out most delays, in less time than the whole.
     begin = max(int(np.argmax(np.abs(change[2:]))) - ORDER, 0)
     part = slice(begin, begin + LEAST_ROWS + 4 * ORDER)
@@ -163,7 +166,6 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
         other = np.diff(np.nan_to_num(values), 2, prepend=[0.0, 0.0])
         size = 2 ** int(np.ceil(np.log2(2 * len(change))))
         product = np.fft.irfft(np.fft.rfft(other, size) * np.conj(np.fft.rfft(change, size)))
-        most = min(LONGEST_DELAY, len(change) // 4)
         likely = np.argsort(-np.abs(product[1:most]))[:DELAYS_TRIED] + 1
         for lag in (*likely, *range(1, min(ORDER, most) + 1)):
             moved = np.append(values[lag:], np.full(lag, np.nan))

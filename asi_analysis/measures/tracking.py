@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.frequency_response import is_sine
 from asi_analysis.measures.oscillation import amplitude_at
@@ -31,7 +32,7 @@ class Tracking(NamedTuple):
 
 def tracking(run: Run, name: str | None = None) -> Tracking:
     """Return how well a run follows its reference, and what that takes; name: of the output."""
-    command = None if run.command_n is None else float(np.sqrt(np.nanmean(run.command_n ** 2)))
+    command = None if run.command_n is None else _rms(run.command_n)
     output = run.followed(name)
     if run.reference_n is None or output is None:
         return Tracking(command_rms_n=command)
@@ -44,6 +45,12 @@ def tracking(run: Run, name: str | None = None) -> Tracking:
     found = Tracking(rms, float(np.abs(error).max()), None if constant else 100.0 * rms / moved,
                      command)
     return found._replace(**_impedance(run)) if constant else found
+
+
+def _rms(values: Array) -> float | None:
+    """Return the rms of the samples that are not missing, None if all are."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known ** 2))) if len(known) else None
 
 
 def _impedance(run: Run) -> dict[str, float]:

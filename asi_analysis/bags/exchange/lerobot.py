@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, unpacked_limit
 from asi_analysis.errors import InputError, InputWarning
+from asi_common.files import read_bytes
 
 WIDE: Final = re.compile(r':\D*\d{4}')   # a format that pads a number to 1000 characters or more
 INFO: Final = Path('meta/info.json')
@@ -61,9 +62,7 @@ def read_information(path: Path) -> Dataset:
     """Return what meta/info.json says. Raises InputError."""
     file = path / INFO
     try:
-        if file.stat().st_size > MOST_INFO:
-            raise InputError(f'{file} has more than {MOST_INFO / 1e6:.0f} MB')
-        info = json.loads(file.read_bytes())
+        info = json.loads(read_bytes(file, MOST_INFO))
     except OSError as error:
         raise InputError(f'{file} cannot be read: {error.strerror}; a LeRobot dataset has it'
                          ) from None

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 from typing import Final
 
 # unit → SI unit, factor
@@ -26,6 +27,8 @@ UNITS: Final = {
 # SI unit → its name in pint. Angles have no dimension in pint: UNITS lists all of theirs.
 _PINT: Final = {'s': 's', 'N': 'N', 'm': 'm', 'm/s': 'm/s', 'Nm': 'N*m', 'V': 'V', 'A': 'A',
                 'Pa': 'Pa'}
+_WHOLE: Final = re.compile(r'(?<![\w.])\d+(?![\w.])')
+_NOT_DECIMAL: Final = re.compile(r'\d[_xXoObB]')
 
 
 @functools.cache
@@ -37,10 +40,15 @@ def conversion(unit: str) -> tuple[str, float] | None:
     """
     if unit in UNITS:
         return UNITS[unit]
+    if _NOT_DECIMAL.search(unit):
+        return None
+    # Powers of whole numbers, such as 10**10**8, take pint for ever; those of floats overflow.
+    in_floats = _WHOLE.sub(r'\g<0>.0', unit)
     import pint
     try:
-        quantity = pint.get_application_registry().Quantity(1.0, unit)
-        return next(((si, float(quantity.to(name).magnitude)) for si, name in _PINT.items()
-                     if quantity.is_compatible_with(name)), None)
+        quantity = pint.get_application_registry().Quantity(1.0, in_floats)
+        return next(((si, factor) for si, name in _PINT.items()
+                     if quantity.is_compatible_with(name)
+                     and 0.0 < (factor := float(quantity.to(name).magnitude)) < math.inf), None)
     except Exception:  # noqa: B902 - pint raises anything for a text that is no unit
         return None

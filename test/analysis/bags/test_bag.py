@@ -157,6 +157,16 @@ def test_round_trip_is_exact(tmp_path: Path) -> None:
     assert_same(read_bag(tmp_path / 'bag' / 'bag_0.mcap'), run)
 
 
+def test_an_infinite_sample_is_a_missing_one(tmp_path: Path) -> None:
+    run = a_run()
+    assert run.force_n is not None
+    run.force_n[[7, 30]] = np.inf, -np.inf
+    write_bag(run, tmp_path / 'bag')
+    back = read_bag(tmp_path / 'bag')
+    assert np.flatnonzero(np.isnan(back.signal('force'))).tolist() == [7, 30]
+    assert 'missing' in {each['kind'] for each in analyze(back)['quality']}
+
+
 def test_missing_samples_and_absent_signals_stay_so(tmp_path: Path) -> None:
     command = np.arange(50.0)
     command[[3, 30]] = np.nan

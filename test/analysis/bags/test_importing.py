@@ -174,6 +174,14 @@ def test_units_that_pint_knows(tmp_path: Path) -> None:
         import_recording(file, ['force=p[bar]'], 10.0)
 
 
+@pytest.mark.parametrize('unit', ['10**10**8 N', '0x9**0x9**0x9999 N', 'N*9^9^9^9', 'N*1e400'])
+def test_a_unit_that_takes_for_ever_to_compute_is_refused(unit: str, tmp_path: Path) -> None:
+    file = tmp_path / 'a.csv'
+    file.write_text('f\n2\n3\n')
+    with pytest.raises(InputError, match='force takes N, Nm and their'):
+        import_recording(file, [f'force=f[{unit}]'], 10.0)
+
+
 @pytest.mark.parametrize(('cells', 'seconds'), [
     (['31.12.2020 23:59:59', '01.01.2021 00:00:01'], 2.0),
     (['12/31/2020 11:59:59 PM', '1/1/2021 12:00:01 AM'], 2.0),

@@ -212,6 +212,14 @@ def test_a_pipe_among_the_data_is_refused(kind: str, tmp_path: Path) -> None:
         preview(folder)
 
 
+def test_a_pipe_as_information_is_refused(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / 'arm')
+    (folder / 'meta/info.json').unlink()
+    os.mkfifo(folder / 'meta/info.json')
+    with pytest.raises(InputError, match='info.json cannot be read: is not a file'):
+        preview(folder)
+
+
 @pytest.mark.parametrize('order', [slice(None, None, -1), slice(None, None, 2)])
 def test_rows_that_are_missing_or_out_of_order_are_told_without_a_time(
         order: slice, tmp_path: Path) -> None:

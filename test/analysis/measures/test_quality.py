@@ -299,6 +299,13 @@ def test_numbers_that_overflow_are_refused(analysis: Callable[[Run], object]) ->
         analysis(with_force(a_run(), lambda f: put(f, 900, 1e300)))
 
 
+@pytest.mark.parametrize('count', range(2, 12))
+def test_a_recording_of_few_samples_is_answered(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=(6, count))
+    answer = analyze(Run(np.arange(count) / 100.0, *values))
+    assert answer.samples == count
+
+
 def test_signals_that_were_never_there_together_have_no_bandwidth() -> None:
     run = a_run()
     late = replace(run, reference_n=np.where(run.time_s > 1.0, np.sin(300.0 * run.time_s), np.nan))

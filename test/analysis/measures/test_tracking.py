@@ -50,3 +50,9 @@ def test_impedance_of_the_driven_back_actuator_is_its_damping():
 
 def test_nothing_recorded_nothing_told():
     assert tracking(Run(T, force_n=np.ones(T.size))) == (None,) * 7
+
+
+def test_a_command_of_missing_samples_has_no_size() -> None:
+    missing = np.full(50, np.nan)
+    run = Run(np.arange(50) / 100.0, np.ones(50), missing, np.ones(50))
+    assert analyze(run).command_rms_n is None
