@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
 
 from asi_common.jit import jit
 from asi_common.parameter import ParameterError, Value, completed, with_its_type
@@ -34,6 +33,7 @@ from asi_controller.additions.velocity_feedforward import advanced, compensation
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.design import MOST_POLES, Design
 from asi_controller.parameters import ADDITION_PARAMETERS, COMPENSATOR_PARAMETERS
+from asi_controller.sections import second_order_sections
 
 # The phase is most important at the frequency of the limit cycle.
 PREWARP_HZ: Final = 90.0
@@ -148,8 +148,8 @@ def discretise(design_: Design, rate_hz: float) -> tuple[
         lag = _first_order(-1.0 if taken[1] is None else taken[1].real, taken[0].real)
     if not poles:
         return np.empty((0, 5)), lag
-    sections = signal.zpk2sos(zeros + [-1.0] * (len(poles) - len(zeros)), poles, 1.0)
-    sections = sections[:, [0, 1, 2, 4, 5]]
+    zeros += [-1.0] * (len(poles) - len(zeros))
+    sections = second_order_sections(zeros, poles)[:, [0, 1, 2, 4, 5]]
     at_zero = sections[:, :3].sum(1) / (1.0 + sections[:, 3:].sum(1))
     sections[:, :3] /= at_zero[:, None]
     return sections, lag
