@@ -6,6 +6,7 @@ that a node does before its first tick.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +28,14 @@ def second_order_sections(zeros: Sequence[complex], poles: Sequence[complex]
     sections = []
     while len(p):
         of_denominator, p = _take_two(p, lambda roots: np.abs(1.0 - np.abs(roots)))
-        of_numerator, z = _take_two(z, lambda roots, pole=of_denominator[0]: np.abs(roots - pole))
+        of_numerator, z = _take_two(z, partial(_distance, of_denominator[0]))
         sections.append(np.append(np.poly(of_numerator), np.poly(of_denominator)))
     return np.array(sections[::-1])
+
+
+def _distance(root: complex, roots: Roots) -> npt.NDArray[np.float64]:
+    """Return the distances of roots from one."""
+    return np.abs(roots - root)
 
 
 def _without_conjugates(roots: Sequence[complex]) -> Roots:
