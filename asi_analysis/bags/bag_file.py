@@ -315,9 +315,35 @@ def _unpacked(compression: str, most_bytes: int, packed: bytes, size: int) -> by
 
 @contextmanager
 def opened_by_rosbags(path: Path) -> Iterator[Reader]:
-    """Open a bag by rosbags, which unpacks chunks of MCAP without a limit, with that of `path`."""
-    with chunks_of_limited_size(path), Reader(with_files_only(path)) as reader:
+    """Open a bag by rosbags, with the limit of `path` for chunks, and without computed SQL."""
+    with (chunks_of_limited_size(path), _databases_of_tables(),
+          Reader(_InAddress(with_files_only(path))) as reader):
         yield reader
+
+
+class _InAddress(type(Path())):     # type: ignore[misc]
+    """A path that rosbags puts into the address of a database, where % ? # have a meaning."""
+
+    def __format__(self, _: str) -> str:
+        return str(self).replace('%', '%25').replace('?', '%3f').replace('#', '%23')
+
+
+@contextmanager
+def _databases_of_tables() -> Iterator[None]:
+    """Refuse sqlite3 files whose data are computed, which may take for ever and any memory."""
+    apsw.connection_hooks.append(_refuse_computed)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(_refuse_computed)
+
+
+def _refuse_computed(database: apsw.Connection) -> None:
+    """Raise ValueError for a database with views, or with columns that are expressions."""
+    for kind, name in list(database.execute('SELECT type, name FROM sqlite_master')):
+        columns = database.execute('SELECT hidden FROM pragma_table_xinfo(?)', (name,))
+        if kind == 'view' or kind == 'table' and any(hidden for hidden, in columns):
+            raise ValueError(f'{name} of the database is computed by SQL, not stored')
 
 
 @contextmanager

@@ -312,7 +312,8 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
     return _ByCommand(problems, usual or found.factor == 1.0,
                       found.everywhere and found.signal < 0.0 and not found.reference < 0.0,
-                      found.everywhere,
+                      # It responds to the sample of the same time; later ones any signal may fit.
+                      found.everywhere and not np.isnan(found.signal),
                       found.everywhere and found.of_all and found.has_memory)
 
 

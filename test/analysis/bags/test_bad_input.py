@@ -4,7 +4,9 @@ import contextlib
 import gzip
 import os
 import pickle
+import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tracemalloc
@@ -173,6 +175,33 @@ def test_a_compressed_bag_of_sqlite_is_not_unpacked_beyond_the_limit(
     monkeypatch.setattr(bag_file, 'MOST_RATIO', 0)
     assert 'unpacks to more than is allowed' in read_contents(
         tmp_path / 'sqlite', lambda _: True).problems[-1]
+
+
+@pytest.mark.parametrize('sql', [
+    'CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, '
+    'data BLOB AS (zeroblob(100000000))); INSERT INTO messages (topic_id, timestamp) SELECT '
+    'topic_id, timestamp FROM old',
+    'ALTER TABLE old RENAME TO messages; DROP TABLE message_definitions; '
+    'CREATE VIEW message_definitions AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 '
+    'FROM n) SELECT id, "" AS topic_type, "ros2msg" AS encoding, "" AS '
+    'encoded_message_definition, "" AS type_description_hash FROM n'])
+def test_a_database_that_computes_its_data_is_refused(sql: str, tmp_path: Path) -> None:
+    """A file of 100 kB had 30 GB of messages, or definitions without end."""
+    write_bag(a_run(), tmp_path / 'bag')
+    as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite')
+    with contextlib.closing(sqlite3.connect(tmp_path / 'sqlite/sqlite.db3')) as database:
+        database.executescript(f'ALTER TABLE messages RENAME TO old; {sql}')
+    with pytest.raises(InputError, match='is computed by SQL, not stored'):
+        read_bag(tmp_path / 'sqlite')
+
+
+@pytest.mark.parametrize('name', ['100% #1?', 'a%20b'])
+def test_a_folder_may_have_any_name(name: str, tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite')
+    for kind in ('bag', 'sqlite'):
+        assert len(read_bag((tmp_path / kind).rename(tmp_path / name))) == len(a_run())
+        shutil.rmtree(tmp_path / name)
 
 
 def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
