@@ -244,8 +244,8 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
              + _listed(dict.fromkeys(taken))]
     if (now := means(recordings)) != common:
         notes.append(f'the mean of the force is {_listed(now)}, in the healthy recordings '
-                     f'{_listed(common)}: another constant load, friction or gain of the sensor, '
-                     'which are alike here')
+                     f'{_listed(common)}; another constant load, friction or gain of the sensor '
+                     'are alike here')
     return shifted, notes
 
 
