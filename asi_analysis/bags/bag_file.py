@@ -315,10 +315,32 @@ def _unpacked(compression: str, most_bytes: int, packed: bytes, size: int) -> by
 
 @contextmanager
 def opened_by_rosbags(path: Path) -> Iterator[Reader]:
-    """Open a bag by rosbags, with the limit of `path` for chunks, and without computed SQL."""
-    with (chunks_of_limited_size(path), _databases_of_tables(),
-          Reader(_InAddress(with_files_only(path))) as reader):
+    """Open a bag by rosbags, as `limited`."""
+    with limited(path) as limited_path, Reader(limited_path) as reader:
         yield reader
+
+
+@contextmanager
+def limited(path: Path) -> Iterator[Path]:
+    """
+    Limit what rosbags does with a bag, which has no limits; yield the path to give to it.
+
+    Files and chunks unpack to `most_unpacked` at most, nothing is a pipe or a device, and sqlite3
+    computes nothing. Raises one of BROKEN.
+    """
+    most_bytes = most_unpacked(with_files_only(path))
+    for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
+        with file.open('rb') as packed:
+            _unzipped(packed, most_bytes)
+    unlimited = dict(storage_mcap.DECOMPRESSORS)
+    storage_mcap.DECOMPRESSORS.update({
+        name: partial(_unpacked, name, most_bytes) for name in unlimited})
+    apsw.connection_hooks.append(_refuse_computed)
+    try:
+        yield _InAddress(path)
+    finally:
+        apsw.connection_hooks.remove(_refuse_computed)
+        storage_mcap.DECOMPRESSORS.update(unlimited)
 
 
 class _InAddress(type(Path())):     # type: ignore[misc]
@@ -328,34 +350,16 @@ class _InAddress(type(Path())):     # type: ignore[misc]
         return str(self).replace('%', '%25').replace('?', '%3f').replace('#', '%23')
 
 
-@contextmanager
-def _databases_of_tables() -> Iterator[None]:
-    """Refuse sqlite3 files whose data are computed, which may take for ever and any memory."""
-    apsw.connection_hooks.append(_refuse_computed)
-    try:
-        yield
-    finally:
-        apsw.connection_hooks.remove(_refuse_computed)
-
-
 def _refuse_computed(database: apsw.Connection) -> None:
-    """Raise ValueError for a database with views, or with columns that are expressions."""
+    """
+    Raise ValueError for a database with views, or with columns that are expressions.
+
+    They may take for ever and any memory.
+    """
     for kind, name in list(database.execute('SELECT type, name FROM sqlite_master')):
         columns = database.execute('SELECT hidden FROM pragma_table_xinfo(?)', (name,))
         if kind == 'view' or kind == 'table' and any(hidden for hidden, in columns):
             raise ValueError(f'{name} of the database is computed by SQL, not stored')
-
-
-@contextmanager
-def chunks_of_limited_size(path: Path) -> Iterator[None]:
-    """Let rosbags unpack the chunks of MCAP files with the limit of `path`."""
-    unlimited = dict(storage_mcap.DECOMPRESSORS)
-    storage_mcap.DECOMPRESSORS.update({
-        name: partial(_unpacked, name, most_unpacked(path)) for name in unlimited})
-    try:
-        yield
-    finally:
-        storage_mcap.DECOMPRESSORS.update(unlimited)
 
 
 def _offered(channel: Channel, problems: list[str]) -> list[dict[str, Any]]:
@@ -392,9 +396,6 @@ def _extract(data: bytes, starts: npt.NDArray[np.int64], headers: npt.NDArray[np
 def _read_by_rosbags(path: Path, select: Callable[[str], bool], contents: Contents) -> None:
     """Read sqlite3 and compressed files, which have no times of publication."""
     remaining = most_unpacked(with_files_only(path))
-    for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
-        with file.open('rb') as packed:
-            remaining -= len(_unzipped(packed, remaining))
     with opened_by_rosbags(path) as reader:
         connections = [c for c in reader.connections if select(c.topic)]
         for connection in connections:
@@ -430,7 +431,7 @@ def most_unpacked(path: Path) -> int:
 
 def _unzipped(packed: IO[bytes], most_bytes: int) -> bytes:
     """Return unpacked zstd data. Raises ValueError if they are too large."""
-    with zstandard.ZstdDecompressor().stream_reader(packed) as stream:
+    with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as stream:
         found = stream.read(most_bytes + 1)
     if len(found) > most_bytes:
         raise ValueError(TOO_MUCH)

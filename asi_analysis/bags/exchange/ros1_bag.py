@@ -15,13 +15,7 @@ from rosbags.rosbag1 import ReaderError, reader
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from asi_analysis.bags.bag import Series, align, time_base
-from asi_analysis.bags.bag_file import (
-    BROKEN,
-    TOO_MUCH,
-    chunks_of_limited_size,
-    most_unpacked,
-    with_files_only,
-)
+from asi_analysis.bags.bag_file import BROKEN, TOO_MUCH, limited, most_unpacked
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 
@@ -33,8 +27,8 @@ def opened(path: Path) -> Iterator[AnyReader]:
     reader.decompressors |= {name: partial(_unpacked, new, most_unpacked(path))
                              for name, new in _DECOMPRESSORS.items()}
     try:
-        with chunks_of_limited_size(path), AnyReader(
-                [with_files_only(path)],
+        with limited(path) as limited_path, AnyReader(
+                [limited_path],
                 default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
             yield bag
     except InputError:

@@ -177,6 +177,17 @@ def test_a_compressed_bag_of_sqlite_is_not_unpacked_beyond_the_limit(
         tmp_path / 'sqlite', lambda _: True).problems[-1]
 
 
+def test_a_preview_of_a_damaged_compressed_bag_is_refused(tmp_path: Path) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite', CompressionMode.FILE)
+    file, = (tmp_path / 'sqlite').glob('*.zstd')
+    packed = bytearray(file.read_bytes())
+    packed[len(packed) // 2:len(packed) // 2 + 50] = bytes(50)
+    file.write_bytes(packed)
+    with pytest.raises(InputError, match='cannot be read|is damaged'):
+        preview(tmp_path / 'sqlite')
+
+
 @pytest.mark.parametrize('sql', [
     'CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, '
     'data BLOB AS (zeroblob(100000000))); INSERT INTO messages (topic_id, timestamp) SELECT '
