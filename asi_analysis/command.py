@@ -8,13 +8,15 @@ imported after it.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 
 TYPE_CHECKING = False   # as in typing, which takes time to import
 if TYPE_CHECKING:
+    import signal
     from types import FrameType
     from typing import Any, NoReturn
+else:
+    import _signal as signal  # built in; `signal` first makes enumerations of its numbers
 
 INTERRUPTED = 130
 AGAIN_S = 0.05

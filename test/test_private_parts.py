@@ -1,6 +1,7 @@
 """Private parts of other packages that are used here: a version that lacks one is named."""
 
 import inspect
+import signal
 from importlib.metadata import version
 
 import can.interfaces.slcan
@@ -13,6 +14,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rosbags.rosbag1 import reader as ros1
 from rosbags.rosbag2 import Reader, storage_mcap
 
+from asi_analysis import command
 from asi_analysis.bags.bag import write_bag
 from torture.inputs import recording
 
@@ -51,3 +53,12 @@ def test_private_part_is_there(package, tmp_path):
         found = False
     assert found, (f'{package} {version(package)} lacks a private part that is used here: '
                    'replace its use, or set an upper bound in setup.py')
+
+
+def test_python_has_the_signals_that_the_command_takes_from_it():
+    """`asi_analysis.command` cannot wait for the module `signal` to be imported."""
+    built_in = command.signal
+    assert built_in.default_int_handler is signal.default_int_handler
+    assert (built_in.SIGINT, built_in.SIG_IGN) == (signal.SIGINT, signal.SIG_IGN)
+    assert built_in.getsignal(signal.SIGINT) is signal.getsignal(signal.SIGINT)
+    assert built_in.pthread_kill is not None
