@@ -325,13 +325,13 @@ def limited(path: Path) -> Iterator[Path]:
     """
     Limit what rosbags does with a bag, which has no limits; yield the path to give to it.
 
-    Files and chunks unpack to `most_unpacked` at most, nothing is a pipe or a device, and sqlite3
-    computes nothing. Raises one of BROKEN.
+    All files, and each chunk, unpack to `most_unpacked` at most, nothing is a pipe or a device, and
+    sqlite3 computes nothing. Raises one of BROKEN.
     """
-    most_bytes = most_unpacked(with_files_only(path))
+    most_bytes = remaining = most_unpacked(with_files_only(path))
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk
         with file.open('rb') as packed:
-            _unzipped(packed, most_bytes)
+            remaining -= len(_unzipped(packed, remaining))
     unlimited = dict(storage_mcap.DECOMPRESSORS)
     storage_mcap.DECOMPRESSORS.update({
         name: partial(_unpacked, name, most_bytes) for name in unlimited})

@@ -177,6 +177,20 @@ def test_a_compressed_bag_of_sqlite_is_not_unpacked_beyond_the_limit(
         tmp_path / 'sqlite', lambda _: True).problems[-1]
 
 
+def test_all_files_of_a_bag_together_are_not_unpacked_beyond_the_limit(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_bag(a_run(), tmp_path / 'bag')
+    as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite', CompressionMode.FILE)
+    file, = (tmp_path / 'sqlite').glob('*.zstd')
+    size = len(zstandard.ZstdDecompressor().stream_reader(file.read_bytes()).read())
+    monkeypatch.setattr(bag_file, 'MOST_UNPACKED', size + size // 2)
+    monkeypatch.setattr(bag_file, 'MOST_RATIO', 0)
+    assert len(read_bag(tmp_path / 'sqlite')) == 300
+    shutil.copy(file, file.with_name('another.db3.zstd'))
+    assert 'unpacks to more than is allowed' in read_contents(
+        tmp_path / 'sqlite', lambda _: True).problems[-1]
+
+
 def test_a_preview_of_a_damaged_compressed_bag_is_refused(tmp_path: Path) -> None:
     write_bag(a_run(), tmp_path / 'bag')
     as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite', CompressionMode.FILE)

@@ -69,8 +69,11 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     """
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
-        if other and (plain := _sufficient(moved[()])) is not None:
-            return {(): plain}
+        if other:
+            null = moved[()]
+            moved[()] = null._replace(best=most_probable(null.problem, null.best.theta))
+            if (plain := _sufficient(moved[()])) is not None:
+                return {(): plain}
         moved = _refitted(moved)
     if not other:
         return moved
@@ -84,12 +87,11 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
 
 def _sufficient(null: Found) -> Found | None:
     """
-    Return the nominal model, refitted, if no effect can have evidence beside it.
+    Return the fit of the nominal model if no effect can have evidence beside it.
 
     That is so if it leaves no more than the error floor, below which a smaller residual is no
-    evidence, and if its parameters are probable.
+    evidence, with probable parameters; perhaps they are so only nearer to the nominal values.
     """
-    null = null._replace(best=most_probable(null.problem, null.best.theta))
     if (mean_squares(null.problem, null.best.residual) > 1.0).any():
         return None
     if null.prior_cost > SUSPECT_PRIOR_COST:
