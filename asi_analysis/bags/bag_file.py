@@ -325,8 +325,8 @@ def limited(path: Path) -> Iterator[Path]:
     """
     Limit what rosbags does with a bag, which has no limits; yield the path to give to it.
 
-    All files, and each chunk, unpack to `most_unpacked` at most, nothing is a pipe or a device, and
-    sqlite3 computes nothing. Raises one of BROKEN.
+    The files together, and each chunk, unpack to `most_unpacked` at most; nothing is a pipe or a
+    device; sqlite3 computes nothing. Raises one of BROKEN.
     """
     most_bytes = remaining = most_unpacked(with_files_only(path))
     for file in path.glob('*.zstd'):    # rosbags unpacks them to the disk

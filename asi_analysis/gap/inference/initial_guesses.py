@@ -11,6 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
+from scipy.signal import detrend
 
 from asi_actuator.model.valve_flexure import dead_zone
 from asi_analysis.arrays import Array, Complex
@@ -130,15 +131,15 @@ def _wave(residual: Array, recording: Recording) -> Values:
 
     If the excitation is a few sines, their frequencies are excluded, since a disturbance there
     cannot be separated from a gain error, and so are their harmonics, which come from
-    nonlinearities. A line of the force counts as excitation only if the fit explains most of it:
-    a control loop answers a disturbance with such a line. No line is excluded if one of several
-    holds most of the residual: a model error would show in all of them.
+    nonlinearities. The trend of a joint that turns on would hide them, and is removed. A line of
+    the force counts as excitation only if the fit explains most of it: a control loop answers a
+    disturbance with such a line. No line is excluded if one of several holds most of the residual:
+    a model error would show in all of them.
     """
     count = 8 * residual.size   # padded: the frequency must be fine enough for the phase
     lobe = 4 * count // residual.size + 1   # width of a sine in these spectra (Hann window)
     power, *driven = (np.abs(np.fft.rfft(signal * np.hanning(residual.size), count)) ** 2
-                      for signal in (residual, *(each - each.mean()
-                                                 for each in _excitation(recording))))
+                      for signal in (residual, *map(detrend, _excitation(recording))))
     lowest = count // residual.size   # one wave in the recording
     power[:lowest] = 0.0
     lines = [_lines(each, lobe) for each in driven]

@@ -324,6 +324,20 @@ def test_joint_with_a_reversed_sign_is_refused():
         diagnose([dataclasses.replace(run, command_n=-run.command_n)], {}, 'joint')
 
 
+@pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a constant force')
+def test_friction_that_falls_with_the_speed_is_no_reversed_sign_and_no_disturbance():
+    """The mean power is positive; and the wave is that of the motion, which turns on."""
+    torque = (0.05 - 0.004 * np.sin(3.0 * TIME_S)
+              + 0.001 * np.random.default_rng(0).standard_normal(TIME_S.size))
+    turning = Run(TIME_S, force_n=torque, source='motor', information={
+        'signals': {'position': 'rad', 'force': 'Nm'}},
+        position_m=20.0 * TIME_S - 2.0 / 3.0 * np.cos(3.0 * TIME_S))
+    answer = document(diagnose([turning], {}, 'joint'))
+    assert answer['verdict'] == 'unknown'
+    with pytest.raises(InputError, match='motor: .*sign is reversed'):
+        diagnose([dataclasses.replace(turning, force_n=torque - 0.1)], {}, 'joint')
+
+
 def test_pulse_is_found_beside_a_worse_start():
     run = joint()
     time, size = run.time_s, float(np.std(run.command_n))
