@@ -174,6 +174,24 @@ def test_units_that_pint_knows(tmp_path: Path) -> None:
         import_recording(file, ['force=p[bar]'], 10.0)
 
 
+@pytest.mark.parametrize(('step', 'rows'), [(0.004, 'other'), (0.01, 'other'), (0.004, 'same')])
+def test_a_rounded_time_is_refused_but_not_rows_that_are_there_twice(
+        step: float, rows: str, tmp_path: Path) -> None:
+    """Else every fourth sample would be kept, and an oscillation would have another frequency."""
+    time = np.arange(400) / 1000.0
+    file = tmp_path / 'log.csv'
+    rounded = np.round(np.floor(time / step + 1e-9) * step, 3)
+    force = np.sin(2.0 * np.pi * 330.0 * (time if rows == 'other' else rounded))
+    file.write_text('t,f\n' + ''.join(f'{a},{b}\n' for a, b in zip(rounded, force, strict=True)))
+    if rows == 'other':
+        with pytest.raises(InputError, match='the time is rounded; leave it out'):
+            import_recording(file, ['time=t', 'force=f'])
+        assert len(import_recording(file, ['force=f'], 1000.0)) == 400
+    else:
+        with pytest.warns(InputWarning, match='300 of 400 samples have no time, or that of'):
+            assert len(import_recording(file, ['time=t', 'force=f'])) == 100
+
+
 @pytest.mark.parametrize('unit', ['10**10**8 N', '0x9**0x9**0x9999 N', 'N*9^9^9^9', 'N*1e400'])
 def test_a_unit_that_takes_for_ever_to_compute_is_refused(unit: str, tmp_path: Path) -> None:
     file = tmp_path / 'a.csv'
