@@ -12,8 +12,8 @@ JOINTS: Final = (PISTON, 'valve')
 # 30000 none.
 STREAM_DEPTH: Final = 30_000
 # The same in real time: 2 s at 1 kHz. Fast DDS keeps what a killed reader has not received, until
-# it declares the reader dead (20 s), and drops it while the loop waits: 36 ms for 2000 messages on
-# each of four topics, 0.4 s for 5000, 2 s for 20000, where a command may be 0.1 s old.
+# it declares the reader dead (20 s), and drops it while the loop waits: about 0.03 s for this
+# depth, 2 to 3 s for STREAM_DEPTH (python -m bench.killed_reader); a command may be 0.1 s old.
 REALTIME_DEPTH: Final = 2000
 
 
