@@ -228,7 +228,8 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
         for names in [names for names in chance if name in names]:
             rest = tuple(each for each in names if each != name)
             rest = rest if rest in weighed.candidates else ()
-            chance[rest] = chance.get(rest, 0.0) + chance.pop(names)
+            chance[rest] = chance.get(rest, 0.0) + chance[names]
+            chance[names] = 0.0
     return weighed._replace(probability=chance)
 
 
