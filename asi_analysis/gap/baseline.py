@@ -18,7 +18,7 @@ from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, most_probable
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.model.effects import OF_A_RECORDING, UNKNOWN, Free, freed
+from asi_analysis.gap.model.effects import OF_A_RECORDING, UNKNOWN, Free, freed, of_recording
 from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
@@ -233,30 +233,43 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
     return weighed._replace(probability=chance)
 
 
-def doubted_by_mean(weighed: Weighed, healthy: Healthy, tolerance: float) -> Weighed:
+def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
+                        ) -> tuple[Weighed, list[str]]:
     """
-    Return a group in which no change is as probable as an unknown one, if the mean force differs.
+    Return a group in which an unknown change is as probable as none if a constant differs; a note.
 
-    A joint that moves one way only shows the same for another constant load, which is no change of
-    the joint, for another friction, and for another gain of the force sensor. tolerance: of the
-    mean, as a share; its spread over the healthy recordings counts as well.
+    A constant force of a joint is that of its load, which may be another one, but also that of an
+    offset of the force sensor; and of a joint that moves one way, of friction and of the sensor's
+    gain. tolerance: of the constant force, as a share of the healthy force (rms).
     """
-    now, before = (_mean_forces(group) for group in (weighed.group, healthy.fitted.problem.group))
-    chance = weighed.probability
-    if not (now and before) or not chance.get((), 0.0):
-        return weighed
-    within = max(tolerance * abs(float(np.mean(before))), 2.0 * float(np.ptp(before)))
-    if max(abs(mean - np.mean(before)) for mean in now) <= within:
-        return weighed
-    half = 0.5 * chance[()]
+    now = _constants(weighed.candidates[()].fitted, weighed.group)
+    before = _constants(healthy.fitted, healthy.fitted.problem.group)
+    if not now or not before:
+        return weighed, []
+    usual = float(np.mean([each for each, _ in before]))
+    within = max(tolerance * max(rms for _, rms in before),
+                 2.0 * float(np.ptp([each for each, _ in before])))
+    if max(abs(each - usual) for each, _ in now) <= within:
+        return weighed, []
+    chance, half = weighed.probability, 0.5 * weighed.probability.get((), 0.0)
+    said, was = (', '.join(f'{each:.4g}' for each, _ in values) for values in (now, before))
     return weighed._replace(probability={
-        **chance, (): half, (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + half})
+        **chance, (): half, (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + half}), [
+            f'a constant force of {said}, in the healthy recordings {was}: another constant load '
+            'and an offset of the force sensor are alike, and for a joint that moves one way '
+            'friction and gain of the sensor too']
 
 
-def _mean_forces(group: Group) -> list[float]:
-    """Return the mean force of each recording from which a large mean was subtracted."""
-    return [float(r.force[r.valid].mean()) + r.taken['mean'] for r in group.recordings
-            if r.force is not None and 'mean' in r.taken]
+def _constants(fitted: Fitted, group: Group) -> list[tuple[float, float]]:
+    """Return the constant force of a joint in each recording, and the rms of the whole force."""
+    free = {each.field for each in fitted.free}
+    found = []
+    for r in group.recordings:
+        field, mean = of_recording('load_offset', r.number), r.taken.get('mean', 0.0)
+        if r.force is not None and field in free:
+            found.append((float(fitted.record[field]) + mean,
+                          float(np.sqrt(np.mean((r.force[r.valid] + mean) ** 2)))))
+    return found
 
 
 def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy) -> bool:

@@ -17,7 +17,7 @@ from asi_analysis.gap.baseline import (
     Healthy,
     against,
     changed_only,
-    doubted_by_mean,
+    doubted_by_constant,
     healthy_of,
     shares,
 )
@@ -279,8 +279,10 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:
-        weighed = [doubted_by_mean(changed_only(each, was), was, tolerance)
+        doubted = [doubted_by_constant(changed_only(each, was), was, tolerance)
                    for each in weighed for was in [machine[each.group.channels]]]
+        weighed = [each for each, _ in doubted]
+        notes += [note for _, each in doubted for note in each]
     elif plant == 'actuator':
         weighed = [with_tolerated_gain(with_gap_centre(each), own.get(GAIN, tolerance))
                    for each in weighed]

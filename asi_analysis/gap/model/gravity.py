@@ -240,13 +240,8 @@ def without_bias(recordings: list[Recording], of: Sequence[Recording]
                               'mean': mean})
                if r.force is not None and r.force_judged is not None else r
                for r, mean in zip(recordings, taken, strict=True)]
-    notes = ['a constant force is subtracted, load_offset is relative to it: '
-             + _listed(dict.fromkeys(taken))]
-    if (now := means(recordings)) != common:
-        notes.append(f'the mean of the force is {_listed(now)}, in the healthy recordings '
-                     f'{_listed(common)}; another constant load, friction or gain of the sensor '
-                     'are alike here')
-    return shifted, notes
+    return shifted, ['a constant force is subtracted, load_offset is relative to it: '
+                     + _listed(dict.fromkeys(taken))]
 
 
 def _listed(values: Iterable[float]) -> str:

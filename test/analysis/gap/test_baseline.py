@@ -88,8 +88,7 @@ def turning(gain: float, seed: int) -> Run:
     return Run(TIME_S, force_n=torque, position_m=angle, source='motor', information=PENDULUM)
 
 
-ONE_WAY = pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a constant force',
-                                     'ignore:the mean of the force')
+ONE_WAY = pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a constant force')
 
 
 @ONE_WAY
@@ -98,13 +97,20 @@ ONE_WAY = pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a
 def test_another_mean_torque_of_a_joint_that_turns_one_way_is_undecided(gain: float, seed: int):
     """Friction, load and the sensor's gain are alike there."""
     answer = asked(turning(gain, seed + 2), turning(1.0, seed), turning(1.0, seed + 1))
-    note, = (note for note in answer.notes if note.startswith('the mean of the force'))
+    note, = (note for note in answer.notes if note.startswith('a constant force of'))
     now, before, also = map(float, re.findall(r'\d\.\d+', note))
-    assert now == pytest.approx(gain * 0.052, rel=0.02)
-    assert [before, also] == pytest.approx([0.052, 0.052], rel=0.02)
-    assert 'another constant load' in note
+    assert now == pytest.approx(gain * 0.05, rel=0.05)
+    assert [before, also] == pytest.approx([0.05, 0.05], rel=0.05)
     assert answer.baseline['change'] == 'cannot_tell'
     assert answer.probability < 0.6
+
+
+@pytest.mark.parametrize('offset', [0.3, 5.0])
+def test_an_offset_of_the_torque_is_undecided_and_a_small_one_is_none(offset: float):
+    run = rigid(0.02, 3)    # 2.8 Nm (rms), healthy without an offset
+    answer = asked(replace(run, command_n=run.command_n + offset), rigid(0.02, 1), rigid(0.02, 2))
+    assert answer.baseline['change'] == ('none' if offset < 0.5 else 'cannot_tell')
+    assert any('offset of the force sensor' in note for note in answer.notes) == (offset > 0.5)
 
 
 @ONE_WAY
