@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
@@ -48,7 +49,10 @@ MARGIN, NOISE_ERROR = 1.1, 10.0
 # Of a step: the share of it for second differences; the largest correction for curvature.
 CURVATURE_STEP, MOST_CURVATURE = 0.1, 0.4
 
+MOST_KEPT = 2 ** 25   # bytes of a Jacobian that is kept
+
 NONE: Mapping[str, Array] = MappingProxyType({})
+Slopes = npt.NDArray[np.float32]   # half of the memory; finite differences are less exact
 Item = TypeVar('Item')
 Made = TypeVar('Made')
 
@@ -83,8 +87,7 @@ class Posterior(Problem):
     def _residual_of(self, p: np.void) -> Array:
         """Return the residual of a record, as `residual` does."""
         parts = []
-        for channel in self.group.channels:
-            scale = math.sqrt(self.group.weight[channel] / self.group.error_floor[channel])
+        for channel, scale in zip(self.group.channels, self.weights(), strict=True):
             parts += [scale * judged_error(r, channel, p)[r.known]
                       for r in self.group.recordings if r.known.any()]
         return np.concatenate([*parts, self._valve_gain_residual(p)])
@@ -105,6 +108,11 @@ class Posterior(Problem):
         of_channels, rest = np.split(rows, [rows.shape[0] - others])
         count = len(self.group.channels)
         return of_channels.reshape(count, -1, *rows.shape[1:]), rest
+
+    def weights(self) -> Array:
+        """Return the factor of each channel's error in the residual."""
+        return np.sqrt([self.group.weight[channel] / self.group.error_floor[channel]
+                        for channel in self.group.channels])
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = NONE,
                  base: Array | None = None) -> Array:
@@ -161,11 +169,13 @@ class Best(NamedTuple):
     theta: Array
     cost: float
     residual: Array
+    slopes: Slopes | None = None   # the Jacobian there, or near
+    fresh: bool = False            # whether it was computed there, or a step before
 
 
 def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
                   known: Mapping[str, Array] = NONE, goal: float = math.inf,
-                  converged: float = CONVERGED) -> Best:
+                  converged: float = CONVERGED, near: Best | None = None) -> Best:
     """
     Return the most probable parameters, from a start.
 
@@ -176,13 +186,18 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     times. At the end, initial states with memory (flux, seals) are scanned over their whole
     range: their influence ends at a reversal of the motion, so that gradients mislead.
     goal: a cost; a fit that will not reach it, by its rate or its Jacobian, is given up.
-    converged: the last round gains less than GAIN and this share of the cost.
+    converged: the last round gains less than GAIN and this share of the cost; near: a fit of the
+    same problem whose Jacobian is used at first.
     """
     mean, precision = problem.prior
 
     theta, value = start, problem.residual(start)
     cost, damping = problem.cost(theta, value), DAMPING
-    slopes, fresh = problem.jacobian(theta, known, value), not known
+    if near is None or near.slopes is None:
+        slopes, fresh = problem.jacobian(theta, known, value), not known
+    else:
+        slopes, fresh = near.slopes.astype(float), near.fresh
+    computed = fresh
     since = cost   # the cost when the Jacobian was last computed
     while True:
         if not np.isfinite(slopes).all():   # beside parameters with which no plant is possible
@@ -193,7 +208,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         if since == cost and math.isfinite(goal):   # the Jacobian has just been computed
             _, most = least_step(square, slope, -theta, 1.0 - theta)
             if cost - GAIN_MARGIN * most > goal:
-                return Best(theta, cost, value)
+                return Best(theta, cost, value, _kept(slopes), computed)
         for _ in range(TRIES if fresh else 1):
             there = _damped_step(problem, theta, value, slopes, square, slope, damping)
             value_there = problem.residual(there)
@@ -217,9 +232,15 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             if cost - cost_there > GAIN + converged * cost:
                 theta, value, cost, ends = there, value_there, cost_there, False
         if rounds < 1 or ends or cost - rounds * (since - cost) > goal:
-            return Best(theta, cost, value)
-        slopes, fresh, since = problem.jacobian(theta, base=value), True, cost
+            return Best(theta, cost, value, _kept(slopes), computed)
+        slopes, since = problem.jacobian(theta, base=value), cost
+        computed = fresh = True
         damping = min(damping, DAMPING)   # with the new Jacobian, full steps may work again
+
+
+def _kept(slopes: Array) -> Slopes | None:
+    """Return a Jacobian to be kept, unless it is too large."""
+    return slopes.astype(np.float32) if 4 * slopes.size <= MOST_KEPT else None
 
 
 def _scanned_memories(problem: Posterior, theta: Array) -> Iterator[Array]:
@@ -274,6 +295,34 @@ class Found(NamedTuple):
     variants: tuple[Variant, ...]
     problem: Posterior
     best: Best
+
+    @property
+    def slopes(self) -> Array:
+        """Return the Jacobian at the most probable parameters."""
+        problem, best = self.problem, self.best
+        return (best.slopes.astype(float) if best.slopes is not None and best.fresh
+                else problem.jacobian(best.theta, base=best.residual))
+
+    def at(self, theta: Array) -> 'Found':
+        """Return the hypothesis at other parameters."""
+        residual = self.problem.residual(theta)
+        return self._replace(best=Best(theta, self.problem.cost(theta, residual), residual,
+                                       self.best.slopes))
+
+    def weighed_as(self, problem: Posterior) -> 'Found':
+        """Return the hypothesis in a problem that only weighs the channels otherwise."""
+        slopes, moved = self.best.slopes, self._replace(problem=problem).at(self.best.theta)
+        if slopes is not None:
+            of_channels, others = problem.split(slopes)
+            ratio = (problem.weights() / self.problem.weights()).astype(slopes.dtype)
+            slopes = np.concatenate([(ratio[:, None, None] * of_channels).reshape(
+                -1, slopes.shape[1]), others])
+        return moved._replace(best=moved.best._replace(slopes=slopes, fresh=self.best.fresh))
+
+    def refined(self, rounds: int = ROUNDS, goal: float = math.inf) -> 'Found':
+        """Return the hypothesis with its fit continued, as `most_probable` does."""
+        return self._replace(best=most_probable(self.problem, self.best.theta, rounds, goal=goal,
+                                                near=self.best))
 
     @property
     def relative_residual(self) -> Array:

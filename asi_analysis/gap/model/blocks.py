@@ -673,9 +673,11 @@ def load_constants(p: np.void) -> tuple[float, float, float]:
 def sensor_response(omega: Array, p: np.void) -> Complex:
     """Return the frequency response of the sensor, gain and lag included; omega in rad/s."""
     s = 1j * omega
-    split = p['sensor_lag_split']
-    response = 1.0 / ((1.0 + s * p['sensor_lag'] * (1.0 - split))
-                      * (1.0 + s * p['sensor_lag'] * split))
+    response = np.ones_like(s)
+    if p['sensor_lag'] != 0.0:
+        split = p['sensor_lag_split']
+        response = 1.0 / ((1.0 + s * p['sensor_lag'] * (1.0 - split))
+                          * (1.0 + s * p['sensor_lag'] * split))
     if p['force_sensor_model'] == FULL:
         w = 2.0 * math.pi * p['force_sensor_natural_frequency']
         response = response * np.exp(-s * p['force_sensor_delay']) / (
@@ -690,9 +692,12 @@ def sensor_response(omega: Array, p: np.void) -> Complex:
 def drive_inverse(omega: Array, p: np.void) -> Complex:
     """Return the frequency response from force to command of a joint's drive: its inverse."""
     s = 1j * omega
-    split = p['drive_lag_split']
-    return (np.exp(s * (p['drive_hold'] + p['drive_delay']))
-            * (1.0 + s * p['drive_lag'] * (1.0 - split)) * (1.0 + s * p['drive_lag'] * split))
+    late = p['drive_hold'] + p['drive_delay']
+    response = np.exp(s * late) if late != 0.0 else np.ones_like(s)
+    if p['drive_lag'] != 0.0:
+        split = p['drive_lag_split']
+        response *= (1.0 + s * p['drive_lag'] * (1.0 - split)) * (1.0 + s * p['drive_lag'] * split)
+    return response
 
 
 def impedance(omega: Array, p: np.void) -> Complex:

@@ -128,7 +128,8 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
         assert motion is not None
         omega = np.maximum(motion.omega, motion.omega[1])
         one, none = np.ones_like(omega), np.zeros_like(omega)
-        moved = _linear(omega, one, one / (1j * omega), none, p) * motion.judge
+        moved = _linear(omega, one, one / (1j * omega), none, p) * _reading(
+            omega, p) * motion.judge
         return float(np.mean(np.abs(moved) ** 2 * motion.noise))
     rng = np.random.default_rng(0)
     noisy: dict[str, Any] = {}
@@ -226,7 +227,7 @@ def _load(recording: Recording, p: np.void) -> Array:
     blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
                           recording.period_s, -motion.pad * recording.period_s, extra, slack)
     weight, taken, slope = _weight(recording, p)
-    passed = np.fft.rfft(weight)
+    passed, reading = _spectrum(weight), _reading(motion.omega, p)
     if p['backlash_floating'] > 0.0:
         mass = float(p['load_mass'] * p['piston_share'])
         moved = np.empty((2, extra.size))
@@ -236,19 +237,18 @@ def _load(recording: Recording, p: np.void) -> Array:
                         blocks.parts(p)[1], recording.period_s, recording.sub_steps(
                             RATTLING_STEP_S if p['contact_time'] > 0.0 else CONTACT_STEP_S), moved)
         extra += damping * moved[1] + stiffness * moved[0]
-        passed = np.fft.rfft(gravity[0] * np.sin(moved[0] + middle)
-                             + gravity[1] * np.cos(moved[0] + middle))
+        passed = _spectrum(gravity[0] * np.sin(moved[0] + middle)
+                           + gravity[1] * np.cos(moved[0] + middle))
         # From its momentum, since a contact may be shorter than a sample.
-        linear = 1j * motion.omega * _reading(motion.omega, p) * (
+        linear = 1j * motion.omega * (
             (1.0 - p['force_sensor_mass_share']) * mass * motion.velocity_spectrum
             + (p['load_mass'] - mass) * np.fft.rfft(moved[1]))
     else:
         linear = _linear(motion.omega, motion.velocity_spectrum, motion.position_spectrum,
-                         np.fft.rfft(slack), p, slope)
+                         _spectrum(slack), p, slope)
         if p['compliance'] > 0.0:   # the weight is beyond it
             passed *= blocks.transmitted(motion.omega, p, slope)
-    total = motion.judge * (linear + (np.fft.rfft(extra) + passed) * _reading(motion.omega, p)
-                            - np.fft.rfft(taken))
+    total = motion.judge * ((linear + _spectrum(extra) + passed) * reading - _spectrum(taken))
     count = recording.fit.size
     inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
     if p['compliance'] > 0.0 and (p['swing_cosine'] != 0.0 or p['swing_sine'] != 0.0):
@@ -287,6 +287,13 @@ def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:
     return made, off, now[0] * math.cos(middle) - now[1] * math.sin(middle)
 
 
+def _spectrum(signal: Array) -> Complex:
+    """Return the Fourier transform of a signal, which mostly is zero: that costs nothing."""
+    if signal.any():
+        return np.fft.rfft(signal)
+    return np.zeros(signal.size // 2 + 1, complex)
+
+
 def _reading(omega: Array, p: np.void) -> Complex:
     """Return the frequency response from the force on the load to the sensor's, or the command."""
     return blocks.sensor_response(omega, p) * blocks.drive_inverse(omega, p)
@@ -294,11 +301,11 @@ def _reading(omega: Array, p: np.void) -> Complex:
 
 def _linear(omega: Array, velocity: Complex, position: Complex, slack: Complex, p: np.void,
             slope: float = 0.0) -> Complex:
-    """Return the spectrum of the measured force of the linear load for a motion."""
+    """Return the spectrum of the force of the linear load for a motion."""
     if p['compliance'] > 0.0 or p['backlash'] > 0.0:
-        return blocks.behind(omega, velocity, position, slack, p, slope) * _reading(omega, p)
+        return blocks.behind(omega, velocity, position, slack, p, slope)
     _, _, stiffness = blocks.load_constants(p)
-    return (blocks.impedance(omega, p) * velocity + stiffness * position) * _reading(omega, p)
+    return blocks.impedance(omega, p) * velocity + stiffness * position
 
 
 def measured(recording: Recording, channel: str) -> Array:

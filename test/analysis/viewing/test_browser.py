@@ -110,7 +110,7 @@ def test_two_tabs_of_a_pair_in_a_namespace_follow_each_other_and_nodes_that_star
     left = ('-r', '__ns:=/left', '-r', '/clock:=clock')
     nodes = [start_node(module, *left, **LOOP_PARAMETERS, **more) for module, more in (
         ('asi_controller.controller_node', {'reference.shape': 'sine'}),
-        ('asi_actuator.actuator_node', {'give_up_after': 0.0}))]
+        ('asi_actuator.actuator_node', {'give_up_after': 0.0, 'real_time_factor': 1.0}))]
     port, process = serve('--namespace', 'left')
     first, second = tabs = [Tab(browser, port) for _ in range(2)]
     first.drag('gain', 0.4)
@@ -126,8 +126,8 @@ def test_two_tabs_of_a_pair_in_a_namespace_follow_each_other_and_nodes_that_star
         node.kill()
     first.wait_for('has ended, or is silent')
     second.page.close()
-    for module in ('asi_actuator.actuator_node', 'asi_controller.controller_node'):
-        start_node(module, *left, **LOOP_PARAMETERS)
+    start_node('asi_actuator.actuator_node', *left, real_time_factor=1.0, **LOOP_PARAMETERS)
+    start_node('asi_controller.controller_node', *left, **LOOP_PARAMETERS)
     wait_until(lambda: first.shown_gain() == 0.0, 'the gain of the new controller')
     first.press('Step')
     force, _ = CHARTS

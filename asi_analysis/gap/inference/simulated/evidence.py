@@ -18,10 +18,8 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import (
-    Best,
     Found,
     mean_squares,
-    most_probable,
     power,
 )
 from asi_analysis.gap.inference.probability import Names
@@ -162,9 +160,7 @@ def _with_model_error(found: Found, noise: _Noise) -> Found:
         return found
     group = replace(problem.group, weight=dict(zip(problem.group.channels, map(float, weight),
                                                    strict=True)))
-    theta = most_probable(replace(problem, group=group), found.best.theta, ROUNDS).theta
-    residual = problem.residual(theta)
-    return found._replace(best=Best(theta, problem.cost(theta, residual), residual))
+    return found.weighed_as(replace(problem, group=group)).refined(ROUNDS).weighed_as(problem)
 
 
 def _log_posterior(found: Found, noise: _Noise, equal: Array) -> float:
@@ -188,7 +184,7 @@ def _log_volume(found: Found, noise: _Noise) -> float:
     """Return the log of the posterior volume of the parameters, by Laplace's approximation."""
     problem, theta = found.problem, found.best.theta
     precision = problem.prior[1]
-    of_channels, others = problem.split(problem.jacobian(theta))
+    of_channels, others = problem.split(found.slopes)
     weight = (noise.samples / of_channels.shape[1] / power(problem.group) / noise.level
               * noise.weight(noise.excess(mean_squares(problem, found.best.residual))))
     square = (np.einsum('c,cni,cnj->ij', weight, of_channels, of_channels, optimize=True)

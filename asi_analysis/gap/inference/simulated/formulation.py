@@ -13,7 +13,7 @@ from asi_analysis.gap.formulation import (
     with_usual_shapes,
 )
 from asi_analysis.gap.inference.bounded_least_squares import least_step
-from asi_analysis.gap.inference.posterior import Best, Found, mean_squares, most_probable
+from asi_analysis.gap.inference.posterior import Found, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below
 
@@ -54,10 +54,7 @@ def _with_formulation(found: Found, other: bool) -> Found:
     """
     group = with_formulation(found.problem.group, other)
     free = with_tolerance_of_formulation(found.problem.free, found.problem.group, group)
-    problem = replace(found.problem, group=group, free=free)
-    theta, residual = found.best.theta, problem.residual(found.best.theta)
-    return found._replace(problem=problem, best=Best(theta, problem.cost(theta, residual),
-                                                     residual))
+    return found.weighed_as(replace(found.problem, group=group, free=free))
 
 
 def in_formulation(found: Mapping[Names, Found], other: bool,
@@ -70,8 +67,7 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
         if other:
-            null = moved[()]
-            moved[()] = null._replace(best=most_probable(null.problem, null.best.theta))
+            moved[()] = moved[()].refined()
             if (plain := _sufficient(moved[()])) is not None:
                 return {(): plain}
         moved = _refitted(moved)
@@ -102,17 +98,16 @@ def _sufficient(null: Found) -> Found | None:
 def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
     """Return hypotheses, refitted; those that do not compete with the best are given up."""
     first = min(found, key=lambda names: found[names].best.cost)
-    leader = found[first]._replace(best=most_probable(found[first].problem,
-                                                      found[first].best.theta))
+    leader = found[first].refined()
     goal = goal_beside(leader)
 
-    def refit(each: Found) -> Best:
-        return most_probable(replace(each.problem, pool=None), each.best.theta, goal=goal)
+    def refit(each: Found) -> Found:
+        alone = each._replace(problem=replace(each.problem, pool=None)).refined(goal=goal)
+        return alone._replace(problem=each.problem)
 
     others = {names: each for names, each in found.items() if names != first}
     fits = leader.problem.in_parallel(refit, others.values())
-    return {first: leader} | {names: each._replace(best=best)
-                              for (names, each), best in zip(others.items(), fits, strict=True)}
+    return {first: leader} | dict(zip(others, fits, strict=True))
 
 
 def goal_beside(leader: Found) -> float:
@@ -129,8 +124,8 @@ def _nearest_to_nominal(found: Found, equal: Array) -> Found:
     The weight of the data is halved as long as the residual stays below it (the discrepancy
     principle, Morozov 1966): first in the linearised problem, then in fits.
     """
-    problem, halvings = found.problem, 0
-    theta, square, slope = found.best.theta, *_normal_equations(found)
+    problem, slopes, nearest, halvings = found.problem, found.slopes, found, 0
+    square, slope = slopes.T @ slopes, slopes.T @ found.best.residual
     mean, precision = problem.prior
     for halvings in range(HALVINGS):
         weight = 0.5 ** (halvings + 1)
@@ -138,27 +133,18 @@ def _nearest_to_nominal(found: Found, equal: Array) -> Found:
             weight * square + np.diag(precision),
             weight * slope + precision * (found.best.theta - mean),
             -found.best.theta, 1.0 - found.best.theta)
-        there = found.best.theta + step
-        if (mean_squares(problem, problem.residual(there)) > equal).any():
+        there = found.at(found.best.theta + step)
+        if (mean_squares(problem, there.best.residual) > equal).any():
             break
-        theta = there
+        nearest = there
     for lighter in range(halvings + 1, HALVINGS + 1):
         group = replace(problem.group, weight={channel: 0.5 ** lighter * weight for channel, weight
                                                in problem.group.weight.items()})
-        light = replace(problem, group=group)
-        near = most_probable(light, theta)
-        if (mean_squares(light, near.residual) > equal).any():
+        near = nearest.weighed_as(replace(problem, group=group)).refined()
+        if (mean_squares(near.problem, near.best.residual) > equal).any():
             break
-        theta = near.theta
-    residual = problem.residual(theta)
-    return found._replace(best=Best(theta, problem.cost(theta, residual), residual))
-
-
-def _normal_equations(found: Found) -> tuple[Array, Array]:
-    """Return the matrix and the slope of the normal equations of a fit, without its priors."""
-    residual = found.best.residual
-    slopes = found.problem.jacobian(found.best.theta, base=residual)
-    return slopes.T @ slopes, slopes.T @ residual
+        nearest = near.weighed_as(problem)
+    return nearest
 
 
 def _needs_other_shapes(found: Found) -> bool:

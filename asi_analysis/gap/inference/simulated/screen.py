@@ -131,7 +131,7 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     small: only small effects are expected.
     """
     problem, residual = base.problem, base.best.residual
-    (mean, precision), slopes = problem.prior, problem.jacobian(base.best.theta)
+    (mean, precision), slopes = problem.prior, base.slopes
     explained = _Explained(slopes, precision)
     along_residual = explained.along(residual, precision * (base.best.theta - mean))
 

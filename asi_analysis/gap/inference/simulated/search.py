@@ -22,7 +22,6 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     GAIN_MARGIN,
-    NONE,
     ROUNDS,
     Best,
     Found,
@@ -132,8 +131,9 @@ def _null(group: Group) -> Found:
     null = _converged(Found((), (), problem, most_probable(problem, starts[0],
                                                            rounds=2 * ROUNDS)))
     # From here on, a recording that starts in motion has the initial state of this fit.
-    return null._replace(problem=replace(null.problem, group=with_fitted_start(
-        null.problem.group, null.problem.record(null.best.theta))))
+    return null._replace(best=null.best._replace(slopes=None), problem=replace(
+        null.problem, group=with_fitted_start(
+            null.problem.group, null.problem.record(null.best.theta))))
 
 
 def _with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -148,18 +148,17 @@ def _with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
 
     def quiet(each: Found) -> Found:
         group = each.problem.group
-        return each._replace(problem=replace(each.problem, group=with_lower_noise(group, {
+        return each.weighed_as(replace(each.problem, group=with_lower_noise(group, {
             channel: float(share) * group.error_floor[channel]
             for channel, share in left.items()})))
 
     leader = quiet(best)
     if leader.problem.group is best.problem.group:
         return dict(found)
-    leader = _converged(leader._replace(best=most_probable(leader.problem, best.best.theta)))
+    leader = _converged(leader.refined())
     goal = leader.best.cost + COST_RANGE
     return _with_noise_from_fit({names: leader if each is best else _converged(
-        (moved := quiet(each))._replace(best=most_probable(
-            moved.problem, each.best.theta, goal=goal)), goal) for names, each in found.items()})
+        quiet(each).refined(goal=goal), goal) for names, each in found.items()})
 
 
 def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
@@ -314,7 +313,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH_ROUNDS, {
             field: column for field, column in screened.slopes.items() if field not in own})
         return Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
-                     start.problem, best)
+                     start.problem, best._replace(slopes=None))
 
     forms: dict[Names, list[Found]] = {}
     for found in problem.in_parallel(rough, screened.best(ROUGH_FITS)):
@@ -327,19 +326,16 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     if not fits:
         return {}
     ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
-    leader = _converged(ranked[0]._replace(
-        best=most_probable(ranked[0].problem, ranked[0].best.theta)))
+    leader = _converged(ranked[0].refined())
     best_forms, far = {names: found.best for names, found in fits.items()}, null.unexplained
     fits[leader.names] = leader
     fields, own = _freed_fields(leader)
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
-    at_leader, at_base = NONE, NONE
+    at_leader, at_base = _columns(leader.problem, leader.slopes), screened.slopes
     goal = goal_beside(leader)
     if leader.far and not alone:
-        goal, at_base = min(goal, leader.largest_cost), screened.slopes
-        at_leader = _columns(leader.problem, leader.problem.jacobian(
-            leader.best.theta, base=leader.best.residual))
+        goal = min(goal, leader.largest_cost)
 
     def converged_fit(form: Found) -> Found:
         # The integration error is corrected as for the leader. A thread of the pool must not
@@ -428,7 +424,7 @@ def _converged(found: Found, goal: float = math.inf) -> Found:
         left = SETTLED_SHARE * max(known[-1].best.cost - found.largest_cost, 0.0)
         if abs(change) < SETTLED + left or len(known) == CORRECTIONS:
             break
-        found = known[-1]._replace(best=most_probable(problem, best.theta, goal=goal))
+        found = known[-1].refined(goal=goal)
     if not known:
         return found
     found = min(known, key=lambda each: each.best.cost)
