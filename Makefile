@@ -7,6 +7,9 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 PART := test/common test/controller test/actuator/test_model_blocks.py test/actuator/test_drivers.py \
   test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
 
+# One more than there are cores, as nodes are waited for; each takes tests of another at its end.
+WORKERS := -n $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1) --maxprocesses 4 --dist worksteal
+
 .PHONY: help ready setup demo test test-slow test-python test-oldest torture soak bench lint docs clean
 
 help:
@@ -26,10 +29,10 @@ demo: ready
 	@$(BIN)/asi demo
 
 test: setup
-	@$(BIN)/python -m pytest -q -n auto --maxprocesses 4 --dist loadfile
+	@$(BIN)/python -m pytest -q $(WORKERS)
 
 test-slow: setup
-	@$(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m slow
+	@$(BIN)/python -m pytest -q $(WORKERS) -m slow
 
 # A part of the tests with another Python, or the oldest dependencies, in a virtual environment of its
 # own; too long for .ci/run. PART names other tests.
@@ -43,8 +46,8 @@ test-python test-oldest:
 	@$(OTHER)/bin/python test/oldest.py > $(OTHER)/oldest.txt
 	@$(OTHER)/bin/pip install -qq --disable-pip-version-check $(BOUNDS) . pytest pytest-timeout \
 	  pytest-xdist hypothesis control colcon-common-extensions
-	@$(OTHER)/bin/python -m pytest -q -p no:cacheprovider -n auto --maxprocesses 4 \
-	  --dist loadfile -W ignore::DeprecationWarning $(PART)   # those of others, as of an old matplotlib
+	@$(OTHER)/bin/python -m pytest -q -p no:cacheprovider $(WORKERS) \
+	  -W ignore::DeprecationWarning $(PART)   # those of others, as of an old matplotlib
 
 torture: setup
 	@$(BIN)/python -m torture
