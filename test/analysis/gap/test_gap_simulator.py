@@ -142,6 +142,7 @@ def test_the_unchanged_simulator_has_no_gap():
         assert answer['unknown_probability'] < 0.2
 
 
+@pytest.mark.slow
 def test_thrust_is_told_from_the_gain_of_the_valve_with_its_size():
     nominal = {'load.type': 'spring'}
     answer = document(diagnose(
@@ -153,6 +154,7 @@ def test_thrust_is_told_from_the_gain_of_the_valve_with_its_size():
     assert low < 600.0 < high < 1.2 * low
 
 
+@pytest.mark.slow
 def test_gains_opening_and_thrust_within_their_tolerance_are_no_gap_whatever_their_product():
     """The valve position is 1.5 times the nominal one."""
     nominal = {'load.type': 'spring'}

@@ -2,7 +2,8 @@
 The linear screen: by how much each effect, in each form, is expected to lower the cost of a fit.
 
 The effect is simulated once at each initial guess. By linear least squares, the best multiple of
-that change of the residual is found, with all other parameters free, and with none.
+that change of the residual is found, with all other parameters free within their bounds, and with
+none.
 """
 
 import math
@@ -10,56 +11,18 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Found, Posterior
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.group import channels_of
 
 LARGEST_AMOUNT = 3.0   # largest multiple of an effect's initial guess
-RIDGE = 1e-9
 # Parameters of contacts and couplings. If the nominal model explains the signals, such an effect
 # is small: then only the first of their initial guesses, the smallest effects, are screened.
 STIFF, SMALL_STARTS = {'backlash_gap', 'coupling_stiffness'}, 2
 STIFF_S = 1e-4   # longest sub-step of their first simulation, s
-
-
-class _Explained:
-    """Projection of signals onto the Jacobian of a fit: linear least squares with priors."""
-
-    def __init__(self, slopes: Array, precision: Array) -> None:
-        self._size = size = np.sqrt(np.sum(slopes ** 2, axis=0) + precision) + 1e-30
-        self._scaled = slopes / size
-        self._square = self._scaled.T @ self._scaled + np.diag(precision / size ** 2 + RIDGE)
-
-    def along(self, signal: Array, prior: Array | float = 0.0) -> Array:
-        """
-        Return the inner products of a signal (n samples) with the scaled columns of the Jacobian.
-
-        prior: gradient of the negative log prior, if the signal is the residual.
-        """
-        product: Array = self._scaled.T @ signal + prior / self._size
-        return product
-
-    def common(self, one: Array, other: Array, keep: list[int]) -> float:
-        """
-        Return the inner product of the projections of two signals.
-
-        one, other: `along` of each; keep: the parameters that are free.
-        """
-        factor = cho_factor(self._square[np.ix_(keep, keep)])
-        return float(one[keep] @ cho_solve(factor, other[keep]))
-
-
-def _gain(along: float, size: float) -> float:
-    """
-    Return by how much the best multiple of a change of the residual lowers the cost.
-
-    along: inner product of residual and change; size: the squared norm of the change.
-    """
-    amount = min(max(-along / size, 0.0), LARGEST_AMOUNT)
-    return -amount * along - 0.5 * amount ** 2 * size
 
 
 class Start(NamedTuple):
@@ -130,29 +93,32 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
 
     small: only small effects are expected.
     """
-    problem, residual = base.problem, base.best.residual
+    problem, residual, theta = base.problem, base.best.residual, base.best.theta
     (mean, precision), slopes = problem.prior, base.slopes
-    explained = _Explained(slopes, precision)
-    along_residual = explained.along(residual, precision * (base.best.theta - mean))
+    square = slopes.T @ slopes + np.diag(precision)
+    slope = slopes.T @ residual + precision * (theta - mean)
+    count = theta.size
 
     def gain(start: Start) -> tuple[float, float]:
         # With all other parameters free, and with none. If the gap is large, the first is too
-        # optimistic: linearised, the other parameters seem to explain anything.
+        # optimistic: linearised, the other parameters seem to explain much.
         own = {free.field for free in start.variant.free}
         change = start.problem.residual(start.theta) - residual
-        if not np.isfinite(change).all():
+        if not np.isfinite(change).all() or not change.any():
             return -math.inf, -math.inf
+        # Some effects replace a free parameter.
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
-        along_change, power = explained.along(change), float(change @ change)
-        size = power - explained.common(along_change, along_change, keep)
-        if size <= RIDGE * power:
-            return -math.inf, -math.inf
-        along = float(residual @ change)
-        alone = _gain(along, power)
-        along -= explained.common(along_residual, along_change, keep)
-        # Some effects replace a free parameter: hence the gain of the others is added.
-        return 0.5 * explained.common(along_residual, along_residual, keep) + _gain(
-            along, size), alone
+        size, along = float(change @ change), float(residual @ change)
+        whole = np.empty((count + 1, count + 1))
+        whole[:count, :count] = square
+        whole[count, :count] = whole[:count, count] = slopes.T @ change
+        whole[count, count] = size
+        keep.append(count)
+        _, free = least_step(whole[np.ix_(keep, keep)], np.append(slope, along)[keep],
+                             np.append(-theta, 0.0)[keep],
+                             np.append(1.0 - theta, LARGEST_AMOUNT)[keep])
+        amount = min(max(-along / size, 0.0), LARGEST_AMOUNT)
+        return free, -amount * along - 0.5 * amount ** 2 * size
 
     starts, gains = _starts(base, small), []
     for n, value in enumerate(problem.in_parallel(gain, starts)):

@@ -275,7 +275,7 @@ def _start_guesses(problem: Posterior) -> Iterator[Array]:
 def parameter_errors(group: Group) -> list[Effect]:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
     held = {free.field for effect in group.effects for variant in effect.variants
-            for free in variant.free}
+            for free in variant.free if free.scale == 'nominal'}
     return [_parameter_error(free.field, group) for free in group.nuisance
             if free.prior < math.inf and free.scale == 'nominal' and free.field not in held]
 
