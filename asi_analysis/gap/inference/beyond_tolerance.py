@@ -77,7 +77,11 @@ def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
 
 
 def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
-    """Return the effect, and its form, in which a parameter is free with the fewest others."""
+    """
+    Return the effect, and its form, in which a parameter is free with the fewest others.
+
+    As a multiple of its nominal value: a damper of the load that is off is no viscous friction.
+    """
     return min(((effect, variant) for effect in group.effects for variant in effect.variants
-                if field in {free.field for free in variant.free}),
+                if field in {free.field for free in variant.free if free.scale == 'nominal'}),
                key=lambda found: len(found[1].free))

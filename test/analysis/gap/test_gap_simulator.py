@@ -175,6 +175,16 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
                 each.field for each in form_of(group, free.field)[1].free}
 
 
+@pytest.mark.parametrize(('damping', 'verdict'), [
+    (36.0, 'parameter:load.damping'), (500.0, 'viscous_friction')])
+def test_viscous_friction_behind_the_sensor_is_named_and_a_damper_that_is_off(damping, verdict):
+    """Up to ten times nominal it may be the damper; more of it is friction."""
+    nominal = {'load.type': 'spring'}
+    answer = document(diagnose([recorded({**nominal, 'load.damping': damping})], nominal))
+    assert answer['verdict'] == verdict
+    assert answer['which'][0]['parameters']['load_damping'] == pytest.approx(damping, rel=0.05)
+
+
 BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0,
         'friction.presliding_damping': 400.0}
 LEVEL = {'friction.coulomb': 37.0, 'friction.stiction_push': 57.0, 'friction.stiction_pull': 45.0}

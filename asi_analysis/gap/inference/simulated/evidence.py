@@ -22,9 +22,10 @@ from asi_analysis.gap.inference.posterior import (
     mean_squares,
     power,
 )
-from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.model.effects import UNKNOWN, without_prior
+from asi_analysis.gap.inference.probability import Names, log_odds_against
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group
+from asi_common.record import field_name
 
 # Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
 # forty together, so that a false alarm is rare.
@@ -116,8 +117,9 @@ def _with_improbable_named(found: Found) -> Iterator[Found]:
     cost = dict(zip((free.field for free in problem.free), costs, strict=True))
     for effect in problem.group.effects:
         for variant in effect.variants:
-            fields = {free.field for free in variant.free}
-            if (effect.name not in found.names and fields <= cost.keys()
+            fields = {free.field for free in variant.free if free.scale == 'nominal'}
+            if (effect.name not in found.names and len(fields) == len(variant.free)
+                    and fields <= cost.keys()
                     and sum(cost[field] for field in fields) > ODDS_AGAINST):
                 yield found._replace(
                     names=tuple(sorted((*found.names, effect.name))),
@@ -177,7 +179,17 @@ def _log_posterior(found: Found, noise: _Noise, equal: Array) -> float:
             - 0.5 * float(others @ others)
             - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
-            - ODDS_AGAINST * len(found.names))
+            - ODDS_AGAINST * len(found.names)
+            - sum(log_odds_against(ratio) for ratio in _ratios(found)))
+
+
+def _ratios(found: Found) -> Iterator[float]:
+    """Yield the ratios to their nominal values of the parameters beyond their tolerance."""
+    values, nominal = found.problem.record(found.best.theta), found.problem.group.nominal
+    for name in found.names:
+        if name.startswith(PARAMETER):
+            field = field_name(name.removeprefix(PARAMETER))
+            yield float(values[field] / nominal[field])
 
 
 def _log_volume(found: Found, noise: _Noise) -> float:
