@@ -8,7 +8,7 @@ PART := test/common test/controller test/actuator/test_model_blocks.py test/actu
   test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
 
 # One more than there are cores, as nodes are waited for; each takes tests of another at its end.
-WORKERS := -n $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1) --maxprocesses 4 --dist worksteal
+WORKERS := -n $(shell expr $$(nproc) + 1) --maxprocesses 4 --dist worksteal
 
 .PHONY: help ready setup demo test test-slow test-python test-oldest torture soak bench lint docs clean
 

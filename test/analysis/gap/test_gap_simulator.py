@@ -178,7 +178,7 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
 @pytest.mark.parametrize(('damping', 'verdict'), [
     (36.0, 'parameter:load.damping'), (500.0, 'viscous_friction')])
 def test_viscous_friction_behind_the_sensor_is_named_and_a_damper_that_is_off(damping, verdict):
-    """Up to ten times nominal it may be the damper; more of it is friction."""
+    """The farther the damper is off, the less probable is that it is the damper."""
     nominal = {'load.type': 'spring'}
     answer = document(diagnose([recorded({**nominal, 'load.damping': damping})], nominal))
     assert answer['verdict'] == verdict
