@@ -261,14 +261,20 @@ def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
 
 
 def _constants(fitted: Fitted, group: Group) -> list[tuple[float, float]]:
-    """Return the constant force of a joint in each recording, and the rms of the whole force."""
+    """
+    Return the constant force of a joint in each recording, and the rms of the whole force.
+
+    The mean force, if only the velocity was measured: slow motion is then not judged.
+    """
     free = {each.field for each in fitted.free}
     found = []
     for r in group.recordings:
         field, mean = of_recording('load_offset', r.number), r.taken.get('mean', 0.0)
-        if r.force is not None and field in free:
-            found.append((float(fitted.record[field]) + mean,
-                          float(np.sqrt(np.mean((r.force[r.valid] + mean) ** 2)))))
+        if r.force is None or r.motion is None or field not in free:
+            continue
+        force = r.force[r.valid] + mean
+        constant = float(fitted.record[field]) + mean if r.motion.measured else float(force.mean())
+        found.append((constant, float(np.sqrt(np.mean(force ** 2)))))
     return found
 
 

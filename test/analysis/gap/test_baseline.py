@@ -105,10 +105,17 @@ def test_another_mean_torque_of_a_joint_that_turns_one_way_is_undecided(gain: fl
     assert answer.probability < 0.6
 
 
+@pytest.mark.filterwarnings('ignore:.*position')
+@pytest.mark.parametrize('velocity', [False, True])
 @pytest.mark.parametrize('offset', [0.3, 5.0])
-def test_an_offset_of_the_torque_is_undecided_and_a_small_one_is_none(offset: float):
-    run = rigid(0.02, 3)    # 2.8 Nm (rms), healthy without an offset
-    answer = asked(replace(run, command_n=run.command_n + offset), rigid(0.02, 1), rigid(0.02, 2))
+def test_an_offset_of_the_torque_is_undecided_and_a_small_one_is_none(offset: float,
+                                                                      velocity: bool):
+    runs = [rigid(0.02, seed) for seed in (3, 1, 2)]    # 2.8 Nm (rms), healthy without an offset
+    if velocity:
+        runs = [replace(run, position_m=None, velocity_m_s=np.gradient(run.position_m, run.time_s))
+                for run in runs]
+    new, *healthy = runs
+    answer = asked(replace(new, command_n=new.command_n + offset), *healthy)
     assert answer.baseline['change'] == ('none' if offset < 0.5 else 'cannot_tell')
     assert any('offset of the force sensor' in note for note in answer.notes) == (offset > 0.5)
 
