@@ -1,7 +1,6 @@
 """What the live page starts: nodes, the recorder, and commands that answer a question."""
 
 import asyncio
-import os
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -21,8 +20,6 @@ RUNS: Final = Path('runs')
 EXECUTABLES: Final = {'actuator': 'asi_actuator.executables',
                       'controller': 'asi_controller.executables',
                       'recorder': 'asi_analysis.bags.nodes.executables'}
-# Niceness of the commands: they share the machine with the loop, which goes first.
-NICE: Final = 10
 
 
 class NodeProcess:
@@ -69,7 +66,7 @@ async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str
         name.removeprefix('asi_'): dict(values) for name, values in nominal.items()})
     process = await asyncio.create_subprocess_exec(
         sys.executable, '-m', 'asi_analysis.cli', question, str(bag), stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=lambda: os.nice(NICE))
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     try:
         output, _ = await process.communicate()
     except asyncio.CancelledError:   # the page's server ends
