@@ -101,6 +101,7 @@ def test_records_every_byte_and_twice_the_same(start_node: Start, call: Call, tm
     assert [profile['reliability'] for profile in offered] == ['reliable']
 
 
+@pytest.mark.slow
 def test_the_same_experiment_gives_the_same_file(ros_environment: dict[str, str], tmp_path: Path
                                                  ) -> None:
     for name in ('one', 'two'):

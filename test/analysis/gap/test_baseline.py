@@ -155,6 +155,7 @@ def test_what_no_effect_explains_is_no_change_if_the_healthy_machine_has_it():
     assert left['now_nrmse'] > 2.0 * left['healthy_nrmse']
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('ignore:without')
 def test_the_actuator_is_compared_by_the_simulator():
     def forces(lag_s: float) -> Run:

@@ -81,6 +81,7 @@ def test_errors_within_the_tolerance_are_no_gap():
     assert problems(answer, 'asi gap') == []
 
 
+@pytest.mark.slow
 def test_a_gain_of_the_sensor_is_an_effect_only_beyond_its_tolerance():
     # With stiffness and gain at opposite ends, the other parameters cannot stand for the gain.
     off = {'load__stiffness': 1.7e5, 'load__mass': 0.58, 'force_sensor__offset': 25.0}

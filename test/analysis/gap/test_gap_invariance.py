@@ -76,7 +76,7 @@ def test_second_recording_may_have_another_offset():
     assert found['sensor_offset@2'] == pytest.approx(-25.0, abs=2.0)
 
 
-@pytest.mark.parametrize('load', ['locked', 'free'])
+@pytest.mark.parametrize('load', [pytest.param('locked', marks=pytest.mark.slow), 'free'])
 def test_recording_may_begin_in_motion(load):
     """A machine without a gap has none in any part of its recording, whatever it did before."""
     nominal = {'load.type': load}
@@ -90,6 +90,7 @@ def test_recording_may_begin_in_motion(load):
                    for channel in answer['channels'])
 
 
+@pytest.mark.slow
 def test_free_load_that_moves_without_force_does_not_begin_at_rest():
     nominal = {'load.type': 'free'}
     run = dataclasses.replace(simulated(nominal, duration_s=4.0), velocity_m_s=None,
@@ -117,7 +118,7 @@ def test_effect_is_found_in_a_recording_that_begins_in_motion():
 
 
 @pytest.mark.parametrize('missing', [
-    ('velocity_m_s',), ('valve_position_m',)])
+    ('velocity_m_s',), pytest.param(('valve_position_m',), marks=pytest.mark.slow)])
 def test_what_was_not_recorded_makes_no_gap(missing):
     nominal = {'load.type': 'spring'}
     run = dataclasses.replace(simulated(nominal), **dict.fromkeys(missing))

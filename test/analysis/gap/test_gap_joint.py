@@ -118,6 +118,7 @@ def test_late_command_of_a_joint():
     assert answer['which'][0]['parameters']['drive_delay'] == pytest.approx(0.012, abs=0.0015)
 
 
+@pytest.mark.slow
 def test_what_no_effect_explains_is_described():
     """Teeth are in no effect of the vocabulary: what is left is a function of the position."""
     answer = document(diagnose([joint(gravity=0.3, teeth=9.0)], {}, 'joint'))
@@ -245,7 +246,7 @@ def test_slow_motion_on_a_coarse_encoder_is_no_standstill():
     assert prepare([run], 'force')[0].valid.mean() > 0.75
 
 
-@pytest.mark.parametrize('every', [50, 100])
+@pytest.mark.parametrize('every', [50, pytest.param(100, marks=pytest.mark.slow)])
 def test_a_slow_recording_of_a_joint_is_answered_or_refused_in_words(every):
     run = joint()
     rows = slice(None, None, every)

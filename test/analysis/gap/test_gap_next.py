@@ -70,6 +70,7 @@ def test_experiment_that_would_not_move_the_nominal_actuator_is_left_out(monkeyp
     assert 'small slow triangle' not in found['separations']
 
 
+@pytest.mark.slow
 def test_diagnosed_mended_and_recorded_again(tmp_path: Path, monkeypatch: Any) -> None:
     """The gap of a late valve closes: the node runs the mended model, a new recording fits it."""
     write_bag(recorded(**LATE), tmp_path / 'first')

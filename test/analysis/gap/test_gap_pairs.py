@@ -6,6 +6,7 @@ from test_gap_simulator import recorded
 from asi_analysis.gap.diagnose import diagnose, document
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_valve_and_one_behind_it_are_both_named():
     nominal = {'load.type': 'spring'}
     run = recorded({**nominal, 'valve_flexure.lag_time': 0.003, 'force_sensor.offset': 15.0})

@@ -136,7 +136,7 @@ def test_a_longer_sub_step_is_corrected():
 
 def test_the_unchanged_simulator_has_no_gap():
     for noise in (1.0, 0.0):
-        run = recorded({'load.type': 'spring'}, noise=noise, duration_s=5.0)
+        run = recorded({'load.type': 'spring'}, noise=noise)
         answer = document(diagnose([run], {'load.type': 'spring'}))
         assert answer['verdict'] == 'no_gap'
         assert answer['unknown_probability'] < 0.2
@@ -175,6 +175,7 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
                 each.field for each in form_of(group, free.field)[1].free}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('damping', 'verdict'), [
     (36.0, 'parameter:load.damping'), (500.0, 'viscous_friction')])
 def test_viscous_friction_behind_the_sensor_is_named_and_a_damper_that_is_off(damping, verdict):
@@ -190,7 +191,8 @@ BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0,
 LEVEL = {'friction.coulomb': 37.0, 'friction.stiction_push': 57.0, 'friction.stiction_pull': 45.0}
 
 
-@pytest.mark.parametrize(('more', 'verdict'), [({}, 'no_gap'), (LEVEL, 'coulomb_friction')])
+@pytest.mark.parametrize(('more', 'verdict'), [
+    ({}, 'no_gap'), pytest.param(LEVEL, 'coulomb_friction', marks=pytest.mark.slow)])
 def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict):
     """The nominal model has an elasto-plastic bristle, the machine that of LuGre."""
     answer = document(diagnose([recorded(BOOK | more)], {'load.type': 'spring'}))
@@ -261,6 +263,7 @@ def test_an_effect_is_named_and_the_improved_model_is_the_machine():
     assert np.std(force[2] - force[0]) < 0.1 * np.std(force[1] - force[0])
 
 
+@pytest.mark.slow
 def test_an_effect_that_looks_like_the_best_one_is_weighed_too(monkeypatch):
     # The first screen ranks an offset of the sensor first: nominal parameters that are off hide
     # that the friction is asymmetric. Only the effect that it ranks first is fitted here.

@@ -40,8 +40,10 @@ def test_cases_of_joints_are_written_and_judged(tmp_path):
 @pytest.mark.parametrize(('seed', 'effect', 'field', 'truth'), [
     (300113, 'backlash', 'backlash', 'gap'),                          # it rattles
     (300174, 'command_quantisation', 'command_quantum', 'quantum'),   # its steps have any origin
-    (310027, 'command_quantisation', 'command_quantum', 'quantum'),   # coarse, of a quick servo
-    (340012, 'command_quantisation', 'command_quantum', 'quantum'),   # it rests at few levels
+    pytest.param(310027, 'command_quantisation', 'command_quantum', 'quantum',
+                 marks=pytest.mark.slow),                             # coarse, of a quick servo
+    pytest.param(340012, 'command_quantisation', 'command_quantum', 'quantum',
+                 marks=pytest.mark.slow),                             # it rests at few levels
     (310020, 'disturbance_force', 'disturbance_frequency', 'push_frequency'),  # beside a line
     (310067, 'disturbance_force', 'disturbance_pulse', 'push_burst'),   # it hides the gravity
     (310030, 'valve_lag', 'drive_lag', 'lag')])                       # it has two poles

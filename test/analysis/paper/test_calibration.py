@@ -43,6 +43,7 @@ def test_points_of_the_cube_are_their_quantities():
     assert quantities(one) == pytest.approx(to_values(FREE, point))
 
 
+@pytest.mark.slow
 def test_search_repeats_and_can_be_resumed(tmp_path, monkeypatch):
     monkeypatch.setattr(search, 'RACE', (4, 3, 2, 2, 2))
     whole = calibrate(small_search(), 8, 1, tmp_path / 'whole')

@@ -55,6 +55,7 @@ def test_the_leads_of_table_1_leave_no_cycle_at_any_step(name):
         assert not of_samples(run.force_n[-2500:], RATE_HZ).sustained, step_n
 
 
+@pytest.mark.slow
 def test_reproduce_prints_the_documented_json():
     answer = subprocess.run([sys.executable, '-m', 'asi_analysis.cli', 'reproduce', '--json'],
                             capture_output=True, text=True, check=True)

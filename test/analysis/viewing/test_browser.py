@@ -107,6 +107,7 @@ def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
     assert process.stop() == 0 and 'Traceback' not in process.text
 
 
+@pytest.mark.slow
 def test_two_tabs_of_a_pair_in_a_namespace_follow_each_other_and_nodes_that_start_again(
         browser: Any, serve: Callable, start_node: Callable[..., NodeProcess],
         get_parameters: Callable) -> None:
