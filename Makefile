@@ -7,6 +7,9 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 PART := test/common test/controller test/actuator/test_model_blocks.py test/actuator/test_drivers.py \
   test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
 
+# Without bytecode of all modules, which takes a quarter of the time: what is imported gets it then.
+INSTALL := pip install -qq --disable-pip-version-check --no-compile
+
 # One more than there are cores, as nodes are waited for; each takes tests of another at its end.
 WORKERS := -n $(shell expr $$(nproc) + 1) --maxprocesses 4 --dist worksteal
 
@@ -42,9 +45,9 @@ test-oldest: CHOSEN = $(or $(PYTHON),python3.11)
 test-oldest: BOUNDS = -c $(OTHER)/oldest.txt
 test-python test-oldest:
 	@mkdir -p build && $(CHOSEN) -m venv --clear $(OTHER)
-	@$(OTHER)/bin/pip install -qq --disable-pip-version-check setuptools
+	@$(OTHER)/bin/$(INSTALL) setuptools
 	@$(OTHER)/bin/python test/oldest.py > $(OTHER)/oldest.txt
-	@$(OTHER)/bin/pip install -qq --disable-pip-version-check $(BOUNDS) . pytest pytest-timeout \
+	@$(OTHER)/bin/$(INSTALL) $(BOUNDS) . pytest pytest-timeout \
 	  pytest-xdist hypothesis control colcon-common-extensions
 	@$(OTHER)/bin/python -m pytest -q -p no:cacheprovider $(WORKERS) \
 	  -W ignore::DeprecationWarning $(PART)   # those of others, as of an old matplotlib
@@ -73,7 +76,7 @@ VERSION := -c 'import sys; print(sys.version_info[:2])'
 setup: ready $(VENV)/tested
 
 # A PYTHON that is named is the one that is used, or make stops.
-ready: $(VENV)/installed
+ready: $(VENV)/compiled
 	@test -z '$(PYTHON)' || test "$$($(PYTHON) $(VERSION))" = "$$($(BIN)/python $(VERSION))" || { \
 	  echo 'make: $(VENV) was made with another version than $(PYTHON): run make clean first' >&2; \
 	  exit 1; }
@@ -90,24 +93,28 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 	done; \
 	echo "Setting up $(VENV) with $$($$python --version); about a minute" && \
 	$$python -m venv --clear $(VENV)
-	@test -z '$(LOCKED)' || $(BIN)/pip install -qq --disable-pip-version-check --require-hashes \
+	@test -z '$(LOCKED)' || $(BIN)/$(INSTALL) --require-hashes \
 	  -r requirements.lock
-	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[live]'
+	@$(BIN)/$(INSTALL) -e '.[live]'
+	@touch $@
+
+# Beside what follows, with make -j2.
+$(VENV)/compiled: $(VENV)/installed
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.loop.closed_loop
 	@touch $@
 
 # What a demo does not need: the first thing that a new user sees comes sooner.
 $(VENV)/tested: $(VENV)/installed
-	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[test]'
+	@$(BIN)/$(INSTALL) -e '.[test]'
 	@touch $@
 
 # The rivals that only the benchmark needs.
 $(VENV)/benchmarked: $(VENV)/tested
-	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[bench]'
+	@$(BIN)/$(INSTALL) -e '.[bench]'
 	@touch $@
 
 $(VENV)/documented: $(VENV)/tested
-	@$(BIN)/pip install -qq --disable-pip-version-check -e '.[docs]'
+	@$(BIN)/$(INSTALL) -e '.[docs]'
 	@touch $@
 
 clean:
