@@ -55,7 +55,7 @@ def run(
         help='joint: any joint or drive in place of the actuator, with parameters of its own; the '
         'command is the reference, N, Nm or, of a servo, m or rad')] = 'actuator',
     out: Annotated[Path | None, typer.Option(
-        help='Directory for bag and logs; default: runs/TIME-COMPENSATOR')] = None,
+        help='Directory DIR; the bag is DIR/bag; default: runs/TIME-COMPENSATOR')] = None,
     in_process: Annotated[bool, typer.Option(
         '--in-process', help='Compute it in one process, without ROS: the same bag, sooner')
     ] = False,

@@ -195,7 +195,7 @@ def gap_plan(
 @command('check', 'asi gap check --cases 60 --seed 20000', gap_app)
 def gap_check(
     directory: Annotated[Path | None, typer.Argument(
-        help='Blind cases of any examiner (doc/explanation/gap.md); default: '
+        help='Blind cases of any examiner (doc/how_to/blind_cases.md); default: '
              'new ones are written')] = None,
     cases: Annotated[int, typer.Option(help='How many new cases to write', min=1)] = 300,
     seed: Annotated[int, typer.Option(

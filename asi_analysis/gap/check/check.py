@@ -1,7 +1,7 @@
 """
 `asi gap check`: diagnose a directory of blind cases and count the right verdicts.
 
-Any examiner may write such a directory (doc/explanation/gap.md). The diagnosis reads bags
+Any examiner may write such a directory (doc/how_to/blind_cases.md). The diagnosis reads bags
 and model files; the sealed answers are opened only after the last case.
 """
 
