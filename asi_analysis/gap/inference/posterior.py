@@ -205,7 +205,8 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
         square = slopes.T @ slopes + np.diag(precision)
         slope = slopes.T @ value + precision * (theta - mean)
         before = cost
-        if since == cost and math.isfinite(goal):   # the Jacobian has just been computed
+        # The Jacobian has just been computed.
+        if since == cost and math.isfinite(goal) and (fresh or known):
             _, most = least_step(square, slope, -theta, 1.0 - theta)
             if cost - GAIN_MARGIN * most > goal:
                 return Best(theta, cost, value, _kept(slopes), computed)
