@@ -18,7 +18,7 @@ WORKERS := -n $(shell expr $$(nproc) + 1) --maxprocesses 4 --dist worksteal
 help:
 	@echo 'make demo     run actuator and controller, record, analyse: runs/demo/report.html'
 	@echo 'make test     run the tests'
-	@echo 'make test-slow  run those that take long: some ten minutes'
+	@echo 'make test-slow  run the tests that take longest, which make test leaves out'
 	@echo 'make test-python PYTHON=python3.13   a part of the tests with another Python'
 	@echo 'make test-oldest   the same with the oldest dependencies that setup.py allows'
 	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
