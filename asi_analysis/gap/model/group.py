@@ -323,7 +323,7 @@ def with_lower_noise(group: Group, residual: Values) -> Group:
     """
     noise = {channel: min(level, math.sqrt(residual[channel]))
              for channel, level in group.noise.items()}
-    if all(noise[channel] > NOISIER * level for channel, level in group.noise.items()):
+    if all(noise[channel] >= NOISIER * level for channel, level in group.noise.items()):
         return group
     return replace(group, noise=noise, error_floor={
         channel: error_floor - group.noise[channel] ** 2 + noise[channel] ** 2

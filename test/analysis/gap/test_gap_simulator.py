@@ -28,6 +28,7 @@ from asi_analysis.gap.model.group import (
     prepared_for,
     simulator_group,
     with_less_noisy_valve,
+    with_lower_noise,
     with_simulated_valve,
 )
 from asi_analysis.gap.model.model_file import improved_model
@@ -318,3 +319,10 @@ def test_a_shifted_position_that_may_be_a_constant_force_is_said():
     answer = document(diagnose([replace(run, position_m=run.position_m + 1e-3)], nominal))
     assert answer['verdict'] == 'disturbance_force'
     assert any('a shifted zero looks like a constant force' in note for note in answer['notes'])
+
+
+def test_noise_that_is_zero_is_not_lowered_again():
+    """Else a recording without noise that the simulator repeats exactly is fitted for ever."""
+    group = simulator_group(simulator.simulator_record({}), prepared([recorded({})]), ('valve',))
+    silent = replace(group, noise={'valve': 0.0})
+    assert with_lower_noise(silent, {'valve': 0.0}) is silent

@@ -129,12 +129,14 @@ def _with_improbable_named(found: Found) -> Iterator[Found]:
 
 def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
     """
-    Return the hypothesis with the fewest effects that leaves only noise, if there is one.
+    Return the hypothesis with the fewest effects that explains the recordings, if there is one.
 
-    A smaller residual is no evidence for more effects: a formulation that hardly differs from the
-    simulator's leaves as much. Improbable nominal parameters are.
+    That is: it leaves only noise, with probable nominal parameters. A smaller residual is no
+    evidence for more effects: a formulation that hardly differs from the simulator's leaves as
+    much.
     """
-    explained = [each for each in found.values() if not each.unexplained]
+    explained = [each for each in found.values()
+                 if not each.unexplained and each.prior_cost <= ODDS_AGAINST]
     return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
 
 

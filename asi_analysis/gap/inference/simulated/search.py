@@ -246,7 +246,7 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
     problem, starts = base.problem, []
     for found in more:
         fields, own = _freed_fields(found)
-        starts.append(_with_values_of(base, found, fields - own))
+        starts += [_with_values_of(base, found, names) for names in (fields - own, fields)]
     costs = [problem.cost(start) for start in starts]
     if min(costs, default=math.inf) > base.best.cost - GAIN:
         return base
