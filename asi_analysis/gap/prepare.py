@@ -111,8 +111,19 @@ def _origin(signals: Mapping[str, Array], period: float) -> float | None:
         return None
     rests.append(np.abs(position - position[0]) <= level)
     still = int(np.argmin(np.all(rests, axis=0)))   # samples before the first that moves
-    origin = float(position[:max(still // 2, 1)].mean())
+    count = max(still // 2, 1)
+    # A small force, below the noise of a sample, has displaced the load already.
+    if not _within_noise(signals, count):
+        return None
+    origin = float(position[:count].mean())
     return origin if abs(origin) > level else 0.0
+
+
+def _within_noise(signals: Mapping[str, Array], count: int) -> bool:
+    """Return whether force, velocity and valve position are 0 in the mean of `count` samples."""
+    return all(abs(values[:count].mean()) <= AT_REST * noise_of(values) / math.sqrt(count)
+               for name, values in signals.items() if name in ('force', 'velocity',
+                                                               'valve_position'))
 
 
 def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
@@ -121,9 +132,7 @@ def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
     position = signals.get('position')
     if position is not None and np.ptp(position[:count]) > 2.0 * AT_REST * noise_of(position):
         return False
-    return all(abs(values[:count].mean()) <= AT_REST * noise_of(values) / math.sqrt(count)
-               for name, values in signals.items() if name in ('force', 'velocity',
-                                                               'valve_position'))
+    return _within_noise(signals, count)
 
 
 def _with_centred_origin(signals: dict[str, Array], drive: str, run: Run) -> None:

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from test_gap import TEXTBOOK, recorded
+from test_gap import REAL, TEXTBOOK, recorded
 from test_gap_joint import joint
 from test_gap_simulator import recorded as simulated
 
+from asi_actuator.model.actuator import simulate
+from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose, document
 
@@ -136,3 +138,16 @@ def test_effect_of_the_valve_is_found_without_its_position():
     assert answer['verdict'] == 'valve_lag'
     assert answer['which'][0]['parameters']['valve_flexure_lag_time'] == pytest.approx(
         0.004, rel=0.05)
+
+
+def test_a_force_below_the_noise_that_held_the_load_before_is_no_origin_of_the_position():
+    """The position is not counted from there: it tells a bias of the valve from a sensor's."""
+    rng, rest = np.random.default_rng(7), np.zeros(1000)
+    command = np.concatenate([rest, 500.0 * np.repeat(rng.uniform(-1.0, 1.0, 40), 150)])
+    run = simulate(as_record(REAL | {'valve_characteristic.bias': 8e-8}), command, 1e-3)
+    noise = {'force_n': 1.0, 'valve_position_m': 2e-8, 'position_m': 1e-6, 'velocity_m_s': 5e-4}
+    settled = Run(run.time_s, command_n=command, **{
+        name: getattr(run, name) + level * rng.standard_normal(command.size)
+        for name, level in noise.items()})[900:]
+    answer = document(diagnose([settled], TEXTBOOK))
+    assert (answer['verdict'], answer['probability'] > 0.9) == ('valve_bias', True)
