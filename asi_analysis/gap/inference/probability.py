@@ -140,15 +140,18 @@ def _evidence_gain(e: Evidence, c: Constants, before: Names, after: Names) -> fl
     Return the gain in log evidence from one set of effects to a larger one.
 
     From the residuals relative to the error floor plus the formulation error of the smaller set.
+    For a first effect, the white noise is subtracted from both: its power is known to NOISE_SHARE
+    and would hide an effect that is clear in so many samples.
     """
     samples, gain = _effective_samples(e, c), 0.0
     for channel, floor in e.error_floor.items():
         first, second = e.residual[before][channel], e.residual[after][channel]
         least = min(residual[channel] for residual in e.residual.values())
         least = min(max(least, LEAST_RESIDUAL * floor), floor)
-        level = (floor ** (1.0 - c.fitted_floor) * least ** c.fitted_floor
+        white = 0.0 if before else (1.0 - NOISE_SHARE) * min(e.noise[channel], least)
+        level = ((floor - white) ** (1.0 - c.fitted_floor) * (least - white) ** c.fitted_floor
                  + _formulation_error(e, c, before, channel))
-        gain += 0.5 * samples * math.log((first + level) / (second + level))
+        gain += 0.5 * samples * math.log((first - white + level) / (second - white + level))
     return gain
 
 

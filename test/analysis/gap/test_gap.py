@@ -317,6 +317,15 @@ def evidence_of_one(residual, **more):
         parameters={each: len(each) for each in names}, **more)
 
 
+def test_white_noise_does_not_hide_a_first_effect():
+    """A mean square of 1.7 times the noise, in thousands of samples, is no chance."""
+    quiet = {'error_floor': {'force': 1.05}}
+    seen = evidence_of_one({(): 1.3, ('valve_lag',): 1.0})._replace(**quiet)
+    assert probabilities(seen)['valve_lag',] > 0.8
+    # Below the error floor nothing speaks against the nominal model.
+    assert probabilities(evidence_of_one({(): 1.3, ('valve_lag',): 1.0}))[()] > 0.4
+
+
 def test_an_effect_that_explains_most_is_told_beside_what_is_unknown():
     chance = probabilities(evidence_of_one({(): 60.0, ('sensor_gain',): 15.0}))
     both, alone = chance['sensor_gain', 'unknown'], chance['unknown',]
