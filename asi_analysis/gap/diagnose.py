@@ -64,6 +64,9 @@ from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name
 
+# Effects that may be a constant force, which only the zero of the position tells apart.
+CONSTANT = {'disturbance_force', 'valve_bias', 'sensor_offset'}
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -299,7 +302,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
                          answer.best(w).fitted.record, elsewhere=plant == 'actuator')
                for w in weighed for channel in w.group.channels]
     ambiguous = ambiguity_set(joined)
-    if plant == 'actuator' and any('disturbance_force' in names for names in ambiguous):
+    if plant == 'actuator' and any(CONSTANT & {*names} for names in ambiguous):
         notes += plausibility.doubtful_origin(groups[-1].recordings, model)
     experiment, chain = None, None
     if plant == 'actuator' and len(ambiguous) > 1:

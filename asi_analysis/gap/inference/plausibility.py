@@ -185,11 +185,12 @@ def check_origin(recording: Recording) -> list[str]:
 
 
 def doubtful_origin(recordings: Sequence[Recording], nominal: Mapping[str, Value]) -> list[str]:
-    """Return a note of each recording in which a constant force may be a shifted position."""
+    """Return a note of each recording in which a shifted position may be a constant effect."""
     if nominal.get('load.type', 'locked') not in ('locked', 'spring'):
         return []
-    return [f'{recording.source}: does not start at rest, so its position_m is taken to be 0 '
-            'where the load is relaxed: a shifted zero looks like a constant force'
+    return [f'{recording.source}: does not start at rest without a force, so its position_m is '
+            'taken to be 0 where the load is relaxed: a shifted zero looks like a constant force, '
+            'and a bias of the valve like an offset of the force sensor'
             for recording in recordings
             if recording.motion and recording.motion.measured and recording.origin_m is None]
 

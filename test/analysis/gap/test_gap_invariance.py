@@ -151,3 +151,5 @@ def test_a_force_below_the_noise_that_held_the_load_before_is_no_origin_of_the_p
         for name, level in noise.items()})[900:]
     answer = document(diagnose([settled], TEXTBOOK))
     assert (answer['verdict'], answer['probability'] > 0.9) == ('valve_bias', True)
+    # The answer rests on the zero of the position sensor, and says so.
+    assert any('a shifted zero looks like a constant force' in note for note in answer['notes'])
