@@ -49,6 +49,9 @@ MARGIN, NOISE_ERROR = 1.1, 10.0
 # Of a step: the share of it for second differences; the largest correction for curvature.
 CURVATURE_STEP, MOST_CURVATURE = 0.1, 0.4
 
+# Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
+# forty together, so that a false alarm is rare.
+ODDS_AGAINST = 7.0
 MOST_KEPT = 2 ** 25   # bytes of a Jacobian that is kept
 
 NONE: Mapping[str, Array] = MappingProxyType({})
@@ -382,6 +385,11 @@ class Found(NamedTuple):
     def prior_cost(self) -> float:
         """Return the negative log prior density of the nominal parameters, up to a constant."""
         return self.problem.prior_cost(self.best.theta)
+
+    @property
+    def may_lack_an_effect(self) -> bool:
+        """Return whether a residual, or improbable nominal parameters, are left to explain."""
+        return self.unexplained or self.prior_cost > ODDS_AGAINST
 
     @property
     def as_fitted(self) -> Fitted:

@@ -18,6 +18,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import (
+    ODDS_AGAINST,
     Found,
     mean_squares,
     power,
@@ -27,9 +28,6 @@ from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group
 from asi_common.record import field_name
 
-# Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
-# forty together, so that a false alarm is rare.
-ODDS_AGAINST = 7.0
 # Log odds below the best at which the posterior volume is not computed: it can make up for less.
 NEGLIGIBLE = 40.0
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
@@ -135,8 +133,7 @@ def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
     evidence for more effects: a formulation that hardly differs from the simulator's leaves as
     much.
     """
-    explained = [each for each in found.values()
-                 if not each.unexplained and each.prior_cost <= ODDS_AGAINST]
+    explained = [each for each in found.values() if not each.may_lack_an_effect]
     return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
 
 

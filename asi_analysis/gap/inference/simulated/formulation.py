@@ -15,7 +15,7 @@ from asi_analysis.gap.formulation import (
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Found, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST, equal_below
+from asi_analysis.gap.inference.simulated.evidence import equal_below
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the
@@ -42,7 +42,7 @@ def in_best_formulation(found: Mapping[Names, Found],
     if next(iter(found.values())).problem.group.floor_measured:
         return dict(found)
     best = _with_formulation(min(found.values(), key=lambda each: each.best.cost), False)
-    other = (best.unexplained or best.prior_cost > ODDS_AGAINST or _needs_other_shapes(best))
+    other = best.may_lack_an_effect or _needs_other_shapes(best)
     return in_formulation(found, other, known)
 
 

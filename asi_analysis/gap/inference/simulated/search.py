@@ -22,6 +22,7 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     GAIN_MARGIN,
+    ODDS_AGAINST,
     ROUNDS,
     Best,
     Found,
@@ -30,7 +31,6 @@ from asi_analysis.gap.inference.posterior import (
     most_probable,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.evidence import ODDS_AGAINST
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import (
     COST_RANGE,
@@ -176,7 +176,7 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     found = {(): null} | singles
     if alone or _only_noise_left(found):
         found = in_best_formulation(_with_noise_from_fit(found))
-    if not singles or not all(map(_may_need_another_effect, found.values())):
+    if not singles or not all(each.may_lack_an_effect for each in found.values()):
         return found
     first = min((found[names] for names in singles), key=lambda each: each.best.cost)
     promised = screen(first, not first.unexplained, tick).most
@@ -194,11 +194,6 @@ def _only_noise_left(found: Mapping[Names, Found]) -> bool:
     return not all(each.unexplained for each in found.values())
 
 
-def _may_need_another_effect(found: Found) -> bool:
-    """Return whether a residual, or improbable parameter values, may be due to another effect."""
-    return found.unexplained or found.prior_cost > ODDS_AGAINST
-
-
 def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
            ) -> dict[Names, Found]:
     """
@@ -209,7 +204,7 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
     """
     pairs = _with_second(first, tick, alone)
     best = min(pairs.values(), key=lambda each: each.best.cost)
-    if best.far or not _may_need_another_effect(pairs[first.names]):
+    if best.far or not pairs[first.names].may_lack_an_effect:
         return pairs
     return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick,
                                         alone))
