@@ -30,6 +30,7 @@ RIGID_BAND_HZ = 40.0
 JOINT_RATE_HZ = 1000.0  # sufficient for a rigid joint: faster recordings are resampled
 SAME_COMMAND = 1e-6         # of its range: how far commands that are the same may differ
 MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
+REST = ('force', 'velocity', 'valve_position')   # signals that are 0 at rest
 AT_REST = 5.0           # a signal is 0 within so many standard deviations of its noise
 START_S = 0.02          # length of the beginning of a recording
 
@@ -102,28 +103,23 @@ def _origin(signals: Mapping[str, Array], period: float) -> float | None:
     """
     if 'position' not in signals:
         return None
+    others = [signals[name] for name in REST if name in signals]
     position = signals['position']
-    level = AT_REST * noise_of(position)
-    # The position itself may change at once, by an external force at the start.
-    rests = [np.abs(signals[name]) <= AT_REST * noise_of(signals[name])
-             for name in ('force', 'velocity', 'valve_position') if name in signals]
-    if not rests or not all(rest[0] for rest in rests):
-        return None
-    rests.append(np.abs(position - position[0]) <= level)
-    still = int(np.argmin(np.all(rests, axis=0)))   # samples before the first that moves
+    moves = [np.abs(values - values[0]) > math.sqrt(2.0) * AT_REST * noise_of(values)
+             for values in (*others, position)]
+    still = int(np.argmax(np.any(moves, axis=0)))   # samples before the first that moves
     count = max(still // 2, 1)
-    # A small force, below the noise of a sample, has displaced the load already.
-    if not _within_noise(signals, count):
+    # In their mean: a force below the noise of a sample may have displaced the load already.
+    if not others or not _within_noise(signals, count):
         return None
     origin = float(position[:count].mean())
-    return origin if abs(origin) > level else 0.0
+    return origin if abs(origin) > AT_REST * noise_of(position) else 0.0
 
 
 def _within_noise(signals: Mapping[str, Array], count: int) -> bool:
     """Return whether force, velocity and valve position are 0 in the mean of `count` samples."""
     return all(abs(values[:count].mean()) <= AT_REST * noise_of(values) / math.sqrt(count)
-               for name, values in signals.items() if name in ('force', 'velocity',
-                                                               'valve_position'))
+               for name, values in signals.items() if name in REST)
 
 
 def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:

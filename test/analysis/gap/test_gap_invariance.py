@@ -140,15 +140,17 @@ def test_effect_of_the_valve_is_found_without_its_position():
         0.004, rel=0.05)
 
 
-def test_a_force_below_the_noise_that_held_the_load_before_is_no_origin_of_the_position():
+@pytest.mark.parametrize(('bias', 'seed', 'first'), [(8e-8, 7, 900), (-6e-8, 1, 950)])
+def test_a_force_below_the_noise_that_held_the_load_before_is_no_origin_of_the_position(
+        bias, seed, first):
     """The position is not counted from there: it tells a bias of the valve from a sensor's."""
-    rng, rest = np.random.default_rng(7), np.zeros(1000)
+    rng, rest = np.random.default_rng(seed), np.zeros(1000)
     command = np.concatenate([rest, 500.0 * np.repeat(rng.uniform(-1.0, 1.0, 40), 150)])
-    run = simulate(as_record(REAL | {'valve_characteristic.bias': 8e-8}), command, 1e-3)
+    run = simulate(as_record(REAL | {'valve_characteristic.bias': bias}), command, 1e-3)
     noise = {'force_n': 1.0, 'valve_position_m': 2e-8, 'position_m': 1e-6, 'velocity_m_s': 5e-4}
     settled = Run(run.time_s, command_n=command, **{
         name: getattr(run, name) + level * rng.standard_normal(command.size)
-        for name, level in noise.items()})[900:]
+        for name, level in noise.items()})[first:]
     answer = document(diagnose([settled], TEXTBOOK))
     assert (answer['verdict'], answer['probability'] > 0.9) == ('valve_bias', True)
     # The answer rests on the zero of the position sensor, and says so.

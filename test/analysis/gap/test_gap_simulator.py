@@ -250,6 +250,14 @@ def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
     assert within['verdict'] == 'no_gap'
 
 
+@pytest.mark.slow
+def test_one_parameter_far_beyond_its_tolerance_is_not_taken_for_laws_of_another_form():
+    nominal = {'load.type': 'free'}
+    run = recorded({**nominal, 'valve_characteristic.gain': 2.1}, rate_hz=5000.0)
+    answer = document(diagnose([run], nominal))
+    assert answer['verdict'] == 'parameter:valve_characteristic.gain'
+
+
 def test_an_effect_is_named_and_the_improved_model_is_the_machine():
     nominal = {'load.type': 'spring'}
     machine = {**nominal, 'friction.coulomb': 25.0}

@@ -74,7 +74,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     highest = max(map(value, found.values()))
     near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
             if value(each) > highest - NEGLIGIBLE]
-    near += [more for each in near for more in _with_improbable_named(each)]
+    near += [more for each in near for more in with_improbable_named(each)]
     highest = max(map(value, near))
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
     for each in near:
@@ -103,7 +103,7 @@ def _noise_level(group: Group, level: Array) -> Array:
     return np.maximum(level * (1.0 - others), model_error(group) - others)
 
 
-def _with_improbable_named(found: Found) -> Iterator[Found]:
+def with_improbable_named(found: Found) -> Iterator[Found]:
     """
     Yield a fit as that of one more effect, whose parameters are nominal ones of improbable values.
 

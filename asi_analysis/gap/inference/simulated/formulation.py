@@ -15,7 +15,7 @@ from asi_analysis.gap.formulation import (
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Found, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.evidence import equal_below
+from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the
@@ -36,13 +36,14 @@ def in_best_formulation(found: Mapping[Names, Found],
     known: what an earlier call returned, which is not refitted in the same formulation.
 
     The laws are formulated in another way if the best hypothesis leaves more than the former
-    error floor, or needs improbable nominal parameters or other shape parameters of the laws. With
-    a baseline, the error floor is measured and kept.
+    error floor, or needs other shape parameters of the laws, or more than one improbable nominal
+    parameter: one is a finding of its own. With a baseline, the error floor is measured and kept.
     """
     if next(iter(found.values())).problem.group.floor_measured:
         return dict(found)
     best = _with_formulation(min(found.values(), key=lambda each: each.best.cost), False)
-    other = best.may_lack_an_effect or _needs_other_shapes(best)
+    named = [best, *with_improbable_named(best)]
+    other = all(each.may_lack_an_effect for each in named) or _needs_other_shapes(best)
     return in_formulation(found, other, known)
 
 
