@@ -78,9 +78,10 @@ def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Itera
     """
     Yield function(*arguments) for each tuple in `work`, in order, as soon as it is computed.
 
-    A terminal sends Ctrl-C to every process; only this one reacts, and ends the others.
+    A terminal sends Ctrl-C to every process; only this one reacts, and ends the others. Without
+    joblib's batches: a few quick tasks would be followed by sixteen slow ones as one batch.
     """
     with _interrupts_blocked():   # the call below starts the processes
-        results = joblib.Parallel(return_as='generator')(
+        results = joblib.Parallel(return_as='generator', batch_size=1)(
             joblib.delayed(function)(*arguments) for arguments in work)
     yield from results
