@@ -65,11 +65,15 @@ def weigh(group: Group, found: Mapping[Names, Found]
     equal = equal_below(least) if group.other_formulation else 0.0 * level
     simplest = _simplest_explained(found)
 
-    def value(each: Found) -> float:
-        """Return the log posterior; a residual below that of `simplest` is no evidence."""
+    def left(each: Found) -> Array:
+        """Return the mean square residual; one below that of `simplest` is no evidence."""
         low = equal if simplest is None or len(each.names) <= len(simplest.names) else (
             np.maximum(equal, mean_squares(simplest.problem, simplest.best.residual)))
-        return _log_posterior(each, noise, low)
+        return np.maximum(mean_squares(each.problem, each.best.residual), low)
+
+    def value(each: Found) -> float:
+        """Return the log posterior."""
+        return _log_posterior(each, noise, left(each))
 
     highest = max(map(value, found.values()))
     near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
@@ -80,7 +84,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     for each in near:
         weight = value(each)
         if weight > highest - NEGLIGIBLE:
-            weight += _log_volume(each, noise)
+            weight += _log_volume(each, noise, left(each))
             if weight > evidence.get(each.names, -math.inf):
                 evidence[each.names] = weight
                 fits[each.names] = each
@@ -164,15 +168,13 @@ def _with_model_error(found: Found, noise: _Noise) -> Found:
     return found.weighed_as(replace(problem, group=group)).refined(ROUNDS).weighed_as(problem)
 
 
-def _log_posterior(found: Found, noise: _Noise, equal: Array) -> float:
+def _log_posterior(found: Found, noise: _Noise, left: Array) -> float:
     """
     Return the log posterior density of a hypothesis at its most probable parameters.
 
-    Up to a constant. equal: mean square residual by channel, in error floors; a smaller one
-    counts as this.
+    Up to a constant. left: mean square residual by channel that counts, in error floors.
     """
     precision = found.problem.prior[1]
-    left = np.maximum(mean_squares(found.problem, found.best.residual), equal)
     normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
     return (0.5 * MODEL_SAMPLES * float(np.log(noise.weight(noise.excess(left))).sum())
             - 0.5 * float(others @ others)
@@ -191,13 +193,17 @@ def _ratios(found: Found) -> Iterator[float]:
             yield float(values[field] / nominal[field])
 
 
-def _log_volume(found: Found, noise: _Noise) -> float:
-    """Return the log of the posterior volume of the parameters, by Laplace's approximation."""
+def _log_volume(found: Found, noise: _Noise, left: Array) -> float:
+    """
+    Return the log of the posterior volume of the parameters, by Laplace's approximation.
+
+    left: as in `_log_posterior`.
+    """
     problem, theta = found.problem, found.best.theta
     precision = problem.prior[1]
     of_channels, others = problem.split(found.slopes)
     weight = (noise.samples / of_channels.shape[1] / power(problem.group) / noise.level
-              * noise.weight(noise.excess(mean_squares(problem, found.best.residual))))
+              * noise.weight(noise.excess(left)))
     square = (np.einsum('c,cni,cnj->ij', weight, of_channels, of_channels, optimize=True)
               + others.T @ others + np.diag(precision))
     normal = precision > 0.0

@@ -21,7 +21,7 @@ NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the
 # simulator's own laws, the machine's are formulated in another way.
 COST_RANGE = 50.0
-# A fit competes with the best as long as its model error is at most this multiple larger.
+# A fit competes with the best as long as its model error is larger by at most this multiple.
 EXCESS_RANGE = 2.0
 HALVINGS = 8   # of the weight of the data, at most
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
@@ -35,16 +35,23 @@ def in_best_formulation(found: Mapping[Names, Found],
 
     known: what an earlier call returned, which is not refitted in the same formulation.
 
-    The laws are formulated in another way if the best hypothesis leaves more than the former
-    error floor, or needs other shape parameters of the laws, or more than one improbable nominal
-    parameter: one is a finding of its own. With a baseline, the error floor is measured and kept.
+    The laws are formulated in another way unless one effect, or one improbable nominal parameter,
+    explains what the nominal model leaves; and if the best hypothesis needs other shape parameters
+    of the laws. With a baseline, the error floor is measured and kept.
     """
     if next(iter(found.values())).problem.group.floor_measured:
         return dict(found)
-    best = _with_formulation(min(found.values(), key=lambda each: each.best.cost), False)
-    named = [best, *with_improbable_named(best)]
-    other = all(each.may_lack_an_effect for each in named) or _needs_other_shapes(best)
+    own = [_with_formulation(each, False) for each in found.values()]
+    other = not any(map(_explains_with_one, own)) or _needs_other_shapes(
+        min(own, key=lambda each: each.best.cost))
     return in_formulation(found, other, known)
+
+
+def _explains_with_one(found: Found) -> bool:
+    """Return whether a hypothesis explains the recordings with one effect or parameter at most."""
+    parameters = (each for each in with_improbable_named(found) if len(each.variants[-1].free) < 2)
+    return any(len(each.names) < 2 and not each.may_lack_an_effect
+               for each in (found, *parameters))
 
 
 def _with_formulation(found: Found, other: bool) -> Found:

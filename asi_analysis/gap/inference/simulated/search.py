@@ -37,6 +37,7 @@ from asi_analysis.gap.inference.simulated.formulation import (
     SUSPECT_PRIOR_COST,
     goal_beside,
     in_best_formulation,
+    in_formulation,
 )
 from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
@@ -115,6 +116,9 @@ class _Explained(NamedTuple):
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
     found = _hypotheses(_with_noise_from_fit({(): _null(group)})[()], tick, alone)
+    if not _only_noise_left(found) and not all(each.far for each in found.values()):
+        # Only the model error of laws formulated in another way explains the rest.
+        found, alone = in_formulation(found, True), True
     weighed = weighed_of(found, alone)
     return None if weighed is None else _Explained(weighed, found)
 
