@@ -204,6 +204,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
                 *start_parameters(nominal, recordings, channels))
     effects = freed(forms.EFFECTS, partial(in_each, count=count))
     other_error = {channel: (MODEL_ERROR ** 2 - SIMULATOR_ERROR ** 2) * size[channel]
+                   + (_formulation_error(recordings, channel, p) if channel == 'valve' else 0.0)
                    for channel in channels}
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
                  dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact,
