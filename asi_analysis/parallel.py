@@ -78,8 +78,8 @@ def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Itera
     """
     Yield function(*arguments) for each tuple in `work`, in order, as soon as it is computed.
 
-    A terminal sends Ctrl-C to every process; only this one reacts, and ends the others. Without
-    joblib's batches: a few quick tasks would be followed by sixteen slow ones as one batch.
+    A terminal sends Ctrl-C to every process; only this one reacts, and ends the others. Tasks
+    are not batched: after a few quick ones, joblib would give sixteen slow ones to one process.
     """
     with _interrupts_blocked():   # the call below starts the processes
         results = joblib.Parallel(return_as='generator', batch_size=1)(

@@ -35,9 +35,9 @@ def in_best_formulation(found: Mapping[Names, Found],
 
     known: what an earlier call returned, which is not refitted in the same formulation.
 
-    The laws are formulated in another way unless one effect, or one improbable nominal parameter,
-    explains what the nominal model leaves; and if the best hypothesis needs other shape parameters
-    of the laws. With a baseline, the error floor is measured and kept.
+    The laws are the simulator's own if a hypothesis with at most one effect, or one improbable
+    nominal parameter, leaves only noise, and the best one needs no other shape parameters of the
+    laws. With a baseline, the error floor is measured and kept.
     """
     if next(iter(found.values())).problem.group.floor_measured:
         return dict(found)
