@@ -1,5 +1,9 @@
 """`InputError` and `InputWarning`: wrong or damaged input, which the user has to correct."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class InputError(ValueError):
     """
@@ -16,3 +20,18 @@ class InputError(ValueError):
 
 class InputWarning(UserWarning):
     """A file is used in part only; its text is one line that says what is missing."""
+
+
+@contextmanager
+def input_warnings() -> Iterator[list[str]]:
+    """Give a list that has, at the end, the texts of the InputWarnings within; all are shown."""
+    texts: list[str] = []
+    found: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter('always', InputWarning)
+            yield texts
+    finally:
+        texts += [str(each.message) for each in found if issubclass(each.category, InputWarning)]
+        for each in found:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)

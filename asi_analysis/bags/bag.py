@@ -105,6 +105,8 @@ def read_bag(path: str | Path) -> Run:
         why = f' ({problems[0]})' if problems else ''
         raise InputError(f'{path} holds no message of the topics {", ".join(SIGNAL_TOPICS)}{why}')
     information = checked(contents.information, problems, str(path))
+    problems += [f'{path}: at its import: {text}' for text in
+                 information.get('imported', {}).get('problems', ())]
     problems += _wrong_stamps(series, str(path))
     problems += [f'{path}: {text}' for text in _missing_ends(series, contents.topics)]
     for problem in problems:

@@ -30,6 +30,16 @@ def _is_experiment(value: object) -> bool:
         is_number(value.get(name, 1.0)) for name in ('rate_hz', 'ticks'))
 
 
+def _is_import(value: object) -> bool:
+    return (isinstance(value, dict)
+            and _are(str, value.get('problems', []))
+            and _are(float, value.get('repeated_times_s', [])))
+
+
+def _are(kind: type, values: object) -> bool:
+    return isinstance(values, list) and all(isinstance(each, kind) for each in values)
+
+
 def _are_units(value: object) -> bool:
     names = {signal.name for signal in SIGNALS}
     return (isinstance(value, dict) and value.keys() <= names
@@ -39,7 +49,7 @@ def _are_units(value: object) -> bool:
 
 FORMS: Final[dict[str, Callable[[object], bool]]] = {
     'experiment': _is_experiment, 'actuator': _are_parameters, 'controller': _are_finite,
-    'versions': _is_mapping, 'imported': _is_mapping, 'signals': _are_units}
+    'versions': _is_mapping, 'imported': _is_import, 'signals': _are_units}
 
 
 def missing_ticks(information: Mapping[str, Any], samples: int) -> int:

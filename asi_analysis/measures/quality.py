@@ -69,6 +69,7 @@ def findings(run: Run) -> list[Finding]:
     whole = whole_run(run.time_s)
     found = [*_of_time(run.time_s)]
     found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
+    found += _of_import(run)
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
     known = of_controller(run)
@@ -192,6 +193,16 @@ def _of_time(time: Array) -> Iterator[Finding]:
         yield Finding('jitter', 'time', NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
                       f'{100.0 * jitter / period:.0f} % of a period early or late')
+
+
+def _of_import(run: Run) -> Iterator[Finding]:
+    """Yield a finding if samples were left out at the import, as their times were repeated."""
+    times = run.information.get('imported', {}).get('repeated_times_s', ())
+    lost = tuple((each, each) for each in times if run.time_s[0] <= each <= run.time_s[-1])
+    if lost:
+        yield Finding('missing', 'time', DOUBTFUL, lost,
+                      f'{len(lost)} samples had the time of the one before, but other values, '
+                      f'and were left out {place_of(lost)}: is the time rounded?')
 
 
 def _late(time: Array, period: float) -> npt.NDArray[np.bool_]:

@@ -27,7 +27,7 @@ from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run
-from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.errors import InputError, InputWarning, input_warnings
 
 LEAST_RATE_HZ: Final = 1e-6
 MOST_RATE_HZ: Final = 1e8
@@ -62,7 +62,20 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
     [0.0, 500.0, 1000.0]
     """
     paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
-    texts = list(mapping)
+    with input_warnings() as warned:
+        run = _imported(paths, list(mapping), rate_hz, skip_lines, delimiter, columns, zero_s,
+                        episode)
+    run = _with_problems(run, warned)
+    if out is not None:
+        write_bag(run, out)
+    return run
+
+
+def _imported(paths: list[Path], texts: list[str], rate_hz: float | None, skip_lines: int,
+              delimiter: str | None, columns: Sequence[str] | None, zero_s: float,
+              episode: int | None) -> Run:
+    """Return the run of `import_recording`; what it leaves out is told by warnings."""
+    exported = not texts and zero_s == 0.0
     if len(paths) > 1:
         if rate_hz is not None or any(is_bag(each) or is_dataset(each) for each in paths):
             raise InputError('several files are tables with a time each: import bags, datasets, '
@@ -73,11 +86,16 @@ def import_recording(path: str | Path | Sequence[str | Path], mapping: Sequence[
         texts, table = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns, episode)
         signals = _evaluated([parse_mapping(text) for text in texts], table, paths[0])
     run = _run(signals, texts, paths, rate_hz, zero_s)
-    if not mapping and zero_s == 0.0:
-        run = _with_exported(run, paths[0])
-    if out is not None:
-        write_bag(run, out)
-    return run
+    return _with_exported(run, paths[0]) if exported else run
+
+
+def _with_problems(run: Run, texts: Sequence[str]) -> Run:
+    """Return a run that keeps, also in its bag, the warnings of its import."""
+    problems = (*run.problems, *texts)
+    if not problems:
+        return run
+    imported = run.information['imported'] | {'problems': list(problems)}
+    return replace(run, information=run.information | {'imported': imported}, problems=problems)
 
 
 def _with_exported(run: Run, path: Path) -> Run:
@@ -95,13 +113,15 @@ def _with_exported(run: Run, path: Path) -> Run:
         problems.append(f'{path}: its metadata {INFORMATION} cannot be read, and is left out')
         found = {}
     found.pop('signals', None)      # the columns tell the units
-    information = checked(found, problems, str(path)) | run.information
+    earlier = checked(found, problems, str(path))
+    imported = earlier.get('imported', {}) | run.information['imported']
+    information = earlier | run.information | {'imported': imported}
     if count := missing_ticks(information, len(run)):
         problems.append(f'{path}: {count} of the {len(run) + count} samples of this run are not '
                         'in the file')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=3)
-    return replace(run, information=information, problems=tuple(problems))
+    return replace(run, information=information, problems=tuple(imported.get('problems', ())))
 
 
 def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,
@@ -115,10 +135,13 @@ def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | Non
     out: a folder for a bag of each joint. The rest is as of `import_recording`.
     """
     path = Path(path)
-    texts, table = _read(path, list(mapping), rate_hz, skip_lines, delimiter, columns, episode)
-    runs = {joint: _run(_evaluated([parse_mapping(text) for text in own], table, path), own,
-                        [path], rate_hz, zero_s)
-            for joint, own in joints_of(texts, table, path).items()}
+    with input_warnings() as warned:
+        texts, table = _read(path, list(mapping), rate_hz, skip_lines, delimiter, columns,
+                             episode)
+        runs = {joint: _run(_evaluated([parse_mapping(text) for text in own], table, path), own,
+                            [path], rate_hz, zero_s)
+                for joint, own in joints_of(texts, table, path).items()}
+    runs = {joint: _with_problems(run, warned) for joint, run in runs.items()}
     for joint, run in runs.items() if out is not None else ():
         write_bag(run, Path(str(out), folder_name(joint)))
     return runs
@@ -192,7 +215,7 @@ def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz:
     _check_reference(signals, texts, path)
     length = len(next(iter(signals.values()))[0])
     time_s = _time(signals.pop('time', None), length, rate_hz, path)
-    _check_rounding(time_s, [column for column, _ in signals.values()], path)
+    repeated = _repeated(time_s, [column for column, _ in signals.values()], path)
     valid = _usable(time_s, path)
     time_s = time_s[valid]
     units = {name: unit for name, (_, unit) in signals.items()}
@@ -200,6 +223,8 @@ def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz:
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
         'file': ', '.join(each.name for each in paths), 'mapping': texts, 'zero_s': zero_s}}
+    if len(repeated):
+        information['imported']['repeated_times_s'] = repeated.tolist()
     usual = {signal.name: signal.unit for signal in SIGNALS}
     unusual = {name: unit for name, unit in units.items() if unit != usual[name]}
     if unusual:
@@ -251,15 +276,21 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
     return mapped[0] - mapped[0][known[0]]
 
 
-def _check_rounding(time_s: Array, columns: Sequence[Array], path: Path) -> None:
-    """Raise InputError if many samples have the time of the one before, but other values."""
+def _repeated(time_s: Array, columns: Sequence[Array], path: Path) -> Array:
+    """
+    Return the times, s, of samples that have the time of the one before, but other values.
+
+    Raises InputError if these are many.
+    """
     changes = np.any([(column[1:] != column[:-1]) & np.isfinite(column[1:])
                       & np.isfinite(column[:-1]) for column in columns], axis=0)
-    rounded = int(np.sum((np.diff(time_s) == 0.0) & changes))
+    repeated = (np.diff(time_s) == 0.0) & changes
+    rounded = int(np.sum(repeated))
     if rounded > MOST_ROUNDED * len(time_s) and rounded > 1:
         raise InputError(f'{path}: {rounded} of {len(time_s)} samples have the time of the one '
                          'before, but other values: the time is rounded; leave it out of the '
                          'mapping and give the rate (--rate)')
+    return time_s[1:][repeated]
 
 
 def _usable(time_s: Array, path: Path) -> Mask:

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from asi_analysis import cli
-from asi_analysis.bags.bag import write_bag
+from asi_analysis.bags.bag import read_bag, write_bag
+from asi_analysis.bags.exchange.exporting import export
+from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputWarning
 from asi_analysis.loop.in_process import simulate
 
 # Of each command: its words, and the part of its answer that is not reliable.
@@ -64,3 +67,36 @@ def test_every_answer_and_report_says_what_is_wrong_with_the_samples(
     assert f'data: {clipped["text"]}' in said(monkeypatch, capsys, words)
     if report:
         assert f'data: {clipped["text"]}' in (tmp_path / 'report/report.html').read_text()
+
+
+def test_a_bag_keeps_what_its_import_left_out(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+        ) -> None:
+    """Of 1.3 kHz in whole ms a quarter has the time of the one before; the rest is even."""
+    t = np.arange(2600) / 1300.0
+    force = 80.0 * np.sin(2.0 * np.pi * 330.0 * t) + 0.1 * np.sin(37.0 * t)
+    text = ''.join(f'{round(1e3 * a)},{b}\n' for a, b in zip(t, force, strict=True))
+    (tmp_path / 'log.csv').write_text('t,f\n' + text)
+    with pytest.warns(InputWarning, match='are left out'):
+        run = import_recording(tmp_path / 'log.csv', ['time=t[ms]', 'force=f'],
+                               out=tmp_path / 'bag')
+    assert any('are left out' in each for each in run.problems)
+    with pytest.warns(InputWarning, match='at its import: .* are left out'):
+        assert len(read_bag(tmp_path / 'bag').problems) == 1
+    for command, name in (('analyze', 'oscillation'), ('limit-cycle', 'segments')):
+        answer = json.loads(said(monkeypatch, capsys, [command, str(tmp_path / 'bag'), '--json']))
+        kinds = {each['kind']: each['severity'] for each in answer['quality']}
+        assert kinds == {'missing': 'doubtful', 'reading': 'note'}
+        assert not (answer['reliable'][name] if command == 'analyze' else
+                    answer[name][-1]['reliable'])
+
+
+def test_a_parquet_file_hands_on_what_an_import_left_out(tmp_path: Path) -> None:
+    rows = '0,1.5\n0.001,2.5\n0.001,3.5\n0.002,2.0\n0.003,2.25\n'
+    (tmp_path / 'log.csv').write_text('t,f\n' + rows)
+    with pytest.warns(InputWarning, match='are left out'):
+        export(import_recording(tmp_path / 'log.csv', ['time=t', 'force=f']),
+               tmp_path / 'log.parquet')
+    imported = import_recording(tmp_path / 'log.parquet', []).information['imported']
+    assert imported['repeated_times_s'] == [0.001]
+    assert len(imported['problems']) == 1
