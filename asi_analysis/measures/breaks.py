@@ -28,7 +28,7 @@ CONTINUOUS: Final = 0.9
 FROZEN: Final = 4
 MOVING: Final = 0.1
 # A signal of few digits comes to rest: one whose least change is a larger share of its range, or
-# in changes of fewer times the least one.
+# in changes of fewer times the least one within LAGS.
 COARSE: Final = 1e-4
 QUANTA: Final = 5.0
 # A change of sign: largest error of the mirrored value, and largest change before and after the
@@ -180,7 +180,9 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     changes = np.abs(np.diff(values[begins]))
     if not len(changes) or changes.min() > COARSE * float(np.ptp(values)):
         return []
-    moving = changes > max(MOVING * float(np.median(changes)), QUANTA * float(changes.min()))
+    # Numbers of few digits have a finer resolution where they are small.
+    finest = ndimage.minimum_filter1d(changes, 2 * LAGS + 1)
+    moving = changes > np.maximum(MOVING * float(np.median(changes)), QUANTA * finest)
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
             for k in np.flatnonzero(lengths >= FROZEN) if moving[max(k - FROZEN, 0):k].any()
             and (moving[k:k + FROZEN].any() or k == len(changes))]

@@ -5,7 +5,7 @@ A linear digital controller computes each command from the samples of reference 
 signal that it has received, and from its own earlier commands: a linear difference equation, its
 control law. Where a recording holds these samples, the equation is exact to rounding errors,
 whatever the plant does and however large the noise is; a sample that was altered later violates
-it. A recording without such an equation (a nonlinear controller, a part of its samples, signals
+it. Of a file with numbers of few digits it is exact to these. A recording without such an equation (a nonlinear controller, a part of its samples, signals
 that are not synchronised) allows no conclusion.
 """
 
@@ -38,10 +38,14 @@ MOST_ALTERED: Final = 400           # samples in one break
 LEAST_MEMORY: Final = 3     # samples of a signal in an equation that can show altered ones
 NEARLY_ALL: Final = 0.9     # share of the samples that are compared
 MOST_LOST: Final = 2        # places with lost rows; with more, the controller is not linear
+# Least number of digits of a recording that is compared; digits beyond which none are counted.
+FEWEST_DIGITS: Final = 5
+MOST_DIGITS: Final = 12
 # Singular values below this share of the largest are rounding errors.
 RANK_TOLERANCE: Final = 1e-10
-# Largest share of a row outside the space of the fitted rows for which the fit is valid.
-DETERMINED: Final = 1e-6
+SHARE: Final = 0.3      # of the rounding error of a number of few digits: its standard deviation
+# Digits of a limit, such as a saturation; a recording has two more.
+LIMIT_DIGITS: Final = 6
 # Factors of a wrong sign or unit of force: N in mN, kN, lbf, kgf; feed-forwards of the reference
 # that controllers have; rows with which each is tried.
 FACTORS: Final = (1.0, -1.0, 1e3, 1e-3, 4.4482216, 1.0 / 4.4482216, 9.80665, 1.0 / 9.80665)
@@ -104,12 +108,18 @@ class _Rows(NamedTuple):
     known: Array                    # n x columns: earlier commands, references, signals
     command: Array
     order: int                      # earlier samples of each signal
+    rounding: float                 # of the recorded numbers, as a share of the largest
+
+    def exact(self) -> float:
+        """Return the largest residual of an exact equation, in the unit of the command."""
+        return max(EXACT, self.rounding) * float(np.ptp(self.command))
 
     def of_order(self, order: int) -> '_Rows':
         """Return the rows for an equation of a lower order."""
         commands, references, signals = self.groups()
         return _Rows(self.samples, np.hstack([commands[:, :order], references[:, :order + 1],
-                                              signals[:, :order + 1]]), self.command, order)
+                                              signals[:, :order + 1]]), self.command, order,
+                     self.rounding)
 
     def groups(self) -> list[Array]:
         """Return the columns of the earlier commands, of the references and of the signals."""
@@ -125,13 +135,15 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
     span = float(np.ptp(rows.command))
     if not span > 0.0:
         return None
-    valid = _satisfied(rows, span)
+    valid = _satisfied(rows)
     if valid is None:
         return None
-    rows, factors = _lowest_order(rows, valid, span)
-    space = _Space(rows.known[valid])
-    residual = np.where(space.holds(rows.known), rows.command - rows.known @ factors, 0.0)
-    known = space.holds(np.eye(len(factors)))
+    rows, factors = _lowest_order(rows, valid)
+    space = _Space(rows, valid, factors)
+    compared = space.error(rows.known) < 10.0 * rows.exact()
+    residual = np.where(compared, rows.command - rows.known @ factors, 0.0)
+    effects = np.abs(factors) * space.scale
+    known = space.error(np.diag(space.scale)) < BREAK * effects.max()
     direct = [float(factors[k]) if known[k] else np.nan for k in (rows.order, 2 * rows.order + 1)]
     if not abs(direct[1]) * float(np.nanstd(signal)) > LEAST_FEEDBACK * span:
         direct = [np.nan, np.nan]
@@ -144,8 +156,8 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
         breaks = [each for each in breaks if each not in _lost(breaks)]
     return ControlLaw(direct[0], direct[1], factor, tuple(breaks),
                       bool(np.abs(residual).max() < BREAK * span),
-                      bool(np.abs(residual).max() < 10.0 * EXACT * span),
-                      len(rows.samples) > NEARLY_ALL * len(time), has_memory)
+                      bool(np.abs(residual).max() < 10.0 * rows.exact()),
+                      int(compared.sum()) > NEARLY_ALL * len(time), has_memory)
 
 
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
@@ -164,10 +176,8 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
     part = slice(begin, begin + LEAST_ROWS + 4 * ORDER)
     for name, values in (('signal', signal), ('reference', reference)):
         other = np.diff(np.nan_to_num(values), 2, prepend=[0.0, 0.0])
-        size = 2 ** int(np.ceil(np.log2(2 * len(change))))
-        product = np.fft.irfft(np.fft.rfft(other, size) * np.conj(np.fft.rfft(change, size)))
-        likely = np.argsort(-np.abs(product[1:most]))[:DELAYS_TRIED] + 1
-        for lag in (*likely, *range(1, min(ORDER, most) + 1)):
+        for lag in dict.fromkeys((*_likely_delays(change, other, most),
+                                  *range(1, min(ORDER, most) + 1))):
             moved = np.append(values[lag:], np.full(lag, np.nan))
             pair = (reference, moved) if name == 'signal' else (moved, signal)
             first = control_law(time[part], command[part], *(each[part] for each in pair))
@@ -183,12 +193,25 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
     return '', 0
 
 
+def _likely_delays(change: Array, other: Array, most: int) -> list[int]:
+    """Return the delays of `other`, in samples below `most`, with the largest correlation."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(change))))
+    found: list[int] = []
+    # Of the values, as of steps, and of their signs, as of the noise beside steps.
+    for a, b in ((change, other), (np.sign(change), np.sign(other))):
+        product = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)))
+        found += (np.argsort(-np.abs(product[1:most]))[:DELAYS_TRIED] + 1).tolist()
+    return found
+
+
 def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows:
     """Return the rows without missing samples, and without a limited or held command."""
     count = len(time)
     free = np.isfinite(command)
+    rounding = max(_rounding(command), _rounding(signal))
+    digits = round(min(LIMIT_DIGITS, -np.log10(rounding) - 1.0)) if rounding else LIMIT_DIGITS
     for extreme in (np.nanmax(command), np.nanmin(command)) if free.any() else ():
-        if float(f'{extreme:.6g}') == extreme:      # a round number: a limit
+        if float(f'{extreme:.{digits}g}') == extreme:      # a round number: a limit
             free &= command != extreme
     free[1:] &= command[1:] != command[:-1]
     free[:-1] &= command[1:] != command[:-1]
@@ -205,7 +228,23 @@ def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows
     columns = [command[samples - lag] for lag in range(1, ORDER + 1)]
     columns += [values[samples - lag] for values in (reference, signal)
                 for lag in range(ORDER + 1)]
-    return _Rows(samples, np.stack(columns, axis=1), command[samples], ORDER)
+    return _Rows(samples, np.stack(columns, axis=1), command[samples], ORDER, rounding)
+
+
+def _rounding(values: Array) -> float:
+    """
+    Return the rounding error of a number with as many digits as n samples have, as a share of it.
+
+    0 for few digits: those of a sensor, which the controller had too.
+    """
+    known = values[np.isfinite(values) & (values != 0.0)]
+    known = known[::1 + len(known) // MOST_FITTED]
+    exponents = np.floor(np.log10(np.abs(known)))
+    for digits in range(1, MOST_DIGITS):
+        scaled = known * 10.0 ** (digits - 1 - exponents)
+        if (np.abs(scaled - np.round(scaled)) < 1e-3).all():
+            return float(10.0 ** (1 - digits)) if digits >= FEWEST_DIGITS else 0.0
+    return 0.0
 
 
 def _sizes(known: Array) -> Array:
@@ -220,7 +259,7 @@ def _fit(known: Array, command: Array) -> Array:
     return np.asarray(np.linalg.lstsq(known / scale, command, rcond=RANK_TOLERANCE)[0] / scale)
 
 
-def _satisfied(rows: _Rows, span: float) -> Mask | None:
+def _satisfied(rows: _Rows) -> Mask | None:
     """Return which rows satisfy the equation that most rows satisfy; None if these are too few."""
     step = 1 + len(rows.samples) // MOST_FITTED
     known, command = rows.known[::step], rows.command[::step]
@@ -233,7 +272,7 @@ def _satisfied(rows: _Rows, span: float) -> Mask | None:
         valid[begin] = True
         for _ in range(REFITS):
             factors = _fit(known[valid], command[valid])
-            now = np.abs(command - known @ factors) < EXACT * span
+            now = np.abs(command - known @ factors) < rows.exact()
             if now.sum() <= 4 * ORDER or (now == valid).all():
                 break
             valid = now
@@ -245,10 +284,10 @@ def _satisfied(rows: _Rows, span: float) -> Mask | None:
         return None
     factors = _fit(known[best], command[best])
     residual = np.abs(rows.command - rows.known @ factors)
-    return _with_rare_events(rows, residual < EXACT * span, span)
+    return _with_rare_events(rows, residual < rows.exact())
 
 
-def _with_rare_events(rows: _Rows, valid: Mask, span: float) -> Mask:
+def _with_rare_events(rows: _Rows, valid: Mask) -> Mask:
     """Return the rows with those that only a refit with them satisfies, as of the only step."""
     others = np.flatnonzero(~valid)
     groups = np.split(others, np.flatnonzero(np.diff(others) > 1) + 1)
@@ -257,19 +296,19 @@ def _with_rare_events(rows: _Rows, valid: Mask, span: float) -> Mask:
         both[group] = True
         chosen = np.union1d(group, np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED])
         factors = _fit(rows.known[chosen], rows.command[chosen])
-        if np.abs(rows.command[both] - rows.known[both] @ factors).max() < EXACT * span:
+        if np.abs(rows.command[both] - rows.known[both] @ factors).max() < rows.exact():
             valid = both
     return valid
 
 
-def _lowest_order(rows: _Rows, valid: Mask, span: float) -> tuple[_Rows, Array]:
+def _lowest_order(rows: _Rows, valid: Mask) -> tuple[_Rows, Array]:
     """Return the rows for the lowest order with an exact equation, and its coefficients."""
     chosen = np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED]
     for order in range(ORDER + 1):
         shorter = rows.of_order(order)
         factors = _fit(shorter.known[chosen], rows.command[chosen])
         error = np.abs(rows.command[valid] - shorter.known[valid] @ factors)
-        if error.max() < EXACT * span:
+        if error.max() < rows.exact():
             break
     return shorter, factors
 
@@ -277,17 +316,17 @@ def _lowest_order(rows: _Rows, valid: Mask, span: float) -> tuple[_Rows, Array]:
 class _Space:
     """The space spanned by the rows of a fit: outside it the fit determines no command."""
 
-    def __init__(self, known: Array) -> None:
-        self.scale = _sizes(known)
-        _, values, vectors = np.linalg.svd(known / self.scale, full_matrices=False)
-        self.vectors = vectors[values > RANK_TOLERANCE * values[0]]
+    def __init__(self, rows: _Rows, valid: Mask, factors: Array) -> None:
+        self.scale = _sizes(rows.known[valid])
+        _, values, vectors = np.linalg.svd(rows.known[valid] / self.scale, full_matrices=False)
+        self.vectors = vectors[values > max(RANK_TOLERANCE, SHARE * rows.rounding) * values[0]]
+        self.largest = float(np.linalg.norm(factors * self.scale))
 
-    def holds(self, rows: Array) -> Mask:
-        """Return for which rows the fit determines the command."""
+    def error(self, rows: Array) -> Array:
+        """Return the largest error of the command of each row: by its part outside the space."""
         rows = rows / self.scale
         outside = rows - (rows @ self.vectors.T) @ self.vectors
-        return np.asarray(np.linalg.norm(outside, axis=1)
-                          <= DETERMINED * np.linalg.norm(rows, axis=1))
+        return np.asarray(self.largest * np.linalg.norm(outside, axis=1))
 
 
 def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
@@ -304,7 +343,7 @@ def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
         for factor in FACTORS:
             table = np.hstack([before, references - signals / factor])
             error = beyond - table @ _fit(table, beyond)
-            if np.abs(error).max() < EXACT * span:
+            if np.abs(error).max() < rows.exact():
                 possible.append(factor)
             if factor == 1.0:
                 as_recorded = min(as_recorded, float(np.abs(error).max()))
@@ -322,7 +361,8 @@ def _same_static_gain(rows: _Rows, factors: Array, space: _Space) -> bool:
     _, references, own = np.split(factors, [rows.order, 2 * rows.order + 1])
     both = np.append(np.zeros(rows.order), np.ones(2 * rows.order + 2))
     alone = both * np.append(np.zeros(2 * rows.order + 1), np.ones(rows.order + 1))
-    return bool(space.holds(np.stack([both, alone])).all() and own.sum() < 0.0 and abs(
+    sure = space.error(np.stack([both, alone])).max() < BREAK * abs(own.sum())
+    return bool(sure and own.sum() < 0.0 and abs(
         references.sum() + own.sum()) < BREAK * abs(own.sum()))
 
 
@@ -338,7 +378,8 @@ def _scale(rows: _Rows, valid: Mask, span: float, factors: Array, known: Mask) -
         return None
     earlier, references, signals = (each[valid] for each in rows.groups())
     excited = np.hstack([earlier, signals])
-    if np.linalg.cond(excited / _sizes(excited)) > SAMPLES_CONDITION:
+    if np.linalg.cond(excited / _sizes(excited)) > min(
+            SAMPLES_CONDITION, 1.0 / max(rows.rounding, RANK_TOLERANCE)):
         return None
     beyond = rows.command[valid] - earlier @ before - signals @ own
     table = np.stack([-references @ own, references @ np.append(1.0, -before)], axis=1)
@@ -346,7 +387,7 @@ def _scale(rows: _Rows, valid: Mask, span: float, factors: Array, known: Mask) -
     if not sizes.all() or np.linalg.cond(table / sizes) > CONDITION:
         return None
     found = np.linalg.lstsq(table / sizes, beyond, rcond=None)[0] / sizes
-    if np.abs(beyond - table @ found).max() > EXACT * span or not found[0] > 0.0:
+    if np.abs(beyond - table @ found).max() > rows.exact() or not found[0] > 0.0:
         return None
     if abs(found[0] - 1.0) < BREAK:
         return 1.0
@@ -370,7 +411,7 @@ def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, has_memor
 
     has_memory: whether the command depends on earlier samples.
     """
-    broken = np.flatnonzero(np.abs(residual) > 10.0 * EXACT * span)
+    broken = np.flatnonzero(np.abs(residual) > 10.0 * rows.exact())
     if not len(broken):
         return []
     groups = np.split(broken, np.flatnonzero(np.diff(broken) > LEAST_DISTANCE) + 1)
@@ -385,8 +426,8 @@ def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, has_memor
         # Otherwise rows are missing within or just after the part.
         inside = samples[-1] - samples[0] < len(samples) and part.stop <= len(
             rows.samples) - LEAST_DISTANCE
-        factor, offset = _altered(rows, part, rest, of_signal, span)
-        lost = 0 < len(rest) == rows.order and np.abs(rest).min() > 10.0 * EXACT * span
+        factor, offset = _altered(rows, part, rest, of_signal)
+        lost = 0 < len(rest) == rows.order and np.abs(rest).min() > 10.0 * rows.exact()
         if factor is not None or inside and has_memory and (lost or _explained(rest, of_signal)
                                              or _explained(rest, of_reference)):
             found.append(Break(int(samples[0]), int(samples[-1]), factor, offset, bool(lost)))
@@ -397,7 +438,7 @@ def _lost(breaks: list[Break]) -> list[Break]:
     return [each for each in breaks if each.lost]
 
 
-def _altered(rows: _Rows, part: slice, residual: Array, own: Array, span: float
+def _altered(rows: _Rows, part: slice, residual: Array, own: Array
              ) -> tuple[float | None, float | None]:
     """Return the factor and offset of the signal that explain the residuals; None without one."""
     answered = rows.groups()[2][part] @ own
@@ -406,7 +447,7 @@ def _altered(rows: _Rows, part: slice, residual: Array, own: Array, span: float
     if len(answered) < 6 * ORDER:
         return None, None
     found = np.linalg.lstsq(table[rest], residual[rest], rcond=RANK_TOLERANCE)[0]
-    if np.abs(residual[rest] - table[rest] @ found).max() > 10.0 * EXACT * span:
+    if np.abs(residual[rest] - table[rest] @ found).max() > 10.0 * rows.exact():
         return None, None
     factor, offset = 1.0 + float(found[0]), float(found[1])
     references = rows.groups()[1][part, 0]

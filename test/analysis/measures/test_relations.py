@@ -27,10 +27,10 @@ NOISY = {'force_sensor.noise': 0.5}
 
 
 def a_loop(shape: str = 'step', load: str = 'spring', rate_hz: float = RATE_HZ,
-           **controller: float) -> Run:
-    """Return a run of one second with noise, of a loop with lead4."""
+           compensator: str = 'lead4', **controller: float) -> Run:
+    """Return a run of one second with noise."""
     return Run(*simulate_loop(
-        {'load.type': load, **NOISY}, {'compensator': 'lead4', 'reference.shape': shape,
+        {'load.type': load, **NOISY}, {'compensator': compensator, 'reference.shape': shape,
                                        'reference.amplitude': 100.0, **controller}, 1.0, rate_hz))
 
 
@@ -46,6 +46,14 @@ def of_rows(run: Run, rows: np.ndarray, time_s: np.ndarray | None = None) -> Run
         if signal.name in run.signals()})
 
 
+def with_digits(run: Run, digits: int) -> Run:
+    """Return a run as of a text file with numbers of so many digits."""
+    def rounded(values: np.ndarray) -> np.ndarray:
+        return np.array([float(f'{value:.{digits}g}') for value in values])
+    return replace(run, **{signal.field: rounded(run.signal(signal.name)) for signal in SIGNALS
+                           if signal.name in run.signals()})
+
+
 def late(values: np.ndarray, samples: int) -> np.ndarray:
     return np.concatenate([np.full(samples, values[0]), values[:-samples]])
 
@@ -56,6 +64,8 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
     'in lbf': ('unit', lambda run: with_force(run, lambda f: f / 4.4482216)),
     'other sign': ('sign', lambda run: with_force(run, lambda f: -f)),
     'late': ('order', lambda run: with_force(run, lambda f: late(f, 5))),
+    'late by more than its reaction': ('order', lambda run: with_force(
+        run, lambda f: late(f, 20))),
     'a little late': ('order', lambda run: with_force(run, lambda f: np.roll(f, 1))),
     'copied': ('copy', lambda run: replace(run, force_n=run.signal('reference').copy())),
     'equal to the command': ('copy', lambda run: with_force(
@@ -79,13 +89,17 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
 }
 
 
+@pytest.mark.parametrize(('compensator', 'digits'), [('lead4', 17), ('lead_lag', 6)])
 @pytest.mark.parametrize('how', ALTERED)
-def test_samples_that_do_not_belong_together_are_found(how: str) -> None:
+def test_samples_that_do_not_belong_together_are_found(
+        how: str, compensator: str, digits: int) -> None:
     kind, alter = ALTERED[how]
-    run = a_loop()
-    assert findings(run) == []
-    altered = analyze(alter(run))
-    assert kind in {each['kind'] for each in altered['quality']}
+    run = a_loop(compensator=compensator)
+    assert findings(with_digits(run, digits)) == []
+    altered = analyze(with_digits(alter(run), digits))
+    # Of few digits a sign that is lost before the only step is told by the jump of the force.
+    assert {kind, *(['jump'] if digits < 17 else [])} & {
+        each['kind'] for each in altered['quality']}
     assert altered.rise_time_s is None or kind == 'answer' and altered['reliable']['rise_time_s']
 
 
@@ -180,6 +194,16 @@ def test_another_scale_from_there(change: Callable[[np.ndarray], np.ndarray]) ->
 def test_clean_runs_have_no_findings(shape: str, load: str) -> None:
     assert findings(a_loop(shape, load)) == []
     assert findings(a_loop(shape, load, 5000.0, gain=1.0)[::5]) == []
+
+
+@pytest.mark.parametrize('digits', [5, 6, 7])
+@pytest.mark.parametrize('load', ['locked', 'spring'])
+def test_clean_runs_of_few_digits_have_no_findings(load: str, digits: int) -> None:
+    """Also one without noise, which settles to its last digit; it was called frozen."""
+    quiet = Run(*simulate_loop({'load.type': load}, {
+        'compensator': 'lead2', 'reference.amplitude': 100.0}, 1.0, RATE_HZ))
+    for run in (quiet, a_loop('multisine', load)):
+        assert findings(with_digits(run, digits)) == []
 
 
 def test_the_velocity_of_a_constant_motion_is_not_quantised() -> None:
