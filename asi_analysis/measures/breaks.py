@@ -31,6 +31,11 @@ MOVING: Final = 0.1
 # in changes of fewer times the least one within LAGS.
 COARSE: Final = 1e-4
 QUANTA: Final = 5.0
+# A straight line: least number of samples without a bend; largest bend that counts as none, as a
+# share of the usual one.
+ON_A_LINE: Final = 8
+STRAIGHT: Final = 0.03
+OFTEN: Final = 0.1      # share of other samples without a bend, from which on these are usual
 # A change of sign: largest error of the mirrored value, and largest change before and after the
 # jump, as a share of the jump.
 MIRRORED: Final = 0.4
@@ -186,6 +191,31 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
             for k in np.flatnonzero(lengths >= FROZEN) if moving[max(k - FROZEN, 0):k].any()
             and (moving[k:k + FROZEN].any() or k == len(changes))]
+
+
+def straight(values: Array) -> list[tuple[int, int]]:
+    """
+    Return the first and last sample of parts, out of n samples, on a straight line within noise.
+
+    Only in a signal with noise, whose bend changes its sign from sample to sample.
+    """
+    bend = np.diff(values, 2)
+    if len(values) < FEWEST or not is_noisy(values):
+        return []
+    on_line = np.abs(bend) < STRAIGHT * float(np.median(np.abs(bend)))
+    edges = np.flatnonzero(np.diff(on_line.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    long = edges[np.diff(edges)[:, 0] >= ON_A_LINE]
+    # Where others have no bend either, that is the resolution; at the begin it may be off.
+    if on_line.sum() - np.diff(long).sum() > OFTEN * len(bend):
+        return []
+    return [(int(first), int(end) + 1) for first, end in long
+            if first > 0 and values[first] != values[end + 1]]
+
+
+def is_noisy(values: Array) -> bool:
+    """Return whether the bend of n samples, at least 4, mostly changes its sign at the next."""
+    bend = np.diff(values, 2)
+    return bool(np.mean(bend[1:] * bend[:-1] < 0.0) > 0.5)
 
 
 def _begun(inputs: Array, values: Array) -> Mask:

@@ -5,8 +5,9 @@ A linear digital controller computes each command from the samples of reference 
 signal that it has received, and from its own earlier commands: a linear difference equation, its
 control law. Where a recording holds these samples, the equation is exact to rounding errors,
 whatever the plant does and however large the noise is; a sample that was altered later violates
-it. Of a file with numbers of few digits it is exact to these. A recording without such an equation (a nonlinear controller, a part of its samples, signals
-that are not synchronised) allows no conclusion.
+it. Of a file with numbers of few digits it is exact to these. A recording without such an equation
+(a nonlinear controller, a part of its samples, signals that are not synchronised) allows no
+conclusion.
 """
 
 from typing import Final, NamedTuple
@@ -37,6 +38,7 @@ MOST_BREAKS: Final = 20             # with more, the controller is not linear
 MOST_ALTERED: Final = 400           # samples in one break
 LEAST_MEMORY: Final = 3     # samples of a signal in an equation that can show altered ones
 NEARLY_ALL: Final = 0.9     # share of the samples that are compared
+LARGEST_POLE: Final = 1.01  # of a stable equation, an integrator's pole with its error
 MOST_LOST: Final = 2        # places with lost rows; with more, the controller is not linear
 # Least number of digits of a recording that is compared; digits beyond which none are counted.
 FEWEST_DIGITS: Final = 5
@@ -91,6 +93,9 @@ class ControlLaw(NamedTuple):
     exact: bool         # all compared samples satisfy it to rounding errors
     of_all: bool        # nearly all samples of the recording were compared
     has_memory: bool
+    # Whether the equation is stable, None if that is unknown. Of samples in the reverse order it
+    # is not.
+    is_stable: bool | None
 
     def of_servo(self) -> 'ControlLaw':
         """Return what it says if the derivative of the signal may have been another input."""
@@ -157,7 +162,8 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
     return ControlLaw(direct[0], direct[1], factor, tuple(breaks),
                       bool(np.abs(residual).max() < BREAK * span),
                       bool(np.abs(residual).max() < 10.0 * rows.exact()),
-                      int(compared.sum()) > NEARLY_ALL * len(time), has_memory)
+                      int(compared.sum()) > NEARLY_ALL * len(time), has_memory,
+                      _is_stable(factors[:rows.order]) if known[:rows.order].all() else None)
 
 
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
@@ -402,6 +408,13 @@ def _has_memory(rows: _Rows, valid: Mask, span: float) -> bool:
     factors = _fit(shorter.known[chosen], rows.command[chosen])
     error = np.abs(rows.command[valid] - shorter.known[valid] @ factors)
     return bool(error.max() > BREAK * span)
+
+
+def _is_stable(earlier: Array) -> bool | None:
+    """Return whether an equation with these factors of earlier commands is stable."""
+    if not len(earlier):
+        return None
+    return bool(np.abs(np.roots([1.0, *-earlier])).max(initial=0.0) < LARGEST_POLE)
 
 
 def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, has_memory: bool

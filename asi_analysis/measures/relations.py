@@ -15,9 +15,10 @@ from scipy import ndimage
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
-from asi_analysis.measures.breaks import frozen, jumps, spikes
+from asi_analysis.measures.breaks import frozen, jumps, spikes, straight
+from asi_analysis.measures.causality import CLEARLY, SOON, of_exchange, of_order
 from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
-from asi_analysis.measures.correlation import correlation_delay, largest_correlation
+from asi_analysis.measures.correlation import largest_correlation
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -37,14 +38,6 @@ SAME_SIZE: Final = 0.3
 CORRELATED: Final = 0.7
 # The same ratio to a command of the same unit.
 COMMAND_FACTOR: Final = 30.0
-# Least lead (samples) of an output over its reference that counts; the correlation without the
-# shift must be below the share CLEARLY of that with it.
-EARLY_SAMPLES: Final = 3
-CLEARLY: Final = 0.8
-# Largest lead of an output, and longest delay of one of the wrong sign, as a share of the run.
-SOON: Final = 0.1
-# Largest share of its change that an output may complete before the reference changes.
-BEFORE: Final = 0.3
 # Ratio of the position to the integral of the velocity above which a unit is wrong; least
 # correlation of the two; the same for another signal than the velocity; largest change of the
 # velocity in a period (rms, as a share of it) for an integral.
@@ -72,12 +65,13 @@ FAR: Final = 30.0       # distance from the reference, in ranges of both, that i
 STEADY_ERROR: Final = 0.1   # of a loop that has settled, as a share of the reference
 FEWEST_CHANGES: Final = 4   # of a measured signal that follows a reference
 BROKEN: Final = {'jump': 'jumps from one sample to the next',
+                 'interpolated': 'is on a straight line, without its noise,',
                  'frozen': 'is constant while it should move'}
 # Signals whose derivative a controller has too, of a sensor of its own: a command that does not
 # follow from the recorded samples of these shows nothing.
 DIFFERENTIATED: Final = ('position', 'velocity')
 # Findings that concern the whole run, after which it is not compared further.
-WHOLE: Final = frozenset(('unit', 'sign', 'order'))
+WHOLE: Final = frozenset(('unit', 'sign', 'order', 'time_order'))
 
 
 def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
@@ -115,6 +109,8 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     by_command = (_ByCommand([], True, True, True, True) if as_recorded else
                   _of_command(run, name, ratio, _correlation(reference, values)))
     yield from by_command.findings
+    yield from _of_command_unit(run, name, ratio, both)
+    yield from of_exchange(run, name)
     if any(each.kind in WHOLE for each in by_command.findings):
         return
     if strange and not by_command.same_unit:
@@ -136,7 +132,7 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         if each.kind != 'jump' or not by_command.same_samples:
             yield each
     if not by_command.same_time:
-        yield from _of_order(run, name, time, reference, values)
+        yield from of_order(run, name, time, reference, values)
 
 
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
@@ -183,6 +179,8 @@ def _ratio(run: Run, reference: Array, values: Array, both: npt.NDArray[np.bool_
     ratio = output_sd / reference_sd if reference_sd > 0.0 and output_sd > 0.0 else 1.0
     if 1.0 / UNIT_FACTOR < ratio < UNIT_FACTOR:
         return ratio, False
+    if ratio < UNIT_FACTOR ** -3:
+        return ratio, True
     strange = ratio > UNIT_FACTOR ** 2 or abs(_correlation(reference, values)) > CORRELATED
     if not strange and run.command_n is not None and run.unit('command') == run.unit('reference'):
         strange = output_sd > COMMAND_FACTOR * float(np.nanstd(run.command_n[both]))
@@ -197,7 +195,8 @@ def _of_continuity(name: str, time: Array, reference: Array, values: Array
     """Yield the findings on jumps and frozen samples of a signal, apart from its spikes."""
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
-    for kind, parts in (('jump', jumps(time, reference, values)), ('frozen', frozen(values))):
+    for kind, parts in (('jump', jumps(time, reference, values)), ('frozen', frozen(values)),
+                        ('interpolated', straight(values))):
         if parts:
             yield _of_parts(kind, name, time, parts)
 
@@ -209,63 +208,18 @@ def _of_parts(kind: str, name: str, time: Array, parts: list[tuple[int, int]]) -
                    f'the {name_of(name)} {BROKEN[kind]} {place_of(where)}')
 
 
-def _of_order(run: Run, name: str, time: Array, reference: Array, values: Array
-              ) -> Iterator[Finding]:
-    """Yield a finding if a signal comes before its reference."""
-    if early := _answered_before(time, reference, values):
-        yield Finding('order', name, DOUBTFUL, early,
-                      f'the {name_of(name)} changes before its reference does {place_of(early)}: '
-                      'they are not synchronised')
-    elif lead := _lead(reference, values):
-        yield Finding('order', name, DOUBTFUL, whole_run(time),
-                      f'the {name_of(name)} fits its reference best if it is '
-                      f'{1e3 * lead * run.period_s:.4g} ms later: they are not synchronised')
-
-
-def _lead(reference: Array, values: Array) -> int:
-    """Return the lead (samples) of a signal over its reference, 0 if there is no clear one."""
-    lag = correlation_delay(reference, values, 1.0)
-    lead = 0 if lag is None else round(-lag)
-    if not EARLY_SAMPLES <= lead < SOON * len(values):
-        return 0
-    now = np.corrcoef(reference, values)[0, 1]
-    shifted = np.corrcoef(reference[lead:], values[:-lead])[0, 1]
-    return lead if now < CLEARLY * shifted else 0
-
-
-def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
-    """Return intervals from a response to the later jump of the reference that causes it."""
-    changes = np.abs(np.diff(reference))
-    jumps = np.flatnonzero(changes > 0.2 * max(float(np.ptp(reference)), 1e-300))
-    if not 0 < len(jumps) <= 20:
-        return ()
-    edges = [0, *(int(jump) + 1 for jump in jumps), len(time)]
-    found = []
-    for begin, jump, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
-        if min(jump - begin, end - jump) < 20:
-            continue
-        before = values[begin:begin + max(1, (jump - begin) // 2)]
-        after = values[jump + (end - jump) // 2:end]
-        low, high = float(np.median(before)), float(np.median(after))
-        change = high - low
-        spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
-        share = (values[jump - 1] - low) / change if change else 0.0
-        if _there_before(reference, values, begin, jump, end):
-            found.append((float(time[begin]), float(time[jump])))
-        elif abs(change) > 3.0 * spread and share > BEFORE:
-            first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
-            found.append((float(time[first]), float(time[jump])))
-    return tuple(found)
-
-
-def _there_before(reference: Array, values: Array, begin: int, jump: int, end: int) -> bool:
-    """Return whether a signal has settled at the new reference before the jump to it."""
-    old, new = float(reference[jump - 1]), float(reference[jump])
-    share = (values[begin:end] - old) / (new - old)
-    until = jump - begin
-    low, high = np.quantile(share[until // 2:until], [0.05, 0.95])
-    return bool(np.median(share[:5]) < BEFORE and low > 1.0 - BEFORE and high < 1.0 + BEFORE
-                and abs(np.median(share[until:]) - 1.0) < BEFORE)
+def _of_command_unit(run: Run, name: str, moved: float, both: npt.NDArray[np.bool_]
+                     ) -> Iterator[Finding]:
+    """Yield a finding if a signal moves as far as its reference (by `moved`), not its command."""
+    if run.command_n is None or run.unit('command') != run.unit(name) or not (
+            SAME_SIZE < moved < 1.0 / SAME_SIZE):
+        return
+    command = run.command_n[both & np.isfinite(run.command_n)]
+    if len(command) and 0.0 < UNIT_FACTOR * float(np.std(command)) < float(
+            np.std(run.signal(name)[both])):
+        yield Finding('unit', 'command', DOUBTFUL, whole_run(run.time_s),
+                      f'the {name_of(name)} moves more than {UNIT_FACTOR:g} times as far as its '
+                      'command: is the unit of the command right?')
 
 
 class _ByCommand(NamedTuple):
@@ -289,6 +243,10 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     time, signals = run.time_s, (run.command_n, run.reference_n, run.signal(name))
     whole, words = whole_run(time), name_of(name)
     found = control_law(time, *signals)
+    if found is not None and found.exact and found.is_stable is False:
+        return _ByCommand([Finding(
+            'time_order', 'time', DOUBTFUL, whole,
+            'each command follows from later samples: the recording runs backwards')])
     if found is None or not found.everywhere:
         if found_late := list(_of_delay(run, name)):
             return _ByCommand(found_late)
@@ -313,7 +271,7 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
     return _ByCommand(problems, usual or found.factor == 1.0,
                       found.everywhere and found.signal < 0.0 and not found.reference < 0.0,
                       # It responds to the sample of the same time; later ones any signal may fit.
-                      found.everywhere and not np.isnan(found.signal),
+                      found.everywhere and not np.isnan(found.signal) and bool(found.is_stable),
                       found.everywhere and found.of_all and found.has_memory)
 
 

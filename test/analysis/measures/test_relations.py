@@ -103,6 +103,36 @@ def test_samples_that_do_not_belong_together_are_found(
     assert altered.rise_time_s is None or kind == 'answer' and altered['reliable']['rise_time_s']
 
 
+# What a recording shows without position and velocity.
+BY_CAUSE: dict[str, tuple[str, Callable[[Run], Run]]] = {
+    'backwards': ('time_order', lambda run: of_rows(run, np.arange(1000)[::-1])),
+    'force and command exchanged': ('order', lambda run: replace(
+        run, force_n=run.signal('command'), command_n=run.signal('force'))),
+    'reference and command exchanged': ('order', lambda run: replace(
+        run, reference_n=run.signal('command'), command_n=run.signal('reference'))),
+    'force and valve position exchanged': ('unit', lambda run: replace(
+        run, force_n=run.signal('valve_position'), valve_position_m=run.signal('force'))),
+    'command in kN': ('unit', lambda run: replace(run, command_n=1e-3 * run.signal('command'))),
+    'interpolated': ('interpolated', lambda run: replace(run, command_n=None, force_n=put(
+        run.signal('force'), slice(60, 90), np.linspace(*run.signal('force')[[60, 89]], 30)))),
+}
+
+
+@pytest.mark.parametrize('digits', [17, 6])
+@pytest.mark.parametrize('how', BY_CAUSE)
+def test_cause_and_effect_and_noise_tell_what_was_altered(how: str, digits: int) -> None:
+    kind, alter = BY_CAUSE[how]
+    run = replace(a_loop(compensator='lead_lag'), position_m=None, velocity_m_s=None)
+    found = findings(with_digits(alter(run), digits))
+    assert {kind, *(['order'] if digits < 17 else [])} & {each.kind for each in found}
+
+
+def test_a_proportional_loop_that_runs_backwards_responds_before_its_step() -> None:
+    run = replace(a_loop(compensator='proportional'), position_m=None, velocity_m_s=None)
+    assert findings(run) == []
+    assert 'order' in [each.kind for each in findings(of_rows(run, np.arange(1000)[::-1]))]
+
+
 def test_every_second_row_is_lost_from_there() -> None:
     """The time of those rows is made up: half of that which they took."""
     run = a_loop('multisine', 'free')
@@ -315,7 +345,8 @@ def test_a_command_that_its_controller_does_not_compute_is_found(
     again = recomputed(run)
     assert again is not None and (again == run.signal('command')).all()
     document = analyze(REPLACED[how](run))
-    assert {each['kind'] for each in document['quality']} & {'answer', 'unit', 'clipping', 'sign'}
+    assert {each['kind'] for each in document['quality']} & {
+        'answer', 'unit', 'clipping', 'sign', 'order'}
     assert document.rise_time_s is None
 
 
