@@ -35,7 +35,7 @@ QUANTA: Final = 5.0
 # share of the usual one.
 ON_A_LINE: Final = 8
 STRAIGHT: Final = 0.03
-OFTEN: Final = 0.1      # share of other samples without a bend, from which on these are usual
+OFTEN: Final = 0.1      # share of other samples without a bend, or least bend, that is usual
 # A change of sign: largest error of the mirrored value, and largest change before and after the
 # jump, as a share of the jump.
 MIRRORED: Final = 0.4
@@ -202,11 +202,14 @@ def straight(values: Array) -> list[tuple[int, int]]:
     bend = np.diff(values, 2)
     if len(values) < FEWEST or not is_noisy(values):
         return []
-    on_line = np.abs(bend) < STRAIGHT * float(np.median(np.abs(bend)))
+    bend = np.abs(bend)
+    usual = float(np.median(bend))
+    on_line = bend < STRAIGHT * usual
     edges = np.flatnonzero(np.diff(on_line.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     long = edges[np.diff(edges)[:, 0] >= ON_A_LINE]
     # Where others have no bend either, that is the resolution; at the begin it may be off.
-    if on_line.sum() - np.diff(long).sum() > OFTEN * len(bend):
+    if bend[bend > 0.0].min(initial=usual) > OFTEN * usual or (
+            on_line.sum() - np.diff(long).sum() > OFTEN * len(bend)):
         return []
     return [(int(first), int(end) + 1) for first, end in long
             if first > 0 and values[first] != values[end + 1]]

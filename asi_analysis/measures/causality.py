@@ -101,10 +101,10 @@ def of_exchange(run: Run, name: str) -> Iterator[Finding]:
     if len(values) < FEWEST_SAMPLES or not np.ptp(command) > 0.0:
         return
     if is_noisy(reference) and np.count_nonzero(np.diff(command)) <= MOST_STEPS:
-        yield Finding('order', 'reference', DOUBTFUL, whole_run(run.time_s),
+        yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
                       'the reference has noise, and the command only steps: are they exchanged?')
     elif _responds_at_once(reference, command, values):
-        yield Finding('order', name, DOUBTFUL, whole_run(run.time_s),
+        yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
                       f'the {name_of(name)} responds to steps of the reference at once, and the '
                       'command later: are they exchanged?')
 

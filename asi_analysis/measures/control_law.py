@@ -169,32 +169,34 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
                    ) -> tuple[str, int]:
     """
-    Return which of 'reference' and 'signal' was recorded late, and by how many samples.
+    Return which of 'signal', 'reference' and 'command' was recorded late, by how many samples.
 
     '', 0 unless the control law is exact for samples that the recording has later.
     """
-    change = np.diff(np.nan_to_num(command), 2, prepend=[0.0, 0.0])
+    recorded = {'signal': signal, 'reference': reference, 'command': command}
+    change, *others = (np.diff(np.nan_to_num(each), 2, prepend=[0.0, 0.0])
+                       for each in (command, signal, reference))
     most = min(LONGEST_DELAY, len(change) // 4)
     if most < 1:
         return '', 0
     # The part with the largest change rules out most delays, in less time than the whole.
     begin = max(int(np.argmax(np.abs(change[2:]))) - ORDER, 0)
-    part = slice(begin, begin + LEAST_ROWS + 4 * ORDER)
-    for name, values in (('signal', signal), ('reference', reference)):
-        other = np.diff(np.nan_to_num(values), 2, prepend=[0.0, 0.0])
-        for lag in dict.fromkeys((*_likely_delays(change, other, most),
+    for name, (cause, late) in zip(recorded, (
+            (change, others[0]), (change, others[1]), (others[0], change)), strict=True):
+        part = slice(max(begin - (most if name == 'command' else 0), 0),
+                     begin + LEAST_ROWS + 4 * ORDER)
+        for lag in dict.fromkeys((*_likely_delays(cause, late, most),
                                   *range(1, min(ORDER, most) + 1))):
-            moved = np.append(values[lag:], np.full(lag, np.nan))
-            pair = (reference, moved) if name == 'signal' else (moved, signal)
-            first = control_law(time[part], command[part], *(each[part] for each in pair))
+            moved = recorded | {name: np.append(recorded[name][lag:], np.full(lag, np.nan))}
+            columns = [moved[each] for each in ('command', 'reference', 'signal')]
+            first = control_law(time[part], *(each[part] for each in columns))
             if first is None or not first.everywhere:
                 continue
-            found = control_law(time, command, *pair)
+            found = control_law(time, *columns)
             # Of a controller that has the derivative of a signal, which later samples show
             # better, it is not exact.
-            sure = found is not None and found.exact and (
-                name == 'signal' or found.factor == 1.0)
-            if found and sure and abs(getattr(found, name)) > 0.0:
+            if found and found.exact and (name != 'reference' or found.factor == 1.0) and (
+                    abs(found.reference if name == 'reference' else found.signal) > 0.0):
                 return name, int(lag)
     return '', 0
 

@@ -302,15 +302,18 @@ def _wrong_unit(found: ControlLaw, words: str, moved: float, correlation: float
 
 
 def _of_delay(run: Run, name: str) -> Iterator[Finding]:
-    """Yield a finding if the command shows that a signal was recorded late."""
+    """Yield a finding if the control law shows that one of its signals was recorded late."""
     signals = (run.signal('command'), run.signal('reference'), run.signal(name))
     whole, words = whole_run(run.time_s), name_of(name)
     which, samples = delayed_signal(run.time_s, *signals)
     if which:
         signal, word = (name, words) if which == 'signal' else (which, which)
-        yield Finding('order', signal, DOUBTFUL, whole,
-                      f'the command responds to the {word} {1e3 * samples * run.period_s:.4g} ms '
-                      'before it is recorded: they are not synchronised')
+        late = f'{1e3 * samples * run.period_s:.4g} ms'
+        yield Finding('order', signal, DOUBTFUL, whole, (
+            f'the command is recorded {late} after it responds to the {words}'
+            if which == 'command' else
+            f'the command responds to the {word} {late} before it is recorded'
+            ) + ': they are not synchronised')
 
 
 def of_motion(run: Run) -> Iterator[Finding]:

@@ -112,6 +112,8 @@ BY_CAUSE: dict[str, tuple[str, Callable[[Run], Run]]] = {
         run, reference_n=run.signal('command'), command_n=run.signal('reference'))),
     'force and valve position exchanged': ('unit', lambda run: replace(
         run, force_n=run.signal('valve_position'), valve_position_m=run.signal('force'))),
+    'late command': ('order', lambda run: replace(
+        run, command_n=late(run.signal('command'), 20))),
     'command in kN': ('unit', lambda run: replace(run, command_n=1e-3 * run.signal('command'))),
     'interpolated': ('interpolated', lambda run: replace(run, command_n=None, force_n=put(
         run.signal('force'), slice(60, 90), np.linspace(*run.signal('force')[[60, 89]], 30)))),
@@ -234,6 +236,15 @@ def test_clean_runs_of_few_digits_have_no_findings(load: str, digits: int) -> No
         'compensator': 'lead2', 'reference.amplitude': 100.0}, 1.0, RATE_HZ))
     for run in (quiet, a_loop('multisine', load)):
         assert findings(with_digits(run, digits)) == []
+
+
+@pytest.mark.parametrize('decimals', [1, 2, 3])
+def test_the_resolution_of_a_signal_is_not_interpolated(decimals: int) -> None:
+    quiet = Run(*simulate_loop({'load.type': 'spring'}, {
+        'reference.shape': 'ramp', 'reference.amplitude': 100.0}, 1.0, RATE_HZ))
+    for run in (quiet, a_loop('ramp')):
+        found = findings(with_force(run, lambda f: np.round(f, decimals)))
+        assert 'interpolated' not in {each.kind for each in found}
 
 
 def test_the_velocity_of_a_constant_motion_is_not_quantised() -> None:
