@@ -208,7 +208,7 @@ def straight(values: Array) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(on_line.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     long = edges[np.diff(edges)[:, 0] >= ON_A_LINE]
     # Where others have no bend either, that is the resolution; at the begin it may be off.
-    if bend[bend > 0.0].min(initial=usual) > OFTEN * usual or (
+    if bend[bend > 1e-6 * usual].min(initial=usual) > OFTEN * usual or (
             on_line.sum() - np.diff(long).sum() > OFTEN * len(bend)):
         return []
     return [(int(first), int(end) + 1) for first, end in long
