@@ -241,8 +241,9 @@ def test_clean_runs_of_few_digits_have_no_findings(load: str, digits: int) -> No
 @pytest.mark.parametrize('decimals', [1, 2, 3])
 def test_the_resolution_of_a_signal_is_not_interpolated(decimals: int) -> None:
     quiet = Run(*simulate_loop({'load.type': 'locked'}, {
-        'compensator': 'lead4', 'reference.shape': 'ramp', 'reference.amplitude': 30.0,
-        'reference.duration': 0.95}, 1.0, 2000.0))
+        'compensator': 'lead4', 'feedforward': 1.0, 'disturbance_observer.bandwidth': 5.0,
+        'reference.shape': 'ramp', 'reference.amplitude': 30.0, 'reference.duration': 0.95},
+        1.0, 2000.0))
     for run in (quiet, a_loop('ramp')):
         found = findings(with_force(run, lambda f: np.round(f, decimals)))
         assert 'interpolated' not in {each.kind for each in found}
