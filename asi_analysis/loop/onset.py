@@ -25,6 +25,7 @@ from asi_analysis.measures.oscillation import Oscillation
 # Factor between gains that are tried, up to MOST times the first.
 GAIN_FACTOR: Final = 1.06
 MOST: Final = 12.0
+LEAST_GAIN: Final = 1e-100     # products of smaller ones are 0
 # Gains that are simulated in parallel.
 IN_PARALLEL: Final = 2
 ACCURACY: Final = 0.0005
@@ -57,13 +58,15 @@ def onset(actuator: Values, controller: Values, rate_hz: float, start_gain: floa
     start_gain: of the search; the gain is raised until the loop cycles, up to `most` times it, or
     lowered first if it cycles there already. accuracy: relative, of the gain; watched_s: longest
     simulation (s) of a loop that has not settled; first_s: shortest of any. None if it cycles at
-    no gain tried.
+    no gain tried, or starts below LEAST_GAIN.
     """
     def cycles(gains: list[float]) -> list[Oscillation | None]:
         return [sustained(run) for run in step_runs(
             [actuator] * len(gains), [with_gain(controller, gain) for gain in gains], rate_hz,
             watched_s, first_s)]
 
+    if start_gain < LEAST_GAIN:
+        return None
     below, found = start_gain, cycles([start_gain])[0]
     high = start_gain
     while found is not None and below > start_gain / most:

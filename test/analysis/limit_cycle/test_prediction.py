@@ -114,3 +114,7 @@ def test_cycle_attracts_by_its_multipliers_and_ever_less_towards_the_fold():
     for found in (near, far):
         assert found[0] == pytest.approx(1.0, abs=0.02)
     assert far[1] < near[1] < 0.95
+
+
+def test_the_search_from_a_gain_that_no_factor_raises_ends() -> None:
+    assert onset({}, {'reference.amplitude': 1.0}, 1000.0, 5e-324, watched_s=0.1) is None
