@@ -1,7 +1,7 @@
 """Order of cause and effect: no signal responds before its reference, or before its command."""
 
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -26,9 +26,11 @@ CLEARLY: Final = 0.8
 SOON: Final = 0.1
 # Largest share of its change that an output may complete before the reference changes.
 BEFORE: Final = 0.3
-# Least change that is a step, as a share of the range; most steps; fewest samples with a command.
+# Least change that is a step, as a share of the range; most steps; samples beside one, at least;
+# fewest samples with a command.
 STEP: Final = 0.2
 MOST_STEPS: Final = 20
+SETTLED_SAMPLES: Final = 20
 FEWEST_SAMPLES: Final = 100
 
 
@@ -56,22 +58,49 @@ def _lead(reference: Array, values: Array) -> int:
     return lead if now < CLEARLY * shifted else 0
 
 
-def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
-    """Return intervals from a response to the later jump of the reference that causes it."""
+class Step(NamedTuple):
+    """A step of the reference: its samples, and the levels of the signal before and after it."""
+
+    begin: int      # of the level before
+    jump: int       # first sample after the step
+    end: int        # of the level after, excluded
+    low: float
+    high: float
+    spread: float   # of the samples about either level
+
+
+def steps_of(reference: Array, values: Array) -> list[Step]:
+    """Return the steps of the reference, MOST_STEPS at most, and the response of the signal."""
     changes = np.abs(np.diff(reference))
     jumps = np.flatnonzero(changes > STEP * max(float(np.ptp(reference)), 1e-300))
     if not 0 < len(jumps) <= MOST_STEPS:
-        return ()
-    edges = [0, *(int(jump) + 1 for jump in jumps), len(time)]
+        return []
+    edges = [0, *(int(jump) + 1 for jump in jumps), len(values)]
     found = []
     for begin, jump, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
-        if min(jump - begin, end - jump) < 20:
+        if min(jump - begin, end - jump) < SETTLED_SAMPLES:
             continue
         before = values[begin:begin + max(1, (jump - begin) // 2)]
         after = values[jump + (end - jump) // 2:end]
-        low, high = float(np.median(before)), float(np.median(after))
-        change = high - low
         spread = max(float(np.ptp(np.quantile(each, [0.05, 0.95]))) for each in (before, after))
+        found.append(Step(begin, jump, end, float(np.median(before)), float(np.median(after)),
+                          spread))
+    return found
+
+
+def moves_against_steps(reference: Array, values: Array, least: float) -> bool:
+    """Return whether a signal goes against each step, by more than the share `least` of it."""
+    shares = [(step.high - step.low) / (reference[step.jump] - reference[step.jump - 1])
+              for step in steps_of(reference, values)
+              if abs(step.high - step.low) > 3.0 * step.spread]
+    return bool(shares) and max(shares) < -least
+
+
+def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
+    """Return intervals from a response to the later jump of the reference that causes it."""
+    found = []
+    for begin, jump, end, low, high, spread in steps_of(reference, values):
+        change = high - low
         share = (values[jump - 1] - low) / change if change else 0.0
         if _there_before(reference, values, begin, jump, end):
             found.append((float(time[begin]), float(time[jump])))

@@ -16,7 +16,13 @@ from scipy import ndimage
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.breaks import frozen, jumps, spikes, straight
-from asi_analysis.measures.causality import CLEARLY, SOON, of_exchange, of_order
+from asi_analysis.measures.causality import (
+    CLEARLY,
+    SOON,
+    moves_against_steps,
+    of_exchange,
+    of_order,
+)
 from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
 from asi_analysis.measures.correlation import largest_correlation
 from asi_analysis.measures.finding import (
@@ -122,9 +128,7 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         if failed := [part for part in frozen(values) if part[1] == len(values) - 1]:
             yield _of_parts('frozen', name, time, failed)
         return
-    against, lag = largest_correlation(reference, -values)
-    if not by_command.same_sign and against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
-            largest_correlation(reference, values)[0] < CLEARLY * against):
+    if not by_command.same_sign and _moves_against(reference, values):
         yield Finding('sign', name, DOUBTFUL, whole,
                       f'the {name_of(name)} moves against its reference: is its sign right?')
         return
@@ -133,6 +137,15 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
             yield each
     if not by_command.same_time:
         yield from of_order(run, name, time, reference, values)
+
+
+def _moves_against(reference: Array, values: Array) -> bool:
+    """Return whether a signal moves against its reference: at its steps, or by correlation."""
+    if moves_against_steps(reference, values, SAME_SIZE):
+        return True
+    against, lag = largest_correlation(reference, -values)
+    return against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
+        largest_correlation(reference, values)[0] < CLEARLY * against)
 
 
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:

@@ -114,6 +114,8 @@ BY_CAUSE: dict[str, tuple[str, Callable[[Run], Run]]] = {
         run, force_n=run.signal('valve_position'), valve_position_m=run.signal('force'))),
     'late command': ('order', lambda run: replace(
         run, command_n=late(run.signal('command'), 20))),
+    'other sign, without a command': ('sign', lambda run: replace(
+        run, force_n=-run.signal('force'), command_n=None)),
     'command in kN': ('unit', lambda run: replace(run, command_n=1e-3 * run.signal('command'))),
     'interpolated': ('interpolated', lambda run: replace(run, command_n=None, force_n=put(
         run.signal('force'), slice(60, 90), np.linspace(*run.signal('force')[[60, 89]], 30)))),
