@@ -235,7 +235,8 @@ def test_clean_runs_have_no_findings(shape: str, load: str) -> None:
 def test_clean_runs_of_few_digits_have_no_findings(load: str, digits: int) -> None:
     """Also one without noise, which settles to its last digit; it was called frozen."""
     quiet = Run(*simulate_loop({'load.type': load}, {
-        'compensator': 'lead2', 'reference.amplitude': 100.0}, 1.0, RATE_HZ))
+        'compensator': 'lead2', 'reference.shape': 'step', 'reference.amplitude': 100.0},
+        1.0, RATE_HZ))
     for run in (quiet, a_loop('multisine', load)):
         assert findings(with_digits(run, digits)) == []
 
