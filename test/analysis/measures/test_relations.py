@@ -233,12 +233,19 @@ def test_clean_runs_have_no_findings(shape: str, load: str) -> None:
 @pytest.mark.parametrize('digits', [5, 6, 7])
 @pytest.mark.parametrize('load', ['locked', 'spring'])
 def test_clean_runs_of_few_digits_have_no_findings(load: str, digits: int) -> None:
-    """Also one without noise, which settles to its last digit; it was called frozen."""
     quiet = Run(*simulate_loop({'load.type': load}, {
         'compensator': 'lead2', 'reference.shape': 'step', 'reference.amplitude': 100.0},
         1.0, RATE_HZ))
     for run in (quiet, a_loop('multisine', load)):
         assert findings(with_digits(run, digits)) == []
+
+
+def test_a_turning_point_of_few_digits_is_not_frozen() -> None:
+    """Near 0 its numbers are finer; beyond, the last digit rests for some samples."""
+    t = np.maximum(np.arange(1000) / RATE_HZ - 0.05, 0.0)
+    force = 94.0 * (1.0 - np.exp(-10.0 * t)) + 20.0 * np.sin(2.0 * np.pi * t) ** 2
+    reference = np.where(t > 0.0, 94.0, 0.0)
+    assert findings(with_digits(Run(np.arange(1000) / RATE_HZ, reference, None, force), 5)) == []
 
 
 @pytest.mark.parametrize('decimals', [1, 2, 3])
