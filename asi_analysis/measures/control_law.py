@@ -180,11 +180,12 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
     if most < 1:
         return '', 0
     # The part with the largest change rules out most delays, in less time than the whole.
-    begin = max(int(np.argmax(np.abs(change[2:]))) - ORDER, 0)
+    length = LEAST_ROWS + 4 * ORDER
+    begin = max(min(int(np.argmax(np.abs(change[2:]))) - ORDER, len(change) - length - most), 0)
     for name, (cause, late) in zip(recorded, (
             (change, others[0]), (change, others[1]), (others[0], change)), strict=True):
         part = slice(max(begin - (most if name == 'command' else 0), 0),
-                     begin + LEAST_ROWS + 4 * ORDER)
+                     begin + length)
         for lag in dict.fromkeys((*_likely_delays(cause, late, most),
                                   *range(1, min(ORDER, most) + 1))):
             moved = recorded | {name: np.append(recorded[name][lag:], np.full(lag, np.nan))}
@@ -204,12 +205,12 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
 def _likely_delays(change: Array, other: Array, most: int) -> list[int]:
     """Return the delays of `other`, in samples below `most`, with the largest correlation."""
     size = 2 ** int(np.ceil(np.log2(2 * len(change))))
-    found: list[int] = []
-    # Of the values, as of steps, and of their signs, as of the noise beside steps.
-    for a, b in ((change, other), (np.sign(change), np.sign(other))):
-        product = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)))
-        found += (np.argsort(-np.abs(product[1:most]))[:DELAYS_TRIED] + 1).tolist()
-    return found
+    spectrum, of_signs = (np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)) for a, b in (
+        (change, other), (np.sign(change), np.sign(other))))
+    # Of all samples alike, and of all frequencies: noise tells the delay beside steps and sines.
+    spectra = (spectrum, of_signs, spectrum / np.maximum(np.abs(spectrum), 1e-300))
+    return [int(lag) + 1 for each in spectra
+            for lag in np.argsort(-np.abs(np.fft.irfft(each)[1:most]))[:DELAYS_TRIED]]
 
 
 def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows:

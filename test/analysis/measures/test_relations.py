@@ -131,6 +131,14 @@ def test_cause_and_effect_and_noise_tell_what_was_altered(how: str, digits: int)
     assert {kind, *(['order'] if digits < 17 else [])} & {each.kind for each in found}
 
 
+@pytest.mark.parametrize('digits', [17, 6])
+@pytest.mark.parametrize('compensator', ['lead_lag', 'proportional'])
+def test_a_force_that_is_late_in_a_multisine(compensator: str, digits: int) -> None:
+    run = replace(a_loop('multisine', compensator=compensator), position_m=None, velocity_m_s=None)
+    found = findings(with_digits(with_force(run, lambda f: late(f, 20)), digits))
+    assert [each.kind for each in found] == ['order']
+
+
 def test_a_proportional_loop_that_runs_backwards_responds_before_its_step() -> None:
     run = replace(a_loop(compensator='proportional'), position_m=None, velocity_m_s=None)
     assert findings(run) == []
