@@ -45,7 +45,7 @@ FEWEST_DIGITS: Final = 5
 MOST_DIGITS: Final = 12
 # Singular values below this share of the largest are rounding errors.
 RANK_TOLERANCE: Final = 1e-10
-SHARE: Final = 0.3      # of the rounding error of a number of few digits: its standard deviation
+CLEAR: Final = 3.0      # of rounding errors; their standard deviation is a tenth of this
 # Digits of a limit, such as a saturation; a recording has two more.
 LIMIT_DIGITS: Final = 6
 # Factors of a wrong sign or unit of force: N in mN, kN, lbf, kgf; feed-forwards of the reference
@@ -163,7 +163,7 @@ def control_law(time: Array, command: Array, reference: Array, signal: Array
                       bool(np.abs(residual).max() < BREAK * span),
                       bool(np.abs(residual).max() < 10.0 * rows.exact()),
                       int(compared.sum()) > NEARLY_ALL * len(time), has_memory,
-                      _is_stable(factors[:rows.order]) if known[:rows.order].all() else None)
+                      _is_stable(rows, valid, factors) if known[:rows.order].all() else None)
 
 
 def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
@@ -328,7 +328,7 @@ class _Space:
     def __init__(self, rows: _Rows, valid: Mask, factors: Array) -> None:
         self.scale = _sizes(rows.known[valid])
         _, values, vectors = np.linalg.svd(rows.known[valid] / self.scale, full_matrices=False)
-        self.vectors = vectors[values > max(RANK_TOLERANCE, SHARE * rows.rounding) * values[0]]
+        self.vectors = vectors[values > max(RANK_TOLERANCE, CLEAR * rows.rounding) * values[0]]
         self.largest = float(np.linalg.norm(factors * self.scale))
 
     def error(self, rows: Array) -> Array:
@@ -413,11 +413,13 @@ def _has_memory(rows: _Rows, valid: Mask, span: float) -> bool:
     return bool(error.max() > BREAK * span)
 
 
-def _is_stable(earlier: Array) -> bool | None:
-    """Return whether an equation with these factors of earlier commands is stable."""
-    if not len(earlier):
+def _is_stable(rows: _Rows, valid: Mask, factors: Array) -> bool | None:
+    """Return whether the equation is stable, None if it has no memory or its samples few sines."""
+    excited = rows.known[valid]
+    if not rows.order or np.linalg.cond(excited / _sizes(excited)) > SAMPLES_CONDITION:
         return None
-    return bool(np.abs(np.roots([1.0, *-earlier])).max(initial=0.0) < LARGEST_POLE)
+    poles = np.roots([1.0, *-factors[:rows.order]])
+    return bool(np.abs(poles).max(initial=0.0) < LARGEST_POLE)
 
 
 def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, has_memory: bool

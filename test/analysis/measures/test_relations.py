@@ -256,6 +256,15 @@ def test_a_turning_point_of_few_digits_is_not_frozen() -> None:
     assert findings(with_digits(Run(np.arange(1000) / RATE_HZ, reference, None, force), 5)) == []
 
 
+@pytest.mark.parametrize('digits', [17, 7])
+def test_a_sine_without_noise_tells_neither_sign_nor_direction_of_time(digits: int) -> None:
+    """Any equation is exact for it, also with a controller that is not linear."""
+    run = Run(*simulate_loop({'load.type': 'locked'}, {
+        'compensator': 'lead_lag', 'feedforward': 1.0, 'friction_feedforward.level': 10.0,
+        'reference.shape': 'sine', 'reference.amplitude': 100.0}, 0.6, 5000.0))
+    assert findings(with_digits(run, digits)) == []
+
+
 @pytest.mark.parametrize('decimals', [1, 2, 3])
 def test_the_resolution_of_a_signal_is_not_interpolated(decimals: int) -> None:
     quiet = Run(*simulate_loop({'load.type': 'locked'}, {
