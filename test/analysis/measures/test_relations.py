@@ -257,11 +257,16 @@ def test_a_turning_point_of_few_digits_is_not_frozen() -> None:
 
 
 @pytest.mark.parametrize('digits', [17, 7])
-def test_a_sine_without_noise_tells_neither_sign_nor_direction_of_time(digits: int) -> None:
-    """Any equation is exact for it, also with a controller that is not linear."""
-    run = Run(*simulate_loop({'load.type': 'locked'}, {
-        'compensator': 'lead_lag', 'feedforward': 1.0, 'friction_feedforward.level': 10.0,
-        'reference.shape': 'sine', 'reference.amplitude': 100.0}, 0.6, 5000.0))
+@pytest.mark.parametrize(('load', 'rate_hz', 'controller'), [
+    ('locked', 5000.0, {'reference.shape': 'sine', 'friction_feedforward.level': 10.0}),
+    ('spring', 1000.0, {'reference.shape': 'sine', 'velocity_feedforward.share': 0.5}),
+    ('spring', 1000.0, {'reference.shape': 'triangle', 'velocity_feedforward.share': 0.5})])
+def test_a_sine_without_noise_tells_neither_sign_nor_direction_of_time(
+        load: str, rate_hz: float, controller: dict[str, float | str], digits: int) -> None:
+    """Any equation holds for it nearly, also with a controller that is not linear."""
+    run = Run(*simulate_loop({'load.type': load}, {
+        'compensator': 'lead_lag', 'feedforward': 1.0, 'reference.amplitude': 30.0, **controller},
+        0.6, rate_hz))
     assert findings(with_digits(run, digits)) == []
 
 
