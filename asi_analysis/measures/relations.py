@@ -297,10 +297,11 @@ def _wrong_unit(found: ControlLaw, words: str, moved: float, correlation: float
     if factor not in (None, 1.0, -1.0):
         return 'unit', (f'the command responds to 1/{factor:.4g} of the {words} as to the '
                         'reference: is the unit of each right?')
-    if factor == -1.0 or factor is None and found.exact and found.signal > 0.0 and (
+    sure = factor is None and found.exact and (found.is_stable or not found.has_memory)
+    if factor == -1.0 or sure and found.signal > 0.0 and (
             found.reference > 0.0 or correlation < 0.0):
         return 'sign', f'the command rises with the {words}: is its sign right?'
-    if factor is None and found.exact and found.reference < 0.0 and correlation < 0.0:
+    if sure and found.reference < 0.0 and correlation < 0.0:
         return 'sign', (f'the command falls with the reference and with the {words}, which moves '
                         'against its reference: is its sign right?')
     ratio = abs(found.reference / found.signal)
