@@ -36,6 +36,7 @@ from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.lower_band import with_lower_band
 from asi_analysis.gap.inference.probability import Names, ambiguity_set, marginals
+from asi_analysis.gap.inference.simulated.own_laws import OwnLaws, by_own_laws
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import (
     Likelihood,
@@ -56,7 +57,12 @@ from asi_analysis.gap.model.group import (
 from asi_analysis.gap.model.joint import OF_ANY_SIZE, drive_of, joint_groups
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.simulator import by_simulator, of_simulator, simulator_record
+from asi_analysis.gap.model.simulator import (
+    by_simulator,
+    has_linear_laws,
+    of_simulator,
+    simulator_record,
+)
 from asi_analysis.gap.model.static import static_group, zero_of
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.words import DOTTED, UNITS, signal_of, unit_of, unit_of_free
@@ -159,20 +165,21 @@ def simulated_groups(groups: Sequence[Group], nominal: Mapping[str, Value], tole
     """
     Return the same groups with the simulator as the predictor; the load's channel is the motion.
 
-    An empty list if that is not possible: with a simplified model, without the command, or if
-    some recordings hold the velocity and others only the position.
+    An empty list if that is not possible: with a partly simplified model, without the command, or
+    if some recordings hold the velocity and others only the position.
     """
     recordings = groups[0].recordings
     moved = [channel for channel in MOTIONS
              if all(getattr(r, f'raw_{channel}') is not None for r in recordings)]
     moves = any('load' in group.channels for group in groups)
-    if (not by_simulator(nominal) or any(r.command is None for r in recordings)
+    linear = has_linear_laws(nominal)
+    if (not (linear or by_simulator(nominal)) or any(r.command is None for r in recordings)
             or (moves and not moved)):
         return []
     p = simulator_record(nominal)
     return [simulator_group(p, group.recordings, tuple(
-        moved[0] if channel == 'load' else channel for channel in group.channels), tolerance)
-        for group in groups]
+        moved[0] if channel == 'load' else channel for channel in group.channels), tolerance,
+        linear) for group in groups]
 
 
 def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, tolerance: float,
@@ -236,6 +243,11 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     groups, simulated = ([with_tolerances(group, own) for group in each]
                          for each in (groups, simulated if simulate else []))
     machine: dict[tuple[str, ...], Healthy] = {}
+    if healthy is not None and has_linear_laws(model):   # compared block by block
+        simulated = []
+        if any(of_simulator(each.group.nominal) for each in healthy.groups):
+            healthy = diagnose(healthy.runs, model, plant, tolerance, report=report,
+                               tolerances=tolerances, simulate=False)
     if healthy is not None:
         machine = {w.group.channels: healthy_of(healthy.best(w).fitted, tolerance, own)
                    for w in healthy.groups}
@@ -254,8 +266,10 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     # Before the checks, since a note may explain why one fails.
     for note in (each for each in notes if each not in told):
         warnings.warn(note, InputWarning, stacklevel=2)
-    weighed = None
-    if simulated:
+    weighed, laws = None, list[OwnLaws]()
+    if simulated and has_linear_laws(model):
+        laws = by_own_laws(simulated, tick)
+    elif simulated:
         # The block-wise model needs the measured force, which is small with a free load.
         weighed = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
     if weighed is None and simulated and healthy is not None:
@@ -264,14 +278,16 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
                         by_blocks, simulate=False)
     if weighed is None:
-        for group in groups:
+        for group, law in itertools.zip_longest(groups, laws):
+            if law is not None and law.weighed is not None:
+                continue
             if plant == 'actuator':
                 for note in plausibility.check_against_model(group):
                     warnings.warn(note, InputWarning, stacklevel=2)
                     notes.append(note)
             elif plant == 'joint':
                 plausibility.check_joint(group)
-        weighed = weigh_groups(groups, tick)
+        weighed = weigh_groups(groups, tick, [each.weighed for each in laws])
         if plant == 'joint' and healthy is None:
             made = partial(joint_groups, runs, dict(model), tolerance, out,
                            drive or drive_of(runs))
@@ -289,6 +305,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     elif plant == 'actuator':
         weighed = [with_tolerated_gain(with_gap_centre(each), own.get(GAIN, tolerance))
                    for each in weighed]
+    if laws:
+        weighed = [law.agreeing(each) for law, each in zip(laws, weighed, strict=True)]
     joined = join(weighed)
     verdict = max(joined, key=lambda names: joined[names])
     as_fitted, weighed = weighed, [placed(each) for each in weighed]
@@ -313,7 +331,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         experiment = choose_course(weighed, ambiguous)
     elif len(ambiguous) > 1:
         experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')))
-    if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')]:
+    if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')] and not (
+            of_simulator(weighed[0].group.nominal)):
         # With refitted parameters, since a difference within their tolerance is not a gap.
         chain = localisation.along_the_chain(groups[0], groups[1], *(
             w.candidates[()].fitted.record for w in weighed))

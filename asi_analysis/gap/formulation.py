@@ -41,7 +41,8 @@ def with_formulation(group: Group, other: bool) -> Group:
 def with_tolerance_of_formulation(frees: Sequence[Free], before: Group, after: Group
                             ) -> tuple[Free, ...]:
     """Return free parameters with their tolerance after a change of the group's formulation."""
-    ratio = TOLERANCE_FACTOR ** (after.other_formulation - before.other_formulation)
+    wider = TOLERANCE_FACTOR if after.may_differ else 1.0
+    ratio = wider ** (after.other_formulation - before.other_formulation)
     return tuple(free._replace(prior=ratio * free.prior) if free.scale == 'nominal' else free
                  for free in frees)
 

@@ -28,7 +28,9 @@ def least_step(square: Array, slope: Array, low: Array, high: Array) -> tuple[Ar
     right = -np.linalg.solve(triangle.T, slope / size)
     solution = lsq_linear(triangle, right, (low * size - 1e-12, high * size + 1e-12), 'bvls',
                           max_iter=20 * size.size)
-    return solution.x / size, 0.5 * float(right @ right) - float(solution.cost)
+    # The slack of the bounds would be a huge step of a parameter that nothing depends on.
+    return (np.clip(solution.x / size, low, high),
+            0.5 * float(right @ right) - float(solution.cost))
 
 
 def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], start: Array,

@@ -377,13 +377,16 @@ def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate
     return {names: candidate for names, candidate in found.items() if explains(candidate)}
 
 
-def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: None
-                 ) -> list[Weighed]:
-    """Return the groups, in the order of the signal chain, with all probabilities."""
+def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: None,
+                 known: Sequence[Weighed | None] = ()) -> list[Weighed]:
+    """Return the groups, in the order of the signal chain, with all probabilities, or `known`."""
     weighed: list[Weighed] = []
-    for group in groups:
-        known = weighed and marginals(weighed[0].probability)[UNKNOWN] < 0.5
-        if known and weighed[0].group.channels == ('valve',):
+    for group, answer in itertools.zip_longest(groups, known):
+        if answer is not None:
+            weighed.append(answer)
+            continue
+        sure = weighed and marginals(weighed[0].probability)[UNKNOWN] < 0.5
+        if sure and weighed[0].group.channels == ('valve',):
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
             valve = weighed[0].candidates[best].fitted
             group = with_less_noisy_valve(with_known_gain(group, valve), valve.record)

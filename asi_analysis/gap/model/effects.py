@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
+import numpy as np
+
 from asi_actuator.model.effects import (
     COMMAND_PATH,
     EFFECT,
@@ -75,7 +77,8 @@ class Variant(NamedTuple):
     One form of an effect.
 
     channels: those that it acts on: 'valve', 'force', 'load'; fixed: fields that it sets; needs:
-    fields of the nominal record that must not be zero; joined: only combined with another effect.
+    fields of the nominal record that must not be zero; where: fields of the nominal record, and
+    the value that each must have; joined: only combined with another effect.
     """
 
     free: tuple[Free, ...]
@@ -83,6 +86,12 @@ class Variant(NamedTuple):
     fixed: tuple[tuple[str, float], ...] = ()
     needs: tuple[str, ...] = ()
     joined: bool = False
+    where: tuple[tuple[str, float], ...] = ()
+
+    def applies(self, nominal: np.void) -> bool:
+        """Return whether this form is one of a plant with these nominal parameters."""
+        return (all(nominal[name] != 0.0 for name in self.needs)
+                and all(nominal[name] == value for name, value in self.where))
 
 
 class Effect(NamedTuple):

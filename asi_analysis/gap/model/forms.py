@@ -8,9 +8,10 @@ effect are with the physics, in asi_actuator/model/effects.py.
 from asi_actuator.model import effects as declared
 from asi_actuator.model.backlash import MASS, SPRING_ALONE, SPRING_AND_DAMPER
 from asi_actuator.model.command_path import EDGE, NEAREST, ZERO
+from asi_actuator.model.friction import BEHIND_SENSOR, CYLINDER
 from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.gap.model.effects import MOTIONS, Effect, Free, Variant
-from asi_common.jit import FULL
+from asi_common.jit import FULL, LINEAR, OFF
 
 VALVE, MOVED, SENSOR = ('valve',), ('force', *MOTIONS), ('force',)
 SMALL = (0.005, 0.02, 0.06, 0.15)
@@ -25,9 +26,10 @@ def _scaled(field: str, low: float = 0.0, high: float = 20.0,
 
 
 def _form(channels: tuple[str, ...], *free: Free, fixed: dict[str, float] | None = None,
-          needs: tuple[str, ...] = ()) -> Variant:
+          needs: tuple[str, ...] = (), where: dict[str, float] | None = None) -> Variant:
     scaled = tuple(each.field for each in free if each.scale == 'nominal')
-    return Variant(free, channels, tuple((fixed or {}).items()), (*scaled, *needs))
+    return Variant(free, channels, tuple((fixed or {}).items()), (*scaled, *needs),
+                   where=tuple((where or {}).items()))
 
 
 _PUSH = Free('load_external_force', -1.0, 1.0, (0.02, -0.02), 'force', 'N')
@@ -35,6 +37,20 @@ _HYDRAULIC = tuple(f'hydraulic_damping_{name}' for name in (
     'maximum_force', 'viscous', 'saturation_velocity', 'velocity_width', 'centre_share'))
 _BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
                    for way in ('push', 'pull'))
+
+
+def _first_friction(*more: Free, sharp: bool = True) -> tuple[Variant, ...]:
+    """Return forms of friction in a plant that has none: on either side of the force sensor."""
+    fixed = {'friction_model': FULL, 'friction_presliding_damping': 0.0} | (
+        {'friction_stribeck_velocity': 1e-9} if sharp else {})   # sliding only
+    return tuple(_form(
+        MOVED, Free('friction_coulomb', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N'),
+        _scaled('friction_presliding_stiffness', 0.05, 50.0, (1.0, 10.0)),
+        Free('friction_presliding_slip', 0.0, 1.0, (0.5,)), *more,
+        fixed=fixed | {'friction_location': place}, where={'friction_model': OFF})
+        for place in (CYLINDER, BEHIND_SENSOR))
+
+
 _GAP = Free('backlash_gap', 0.002, 1.4, (0.008, 0.02, 0.04, 0.07, 0.12, 0.3), 'position', 'm')
 _CENTRE = Free('backlash_centre', -0.5, 0.5, (0.0,), 'position', 'm')
 
@@ -57,6 +73,10 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         _form(VALVE, Free('valve_hysteresis_radius', 0.0, 0.8, SMALL, 'command', 'N'),
               fixed={'valve_hysteresis_model': FULL, 'valve_hysteresis_lag_time': 0.0,
                      'valve_hysteresis_saturation': 1e9}),
+        _form(VALVE, Free('valve_hysteresis_radius', 0.0, 0.8, SMALL, 'command', 'N'),
+              Free('valve_hysteresis_rounding', 0.0, 1.0, (0.5,)),
+              fixed={'valve_hysteresis_model': FULL, 'valve_hysteresis_lag_time': 0.0,
+                     'valve_hysteresis_saturation': 1e9}, where={'valve_hysteresis_model': OFF}),
     ),
     'valve_deadband': (
         _form(VALVE, Free('valve_flexure_deadband', 0.0, 1.0, (*SMALL, 0.4), 'command', 'N')),
@@ -86,6 +106,11 @@ FORMS: dict[str, tuple[Variant, ...]] = {
                           'damping_quadratic', 'N s2/m2'),
               Free('hydraulic_damping_opening_viscous', 0.0, 2.0, (0.02, 0.2), 'damping',
                    'N s/m')),
+        _form(MOVED, _scaled('hydraulic_damping_linear_gain'),
+              Free('hydraulic_damping_quadratic', 0.0, 2.0, (0.02, 0.2),
+                   'damping_quadratic', 'N s2/m2'),
+              Free('hydraulic_damping_opening_viscous', 0.0, 2.0, (0.02, 0.2), 'damping',
+                   'N s/m'), where={'hydraulic_damping_model': LINEAR}),
     ),
     'supply_pressure': (
         _form(MOVED, Free('valve_characteristic_supply_drop', -0.6, 0.9, (0.1, -0.1))),
@@ -108,6 +133,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         # In some formulations the breakaway force grows with Coulomb friction.
         _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (3.0, 0.4)), *_BREAKAWAY,
               needs=('friction_model',)),
+        *_first_friction(),
     ),
     'stiction': (
         _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0), needs=('friction_model',)),
@@ -117,6 +143,10 @@ FORMS: dict[str, tuple[Variant, ...]] = {
               _scaled('friction_stiction_pull', 0.0, 8.0),
               _scaled('friction_stribeck_velocity', 0.1, 30.0, (5.0, 1.0)),
               needs=('friction_model',)),
+        *_first_friction(*(Free(f'friction_stiction_{way}', 0.0, 1.5, (0.1, 0.3), 'force', 'N')
+                           for way in ('push', 'pull')),
+                         Free('friction_stribeck_velocity', 0.003, 0.6, (0.1, 0.3), 'velocity',
+                              'm/s'), sharp=False),
     ),
     'friction_asymmetry': (
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
@@ -126,6 +156,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
               _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), *_BREAKAWAY,
               needs=('friction_model',)),
+        *_first_friction(Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.4, -0.4))),
     ),
     'viscous_friction': (
         _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),

@@ -27,6 +27,7 @@ NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the
 MODEL_ERROR = 0.005  # rms error of any model, as a share of the signal's rms
 RIGID_ERROR = 0.02   # the same of a rigid model of gears, belts and cables
 SIMULATOR_ERROR = 0.001   # the same of the simulator
+LINEAR_ERROR = 0.0005   # the same if its laws are linear: integrated in another way
 VALVE_GAIN = 'valve_characteristic_gain'
 # The valve position is proportional to gain * full opening / maximum force.
 OF_VALVE_GAIN = (VALVE_GAIN, 'valve_characteristic_full_opening',
@@ -127,6 +128,11 @@ class Group:
         return self.nominal if self.given is None else self.given
 
     @property
+    def may_differ(self) -> bool:
+        """Return whether a machine's laws may be formulated in another way than these."""
+        return any(self.other_error.values())
+
+    @property
     def measures_valve(self) -> bool:
         """Return whether every recording holds the valve position."""
         return all(recording.valve_position is not None for recording in self.recordings)
@@ -171,8 +177,14 @@ def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tupl
 
 
 def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
-                    tolerance: float = TOLERANCE) -> Group:
-    """Return a group of channels that the simulator itself predicts, ready to be fitted."""
+                    tolerance: float = TOLERANCE, linear: bool = False) -> Group:
+    """
+    Return a group of channels that the simulator itself predicts, ready to be fitted.
+
+    linear: the nominal laws are, so a machine's are not formulated in another way.
+    """
+    own_error, any_error = (LINEAR_ERROR, LINEAR_ERROR) if linear else (
+        SIMULATOR_ERROR, MODEL_ERROR)
     scale = with_valve_force(with_valve(scales(recordings), recordings, nominal), nominal)
     # The unit of a coupling's stiffness: with it the load's mass oscillates at 100 Hz.
     scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
@@ -184,7 +196,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
              for channel in channels}
     size = {channel: float(np.mean([np.mean(measured(recording, channel) ** 2)
                                     for recording in recordings])) for channel in channels}
-    error_floor = {channel: noise[channel] ** 2 + SIMULATOR_ERROR ** 2 * size[channel]
+    error_floor = {channel: noise[channel] ** 2 + own_error ** 2 * size[channel]
                    for channel in channels}
     judged_share = dict.fromkeys(channels, 1.0) | {
         channel: float(np.mean([np.mean(r.motion.judge ** 2) for r in recordings if r.motion]))
@@ -203,7 +215,7 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     nuisance = (*(free for free in nuisance if free not in usual), *shapes.values(),
                 *start_parameters(nominal, recordings, channels))
     effects = freed(forms.EFFECTS, partial(in_each, count=count))
-    other_error = {channel: (MODEL_ERROR ** 2 - SIMULATOR_ERROR ** 2) * size[channel]
+    other_error = {channel: (any_error ** 2 - own_error ** 2) * size[channel]
                    + (_formulation_error(recordings, channel, p) if channel == 'valve' else 0.0)
                    for channel in channels}
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
@@ -411,7 +423,7 @@ def _is_of_valve(field: str) -> bool:
 
 def channels_of(variant: Variant, group: Group) -> set[str]:
     """Return the channels of a group that a form of an effect acts on; none if not applicable."""
-    if any(group.nominal[name] == 0.0 for name in variant.needs):
+    if not variant.applies(group.nominal):
         return set()
     shows = set(variant.channels)
     if simulator.of_simulator(group.nominal):

@@ -1,6 +1,6 @@
 """The improved model: nominal parameters and found effects, as parameters of the actuator node."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
-from asi_analysis.gap.model.simulator import of_simulator
+from asi_analysis.gap.model.simulator import VALVE_FIELDS, of_simulator
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed, defaults
 from asi_common.record import as_number, field_name
@@ -228,12 +228,14 @@ def left_out(p: np.void, values: Mapping[str, Value]) -> list[str]:
     return names + pushes[1:]
 
 
-def _of_simulator(p: np.void, model: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the parameters that a record of the simulator changes, by dotted name."""
+def _of_simulator(p: np.void, model: Mapping[str, Value], but: Collection[str] = ()
+                  ) -> dict[str, Value]:
+    """Return the parameters that a record of the simulator changes, but for some fields."""
     changed: dict[str, Value] = {}
     for parameter in ACTUATOR_PARAMETERS:
-        found = p[field_name(parameter.name)]
-        if parameter.name in NOT_IDENTIFIED or found == as_number(
+        field = field_name(parameter.name)
+        found = p[field]
+        if parameter.name in NOT_IDENTIFIED or field in but or found == as_number(
                 parameter, model.get(parameter.name, parameter.default)):
             continue
         changed[parameter.name] = (parameter.choices[int(found)] if parameter.choices else
@@ -259,6 +261,11 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
     values = dict(model)
     if all(map(of_simulator, records)):
         return values | _of_simulator(records[-1], model), []
+    # Of the simulator, the record of what follows the valve holds the valve's parameters too.
+    simulated = [p for p in records if of_simulator(p)]
+    for p in simulated:
+        values |= _of_simulator(p, model, VALVE_FIELDS if p is not records[0] else ())
+    records = [p for p in records if not of_simulator(p)]
     for p in records:
         for parameter in ACTUATOR_PARAMETERS:
             given = model.get(parameter.name, parameter.default)

@@ -89,6 +89,13 @@ def by_simulator(nominal: Mapping[str, Value]) -> bool:
             nominal.get('load.type') != 'prescribed')
 
 
+def has_linear_laws(nominal: Mapping[str, Value]) -> bool:
+    """Return whether a nominal model has no law that textbooks formulate in several ways."""
+    return all(nominal.get(f'{block}.model', 'full') != 'full' for block in (
+        'valve_hysteresis', 'hydraulic_damping', 'friction')) and (
+            nominal.get('load.type') != 'prescribed')
+
+
 def of_simulator(p: np.void) -> bool:
     """Return whether a record is the simulator's, perhaps with fields of each recording."""
     return 'loop_width' not in (p.dtype.names or ())

@@ -63,7 +63,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
     equal = equal_below(least) if group.other_formulation else 0.0 * level
-    simplest = _simplest_explained(found)
+    simplest = _simplest_explained(found) if group.may_differ else None
 
     def left(each: Found) -> Array:
         """Return the mean square residual; one below that of `simplest` is no evidence."""
@@ -148,8 +148,9 @@ def equal_below(best: Found) -> Array:
     In error floors. best: the hypothesis with the lowest cost. The model error of laws that are
     formulated in another way is an unknown signal, so a smaller difference is no evidence.
     """
-    level = mean_squares(best.problem, best.best.residual)
-    return np.maximum(level + model_error(best.problem.group), 1.0)
+    group = best.problem.group
+    level = mean_squares(best.problem, best.best.residual) + model_error(group)
+    return np.maximum(level, 1.0) if group.may_differ else level
 
 
 def _with_model_error(found: Found, noise: _Noise) -> Found:

@@ -75,8 +75,12 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
         if other:
-            moved[()] = moved[()].refined()
-            if (plain := _sufficient(moved[()])) is not None:
+            null = moved[()].refined()
+            moved[()] = null
+            enough = np.ones(len(null.problem.group.channels)) if (
+                null.problem.group.may_differ) else equal_below(
+                    min(moved.values(), key=lambda each: each.best.cost))
+            if (plain := _sufficient(null, enough)) is not None:
                 return {(): plain}
         moved = _refitted(moved)
     if not other:
@@ -89,17 +93,17 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
             for names, each in moved.items()}
 
 
-def _sufficient(null: Found) -> Found | None:
+def _sufficient(null: Found, enough: Array) -> Found | None:
     """
     Return the fit of the nominal model if no effect can have evidence beside it.
 
-    That is so if it leaves no more than the error floor, below which a smaller residual is no
-    evidence, with probable parameters; perhaps they are so only nearer to the nominal values.
+    That is so if it leaves as little as is no evidence, with probable parameters; perhaps they are
+    so only nearer to the nominal values. enough: that mean square by channel, in error floors.
     """
-    if (mean_squares(null.problem, null.best.residual) > 1.0).any():
+    if (mean_squares(null.problem, null.best.residual) > enough).any():
         return None
     if null.prior_cost > SUSPECT_PRIOR_COST:
-        null = _nearest_to_nominal(null, np.ones(len(null.problem.group.channels)))
+        null = _nearest_to_nominal(null, enough)
     return null if null.prior_cost <= SUSPECT_PRIOR_COST else None
 
 

@@ -77,7 +77,7 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     is `unknown`.
     """
     valve, *others = groups
-    valve, gain = _with_free_gain(valve) if others else (valve, None)
+    valve, gain = with_free_gain(valve) if others else (valve, None)
     first = _explained(valve, tick, alone)
     if first is None or not others:
         return None if first is None else [first.weighed]
@@ -94,7 +94,7 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
             second.weighed]
 
 
-def _with_free_gain(valve: Group) -> tuple[Group, Free | None]:
+def with_free_gain(valve: Group) -> tuple[Group, Free | None]:
     """
     Return the valve with a gain of any size, and the uncertain gain.
 
@@ -115,7 +115,7 @@ class _Explained(NamedTuple):
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
-    found = _hypotheses(_with_noise_from_fit({(): _null(group)})[()], tick, alone)
+    found = _hypotheses(with_noise_from_fit({(): null_fit(group)})[()], tick, alone)
     if not _only_noise_left(found) and not all(each.far for each in found.values()):
         # Only the model error of laws formulated in another way explains the rest.
         found, alone = in_formulation(found, True), True
@@ -123,7 +123,7 @@ def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explaine
     return None if weighed is None else _Explained(weighed, found)
 
 
-def _null(group: Group) -> Found:
+def null_fit(group: Group) -> Found:
     """Return the fit of the nominal model: of its uncertain parameters and initial states."""
     group = replace(group, effects=(*group.effects, *parameter_errors(group)),
                     scale=dict(group.scale))
@@ -140,7 +140,7 @@ def _null(group: Group) -> Found:
             null.problem.group, null.problem.record(null.best.theta))))
 
 
-def _with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
+def with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
     """
     Return hypotheses with the residual of the best one as the noise, if that is far smaller.
 
@@ -161,13 +161,13 @@ def _with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
         return dict(found)
     leader = _converged(leader.refined())
     goal = leader.best.cost + COST_RANGE
-    return _with_noise_from_fit({names: leader if each is best else _converged(
+    return with_noise_from_fit({names: leader if each is best else _converged(
         quiet(each).refined(goal=goal), goal) for names, each in found.items()})
 
 
-def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
+def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
     """
-    Return the fits of the nominal model, of single effects and, if needed, of pairs.
+    Return the fits of the nominal model and of single effects.
 
     alone: as in `explained_by_simulator`.
     """
@@ -176,10 +176,19 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
     # nominal values.
     hidden = null.unexplained or null.prior_cost > SUSPECT_PRIOR_COST
     singles = _extended(null.at_nominal if hidden else null, null, tick, alone)
-    null = _refitted_from_larger(null, list(singles.values()))
-    found = {(): null} | singles
+    return {(): _refitted_from_larger(null, list(singles.values()))} | singles
+
+
+def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
+    """
+    Return the fits of the nominal model, of single effects and, if needed, of pairs.
+
+    alone: as in `explained_by_simulator`.
+    """
+    found = single_effects(null, tick, alone)
+    singles = [names for names in found if names]
     if alone or _only_noise_left(found):
-        found = in_best_formulation(_with_noise_from_fit(found))
+        found = in_best_formulation(with_noise_from_fit(found))
     if not singles or not all(each.may_lack_an_effect for each in found.values()):
         return found
     first = min((found[names] for names in singles), key=lambda each: each.best.cost)
@@ -189,7 +198,7 @@ def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Name
             alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
         return found
     pairs = _best_of(found, _pairs(found[()], first, tick, alone))
-    return (in_best_formulation(_with_noise_from_fit(pairs), found)
+    return (in_best_formulation(with_noise_from_fit(pairs), found)
             if alone or _only_noise_left(pairs) else pairs)
 
 
