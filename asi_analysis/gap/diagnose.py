@@ -278,9 +278,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
                         by_blocks, simulate=False)
     if weighed is None:
-        for group, law in itertools.zip_longest(groups, laws):
-            if law is not None and law.weighed is not None:
-                continue
+        for group in groups:
             if plant == 'actuator':
                 for note in plausibility.check_against_model(group):
                     warnings.warn(note, InputWarning, stacklevel=2)

@@ -252,11 +252,14 @@ def _of_the_tolerances(diagnosis: Diagnosis) -> list[str]:
 
 def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str]:
     """Return notes: which model predicts, and how it differs from the simulator."""
-    if of_simulator(diagnosis.groups[0].group.nominal):
-        return ['predicted by the simulator itself, which explains the recordings down to the '
-                'noise']
+    simulated = [of_simulator(each.group.nominal) for each in diagnosis.groups]
+    if all(simulated):
+        return ['predicted by the simulator itself, which explains the recordings']
     on = sorted(name for name in EFFECT_SIZES if values.get(name, 0.0) != 0.0)
-    return ['predicted block by block, each from its measured input'] + ([
+    partly = ', but the simulator itself predicts ' + ' and '.join(
+        channel for each, by_it in zip(diagnosis.groups, simulated, strict=True) if by_it
+        for channel in each.group.channels) if any(simulated) else ''
+    return [f'predicted block by block, each from its measured input{partly}'] + ([
         f'the nominal model has {", ".join(on)}, which the diagnosis does not compute as the '
         'simulator does: the difference may be reported as a gap'] if on else [])
 

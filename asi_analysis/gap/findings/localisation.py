@@ -15,7 +15,7 @@ from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.blocks import impedance, load_constants
 from asi_analysis.gap.model.effects import MOTIONS, UNKNOWN, block_of
-from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.motion import low_pass
 from asi_analysis.gap.prepare import Recording, velocity_of
@@ -75,8 +75,7 @@ def _shares(groups: list[Weighed], counts: Callable[[Names], bool]) -> dict[str,
     """Return the gap of each block, relative to the signals; counts: which hypotheses do."""
     share = dict.fromkeys(BLOCKS, 0.0)
     for weighed in groups:
-        group = weighed.group
-        null = weighed.candidates[()].fitted.held_out
+        group, null = weighed.group, _without_effects(weighed)
         for channel in group.channels:
             size = np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings])
             gap = max(null[channel] - group.error_floor[channel], 0.0) / float(size)
@@ -85,6 +84,24 @@ def _shares(groups: list[Weighed], counts: Callable[[Names], bool]) -> dict[str,
                                     if counts(names) else ()):
                     share[block] += gap * probability * part
     return share
+
+
+def _without_effects(weighed: Weighed) -> Values:
+    """
+    Return the mean square residual without effects, by channel.
+
+    That of the refitted nominal model. If this hides an effect, as one of its parameters is far
+    beyond its tolerance: that of the most probable fit, with its effects set to null.
+    """
+    group, null = weighed.group, weighed.candidates[()].fitted.held_out
+    best = max(weighed.candidates, key=lambda names: weighed.probability[names])
+    if not best or any(null[channel] > group.error_floor[channel] for channel in group.channels):
+        return null
+    p = weighed.candidates[best].fitted.record.copy()
+    for variant in weighed.candidates[best].variants:
+        for field in {free.field for free in variant.free} | dict(variant.fixed).keys():
+            p[field] = group.nominal[field]
+    return held_out_error(group, p)
 
 
 def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float

@@ -42,7 +42,7 @@ _BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
 def _first_friction(*more: Free, sharp: bool = True) -> tuple[Variant, ...]:
     """Return forms of friction in a plant that has none: on either side of the force sensor."""
     fixed = {'friction_model': FULL, 'friction_presliding_damping': 0.0} | (
-        {'friction_stribeck_velocity': 1e-9} if sharp else {})   # sliding only
+        {'friction_stribeck_velocity': 1e-6} if sharp else {})   # its least: no stiction
     return tuple(_form(
         MOVED, Free('friction_coulomb', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N'),
         _scaled('friction_presliding_stiffness', 0.05, 50.0, (1.0, 10.0)),
@@ -72,11 +72,11 @@ FORMS: dict[str, tuple[Variant, ...]] = {
               _scaled('valve_hysteresis_lag_time'), needs=('valve_hysteresis_model',)),
         _form(VALVE, Free('valve_hysteresis_radius', 0.0, 0.8, SMALL, 'command', 'N'),
               fixed={'valve_hysteresis_model': FULL, 'valve_hysteresis_lag_time': 0.0,
-                     'valve_hysteresis_saturation': 1e9}),
+                     'valve_hysteresis_saturation': 1e6}),
         _form(VALVE, Free('valve_hysteresis_radius', 0.0, 0.8, SMALL, 'command', 'N'),
               Free('valve_hysteresis_rounding', 0.0, 1.0, (0.5,)),
               fixed={'valve_hysteresis_model': FULL, 'valve_hysteresis_lag_time': 0.0,
-                     'valve_hysteresis_saturation': 1e9}, where={'valve_hysteresis_model': OFF}),
+                     'valve_hysteresis_saturation': 1e6}, where={'valve_hysteresis_model': OFF}),
     ),
     'valve_deadband': (
         _form(VALVE, Free('valve_flexure_deadband', 0.0, 1.0, (*SMALL, 0.4), 'command', 'N')),

@@ -53,7 +53,8 @@ def test_effect_of_size_zero_is_no_hypothesis():
 
 def test_parameter_at_the_limit_of_its_tolerance_is_said():
     heavy = {**TEXTBOOK, 'load.mass': 0.5 * 1.26}
-    answer = plain(document(diagnose([recorded(real=heavy)], TEXTBOOK)))
+    # Block by block, a tolerance is a bound.
+    answer = plain(document(diagnose([recorded(real=heavy)], TEXTBOOK, simulate=False)))
     limit = next(row for row in answer['at_limit'] if row['parameter'] == 'load.mass')
     assert limit['limit'] == 'high'
     assert limit['value'] == pytest.approx(1.2 * limit['nominal'], rel=1e-3)
@@ -71,7 +72,7 @@ def test_parameter_beyond_its_tolerance_is_an_answer(times, sure):
     assert name in answer['ambiguity_set']
     row = next(row for row in answer['which'] if row['effect'] == name)
     assert row['block'] == 'mechanics'
-    assert (answer['probability'] > 0.9) == sure
+    assert (answer['probability'] > 0.8) == sure
     if sure:
         assert answer['verdict'] == name
         assert row['parameters']['load_stiffness'] == pytest.approx(2e5 * times, rel=0.1)
@@ -83,7 +84,8 @@ def test_a_parameter_may_have_a_tolerance_of_its_own(tmp_path):
     stiff = recorded(real={**TEXTBOOK, 'load.stiffness': 3.2e5})
     known = diagnose([stiff], TEXTBOOK, tolerances={'load.stiffness': 0.7})
     assert known.verdict == ()
-    assert document(known)['nuisance']['load']['load_stiffness'] == pytest.approx(3.2e5, rel=0.1)
+    fitted = document(known)['nuisance']['velocity']
+    assert fitted['load_stiffness'] == pytest.approx(3.2e5, rel=0.1)
     with pytest.raises(InputError, match='tolerance load.radius: no uncertain .* load.mass'):
         diagnose([stiff], TEXTBOOK, tolerances={'load.radius': 0.7})
     assert parse_tolerances(['0.3', 'load.mass=0.5']) == (0.3, {'load.mass': 0.5})
@@ -158,6 +160,8 @@ def test_setting_overrides_what_the_bag_tells():
 
 def test_effects_of_the_nominal_model_are_said_to_be_approximate():
     run = dataclasses.replace(recorded(), information={'actuator': TEXTBOOK})
-    notes = asi_diagnose([run], settings=['load.external_force=1.0'])['notes']
+    # A hysteresis without width: its law could be formulated in another way than the simulator's.
+    notes = asi_diagnose([run], settings=['load.external_force=1.0', 'valve_hysteresis.model=full',
+                                          'valve_hysteresis.radius=0.0'])['notes']
     assert sum('load.external_force, which the diagnosis does not' in note for note in notes) == 1
     assert not any('which the diagnosis does not' in note for note in asi_diagnose([run])['notes'])

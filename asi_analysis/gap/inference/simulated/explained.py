@@ -48,13 +48,14 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
     weighed = Weighed(group, candidates, chance)
     # A parameter of laws formulated in another way means something slightly different: a value
     # just beyond its tolerance is not a finding.
-    if not group.other_formulation:
+    if not (group.other_formulation and group.may_differ):
         weighed = with_parameters_named(weighed)
     best, gap, unknown = _fitted_to_the_end(weighed), found[()].relative_residual, 0.0
     candidates = weighed.candidates | {best.names: Candidate(best.names, best.variants,
                                                              best.as_fitted)}
     weighed = weighed._replace(candidates=candidates)
-    if all(each.far for each in found.values()):
+    # Of a linear nominal model, what is left may be the formulation of the effect.
+    if group.may_differ and all(each.far for each in found.values()):
         if not _follows_signals(found[()]):
             return None
         unknown = as_probability(max(
