@@ -31,6 +31,7 @@ from asi_analysis.gap.findings.no_effect import place_of_gap, with_gap_centre, w
 from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
+from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
@@ -105,8 +106,9 @@ class Diagnosis:
         names = tuple(name for name in part if name != UNKNOWN)
         if names or not part:
             return weighed.candidates[names]
-        known = [n for n in weighed.probability if n in weighed.candidates]
-        return weighed.candidates[max(known, key=lambda n: weighed.probability[n])]
+        known = max(weighed.candidates, key=lambda n: weighed.probability.get(n, 0.0))
+        # With a gap that is unknown, an improbable effect is no better than none.
+        return weighed.candidates[known if weighed.probability[known] > LEAST_PROBABILITY else ()]
 
 
 def _parts(groups: Sequence[Weighed], names: Names) -> tuple[Names, ...]:
@@ -278,14 +280,17 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
                         by_blocks, simulate=False)
     if weighed is None:
-        for group in groups:
+        answered = [law.weighed for law in laws]
+        for group, known in itertools.zip_longest(groups, answered):
+            if known is not None and model.get('load.type') == 'free':
+                continue   # its force is too small for the check
             if plant == 'actuator':
                 for note in plausibility.check_against_model(group):
                     warnings.warn(note, InputWarning, stacklevel=2)
                     notes.append(note)
             elif plant == 'joint':
                 plausibility.check_joint(group)
-        weighed = weigh_groups(groups, tick, [each.weighed for each in laws])
+        weighed = weigh_groups(groups, tick, answered)
         if plant == 'joint' and healthy is None:
             made = partial(joint_groups, runs, dict(model), tolerance, out,
                            drive or drive_of(runs))

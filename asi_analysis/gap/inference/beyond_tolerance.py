@@ -15,14 +15,14 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 OWN_LAWS = 0.6
 
 
-def with_parameters_named(weighed: Weighed) -> Weighed:
+def with_parameters_named(weighed: Weighed, beside_effects: bool = True) -> Weighed:
     """
     Return a group whose hypotheses keep all other parameters within their tolerances.
 
     Normal priors let a fit leave them. If the 95 % interval of a nominal parameter lies beyond its
     tolerance, that fit and its probability belong to the hypothesis with this parameter, as far as
     the laws are the simulator's own. If the nominal model takes more than MOST_PARAMETERS of them,
-    the cause is `unknown`.
+    the cause is `unknown`. beside_effects: so is it with hypotheses that have an effect.
     """
     group = weighed.group
     shown = any(group.other_error[channel] > group.error_floor[channel]
@@ -30,7 +30,7 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
     share = 1.0 if shown else OWN_LAWS
     chance, candidates = dict(weighed.probability), dict(weighed.candidates)
     for names, candidate in weighed.candidates.items():
-        if weighed.probability[names] < LEAST_PROBABILITY:
+        if weighed.probability[names] < LEAST_PROBABILITY or (names and not beside_effects):
             continue
         more = _beyond(weighed, names)
         if not more:

@@ -41,12 +41,13 @@ _BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
 
 def _first_friction(*more: Free, sharp: bool = True) -> tuple[Variant, ...]:
     """Return forms of friction in a plant that has none: on either side of the force sensor."""
-    fixed = {'friction_model': FULL, 'friction_presliding_damping': 0.0} | (
+    fixed = {'friction_model': FULL} | (
         {'friction_stribeck_velocity': 1e-6} if sharp else {})   # its least: no stiction
     return tuple(_form(
         MOVED, Free('friction_coulomb', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N'),
         _scaled('friction_presliding_stiffness', 0.05, 50.0, (1.0, 10.0)),
-        Free('friction_presliding_slip', 0.0, 1.0, (0.5,)), *more,
+        Free('friction_presliding_slip', 0.0, 1.0, (0.5,)),
+        _scaled('friction_presliding_damping', 0.0, 4.0, (1.0,)), *more,
         fixed=fixed | {'friction_location': place}, where={'friction_model': OFF})
         for place in (CYLINDER, BEHIND_SENSOR))
 

@@ -8,7 +8,7 @@ import numpy as np
 from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
-from asi_analysis.gap.model.simulator import VALVE_FIELDS, of_simulator
+from asi_analysis.gap.model.simulator import VALVE_FIELDS, metres_per_newton, of_simulator
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed, defaults
 from asi_common.record import as_number, field_name
@@ -50,6 +50,9 @@ TURNED: Final = frozenset({
 NOT_IDENTIFIED: Final = ('maximum_substep', 'force_sensor.noise', 'force_sensor.drop_rate')
 DAHL_ROUNDING: Final = 0.75   # friction_rounding above which friction is written as Dahl's
 NO_STIFFENING_N: Final = 1e5
+OPENING: Final = 'valve_characteristic_full_opening'
+THRUST: Final = 'valve_characteristic_maximum_force'
+OF_VALVE: Final = frozenset(VALVE_FIELDS) - {OPENING, THRUST}   # what its position alone shows
 
 
 def effect_fields(values: Mapping[str, Value]) -> dict[str, float]:
@@ -262,11 +265,10 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
     if all(map(of_simulator, records)):
         return values | _of_simulator(records[-1], model), []
     # Of the simulator, the record of what follows the valve holds the valve's parameters too.
-    simulated = [p for p in records if of_simulator(p)]
-    for p in simulated:
-        values |= _of_simulator(p, model, VALVE_FIELDS if p is not records[0] else ())
-    records = [p for p in records if not of_simulator(p)]
-    for p in records:
+    for p in filter(of_simulator, records):
+        values |= _of_simulator(p, model, OF_VALVE if p is not records[0] else ())
+    by_blocks = [p for p in records if not of_simulator(p)]
+    for p in by_blocks:
         for parameter in ACTUATOR_PARAMETERS:
             given = model.get(parameter.name, parameter.default)
             fitted = p[field_name(parameter.name)]
@@ -275,7 +277,11 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
                 values[parameter.name] = _allowed(parameter.name, float(fitted))
     whole = completed(values, ACTUATOR_PARAMETERS)
     missing: list[str] = []
-    for p in records:
+    for p in by_blocks:
         values |= {name: _allowed(name, value) for name, value in improved(p, whole).items()}
         missing += left_out(p, whole)
+    if len(records) > 1:   # the valve was fitted with the nominal opening and thrust
+        valve, rest = records
+        gain = metres_per_newton(valve) * rest[THRUST] / rest[OPENING]
+        values['valve_characteristic.gain'] = _allowed('valve_characteristic.gain', float(gain))
     return values, missing

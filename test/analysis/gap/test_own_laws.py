@@ -4,9 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_gap import TEXTBOOK, recorded
+from test_gap import REAL, TEXTBOOK, recorded
 
-from asi_analysis.gap.diagnose import diagnose
+from asi_actuator.model.actuator import simulate
+from asi_actuator.parameters import as_record
+from asi_analysis.gap.diagnose import diagnose, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.model.simulator import has_linear_laws
 
@@ -41,3 +43,38 @@ def test_step_of_a_parameter_without_influence_stays_within_its_bounds():
     step, _ = least_step(np.diag([1.0, 0.0]), np.array([-0.5, 0.0]), np.full(2, -0.3),
                          np.full(2, 0.3))
     assert (np.abs(step) <= 0.3).all()
+
+
+@pytest.mark.parametrize('damping', [0.0, 375.7])
+def test_improved_model_of_friction_is_the_machine(damping):
+    """Its own friction, with a thrust that is off, is explained to the noise when simulated."""
+    run = recorded(friction__model='full', friction__coulomb=20.0, friction__stiction_push=20.0,
+                   friction__stiction_pull=20.0, friction__presliding_damping=damping,
+                   valve_characteristic__maximum_force=1100.0)
+    diagnosis = diagnose([run], TEXTBOOK)
+    assert diagnosis.verdict == ('coulomb_friction',)
+    again = simulate(as_record(improved_of(diagnosis, TEXTBOOK)), run.command_n, run.period_s)
+    assert np.std(again.force_n - run.force_n) < 1.1   # N; the noise is 1 N
+
+
+def test_gain_of_the_valve_goes_with_its_opening():
+    run = recorded(valve_characteristic__maximum_force=1150.0)
+    values = improved_of(diagnose([run], TEXTBOOK, simulate=False), TEXTBOOK)
+    again = simulate(as_record(values), run.command_n, run.period_s)
+    for name in ('force_n', 'valve_position_m'):
+        real = getattr(run, name)
+        assert np.std(getattr(again, name) - real) < 0.03 * np.std(real)
+
+
+def test_unknown_gap_adds_no_improbable_effect():
+    run = recorded()
+    uneven = 8.0 * np.sign(np.sin(2.0 * np.pi * run.position_m / 1e-3))
+    diagnosis = diagnose([dataclasses.replace(run, force_n=run.force_n + uneven)], TEXTBOOK)
+    assert diagnosis.verdict == ('unknown',)
+    assert [diagnosis.best(each).names for each in diagnosis.groups] == [(), ()]
+
+
+def test_free_load_is_explained():
+    free = {'load.type': 'free'}
+    run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)
+    assert diagnose([run], {**TEXTBOOK, **free}).verdict == ('sensor_offset',)

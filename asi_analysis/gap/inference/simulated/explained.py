@@ -48,8 +48,10 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
     weighed = Weighed(group, candidates, chance)
     # A parameter of laws formulated in another way means something slightly different: a value
     # just beyond its tolerance is not a finding.
-    if not (group.other_formulation and group.may_differ):
+    if not group.other_formulation:
         weighed = with_parameters_named(weighed)
+    elif not group.may_differ:   # the gain of the sensor is not known: it is no second finding
+        weighed = with_parameters_named(weighed, beside_effects=False)
     best, gap, unknown = _fitted_to_the_end(weighed), found[()].relative_residual, 0.0
     candidates = weighed.candidates | {best.names: Candidate(best.names, best.variants,
                                                              best.as_fitted)}
