@@ -74,8 +74,8 @@ def test_second_recording_may_have_another_offset():
     answer = document(diagnose(runs, TEXTBOOK))
     assert answer['verdict'] == 'sensor_offset'
     found = answer['which'][0]['parameters']
-    assert found['sensor_offset'] == pytest.approx(40.0, abs=2.0)
-    assert found['sensor_offset@2'] == pytest.approx(-25.0, abs=2.0)
+    assert found['force_sensor_offset'] == pytest.approx(40.0, abs=2.0)
+    assert found['force_sensor_offset@2'] == pytest.approx(-25.0, abs=2.0)
 
 
 @pytest.mark.parametrize('load', [pytest.param('locked', marks=pytest.mark.slow), 'free'])
