@@ -15,14 +15,14 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 OWN_LAWS = 0.6
 
 
-def with_parameters_named(weighed: Weighed, beside_effects: bool = True) -> Weighed:
+def with_parameters_named(weighed: Weighed, times: float = 1.0) -> Weighed:
     """
     Return a group whose hypotheses keep all other parameters within their tolerances.
 
     Normal priors let a fit leave them. If the 95 % interval of a nominal parameter lies beyond its
     tolerance, that fit and its probability belong to the hypothesis with this parameter, as far as
     the laws are the simulator's own. If the nominal model takes more than MOST_PARAMETERS of them,
-    the cause is `unknown`. beside_effects: so is it with hypotheses that have an effect.
+    the cause is `unknown`. times: so many tolerances are meant by the tolerance.
     """
     group = weighed.group
     shown = any(group.other_error[channel] > group.error_floor[channel]
@@ -30,9 +30,9 @@ def with_parameters_named(weighed: Weighed, beside_effects: bool = True) -> Weig
     share = 1.0 if shown else OWN_LAWS
     chance, candidates = dict(weighed.probability), dict(weighed.candidates)
     for names, candidate in weighed.candidates.items():
-        if weighed.probability[names] < LEAST_PROBABILITY or (names and not beside_effects):
+        if weighed.probability[names] < LEAST_PROBABILITY:
             continue
-        more = _beyond(weighed, names)
+        more = _beyond(weighed, names, times)
         if not more:
             continue
         if len(more) > MOST_PARAMETERS:
@@ -57,7 +57,7 @@ def _freed(candidate: Candidate, names: Names, more: tuple[Variant, ...]) -> Can
         free=free, problem=replace(fitted.problem, free=free)))
 
 
-def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
+def _beyond(weighed: Weighed, names: Names, times: float) -> dict[str, Variant]:
     """Return the effects of parameters that are beyond their tolerance, with their forms."""
     group, candidate = weighed.group, weighed.candidates[names]
     fitted, found = candidate.fitted, dict[str, Variant]()
@@ -68,7 +68,7 @@ def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
     known = likelihood(fitted)
     for free in suspects:
         nominal = float(group.nominal[free.field])
-        if all(abs(end / nominal - 1.0) > 2.0 * free.prior
+        if all(abs(end / nominal - 1.0) > 2.0 * times * free.prior
                for end in interval(fitted, known, free.field)):
             effect, variant = form_of(group, free.field)
             if effect.name not in names:
