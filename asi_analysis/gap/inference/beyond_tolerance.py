@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from asi_analysis.gap.formulation import TOLERANCE_FACTOR
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
@@ -13,28 +14,34 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 # Probability that the laws are the simulator's own, if the noise would hide another formulation.
 # With others, a value just beyond the tolerance may be due to them.
 OWN_LAWS = 0.6
+# With a linear nominal model: probability that a parameter beyond its tolerance is meant, and not
+# a gain of the sensor within its own; where it is beyond TOLERANCE_FACTOR tolerances, it is sure.
+AT_EDGE = 0.4
 
 
-def with_parameters_named(weighed: Weighed, times: float = 1.0) -> Weighed:
+def with_parameters_named(weighed: Weighed) -> Weighed:
     """
     Return a group whose hypotheses keep all other parameters within their tolerances.
 
     Normal priors let a fit leave them. If the 95 % interval of a nominal parameter lies beyond its
     tolerance, that fit and its probability belong to the hypothesis with this parameter, as far as
     the laws are the simulator's own. If the nominal model takes more than MOST_PARAMETERS of them,
-    the cause is `unknown`. times: so many tolerances are meant by the tolerance.
+    the cause is `unknown`.
     """
     group = weighed.group
     shown = any(group.other_error[channel] > group.error_floor[channel]
                 for channel in group.channels)
-    share = 1.0 if shown else OWN_LAWS
     chance, candidates = dict(weighed.probability), dict(weighed.candidates)
     for names, candidate in weighed.candidates.items():
         if weighed.probability[names] < LEAST_PROBABILITY:
             continue
-        more = _beyond(weighed, names, times)
+        more = _beyond(weighed, names, 1.0)
         if not more:
             continue
+        if group.may_differ:
+            share = 1.0 if shown else OWN_LAWS
+        else:
+            share = 1.0 if more == _beyond(weighed, names, TOLERANCE_FACTOR) else AT_EDGE
         if len(more) > MOST_PARAMETERS:
             if names:
                 continue
@@ -58,7 +65,7 @@ def _freed(candidate: Candidate, names: Names, more: tuple[Variant, ...]) -> Can
 
 
 def _beyond(weighed: Weighed, names: Names, times: float) -> dict[str, Variant]:
-    """Return the effects of parameters that are beyond their tolerance, with their forms."""
+    """Return the effects of parameters beyond so many `times` their tolerance, and their forms."""
     group, candidate = weighed.group, weighed.candidates[names]
     fitted, found = candidate.fitted, dict[str, Variant]()
     own = {free.field for variant in candidate.variants for free in variant.free}

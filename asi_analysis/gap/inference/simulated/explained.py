@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from asi_analysis.gap.formulation import TOLERANCE_FACTOR, model_error
+from asi_analysis.gap.formulation import model_error
 from asi_analysis.gap.inference.beyond_tolerance import with_parameters_named
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import (
@@ -48,10 +48,8 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
     weighed = Weighed(group, candidates, chance)
     # A parameter of laws formulated in another way means something slightly different: a value
     # just beyond its tolerance is not a finding.
-    if not group.other_formulation:
+    if not (group.other_formulation and group.may_differ):
         weighed = with_parameters_named(weighed)
-    elif not group.may_differ:   # a gain of the sensor within its tolerance moves it, too
-        weighed = with_parameters_named(weighed, TOLERANCE_FACTOR)
     best, gap, unknown = _fitted_to_the_end(weighed), found[()].relative_residual, 0.0
     candidates = weighed.candidates | {best.names: Candidate(best.names, best.variants,
                                                              best.as_fitted)}
