@@ -112,7 +112,7 @@ def _variants(effect: Effect, group: Group) -> list[Variant]:
     """Return the forms of an effect that apply to a group, alone and without a guess."""
     return [variant for variant in effect.variants
             if not variant.joined and set(variant.channels) & set(group.channels)
-            and all(group.nominal[name] != 0.0 for name in variant.needs)
+            and variant.applies(group.nominal)
             and all(free.scale in group.scale or free.scale in ('nominal', '')
                     or free.scale in (group.nominal.dtype.names or ())
                     for free in variant.free)]

@@ -1,7 +1,7 @@
 """Locate the gap: by block, along the signal chain, and by regime."""
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -97,11 +97,7 @@ def _without_effects(weighed: Weighed) -> Values:
     best = max(weighed.candidates, key=lambda names: weighed.probability[names])
     if not best or any(null[channel] > group.error_floor[channel] for channel in group.channels):
         return null
-    p = weighed.candidates[best].fitted.record.copy()
-    for variant in weighed.candidates[best].variants:
-        for field in {free.field for free in variant.free} | dict(variant.fixed).keys():
-            p[field] = group.nominal[field]
-    return held_out_error(group, p)
+    return held_out_error(group, _nulled(weighed, best, best))
 
 
 def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
@@ -128,6 +124,21 @@ def _blocks_of(weighed: Weighed, names: Names, channel: str, probability: float
     return {block: part / total for block, part in blocks.items()}
 
 
+def _nulled(weighed: Weighed, names: Names, absent: Collection[str]) -> np.void:
+    """Return the record of a hypothesis with some of its effects set to null."""
+    group, whole = weighed.group, weighed.candidates[names]
+    kept, reset = set[str](), set[str]()
+    for effect in group.effects:
+        for variant in effect.variants:
+            if effect.name in names and variant in whole.variants:
+                fields = {free.field for free in variant.free} | dict(variant.fixed).keys()
+                (reset if effect.name in absent else kept).update(fields)
+    p = whole.fitted.record.copy()
+    for field in reset - kept:
+        p[field] = group.nominal[field]
+    return p
+
+
 def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
     """
     Return the contribution of each effect of a hypothesis to a channel (mean square).
@@ -135,17 +146,11 @@ def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
     Shapley values: the mean over all orders in which the effects are added to the model; at least
     LEAST_SHARE of the largest.
     """
-    group, whole = weighed.group, weighed.candidates[names]
-    fields = {effect.name: {free.field for variant in effect.variants
-                            if variant in whole.variants for free in variant.free}
-              for effect in group.effects if effect.name in names}
+    group = weighed.group
 
     def residual(present: frozenset[str]) -> float:
-        p = whole.fitted.record.copy()
-        used = set().union(*(fields[name] for name in present))
-        for field in set().union(*fields.values()) - used:
-            p[field] = group.nominal[field]
-        return held_out_error(group, p)[channel]
+        absent = [name for name in names if name not in present]
+        return held_out_error(group, _nulled(weighed, names, absent))[channel]
 
     known = {chosen: residual(chosen) for count in range(len(names) + 1)
              for chosen in map(frozenset, itertools.combinations(names, count))}

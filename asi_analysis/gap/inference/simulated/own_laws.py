@@ -24,7 +24,7 @@ from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group, with_simulated_valve
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
-# formulated in another way; and the power, over that of noise, that is a gap.
+# formulated in another way; and the power, over what noise and model error explain, that is a gap.
 LEFT, GAP = 0.05, 4.0
 
 
