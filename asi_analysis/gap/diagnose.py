@@ -245,9 +245,11 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     groups, simulated = ([with_tolerances(group, own) for group in each]
                          for each in (groups, simulated if simulate else []))
     machine: dict[tuple[str, ...], Healthy] = {}
-    if healthy is not None and has_linear_laws(model):   # compared block by block
+    predicted = {of_simulator(each.group.nominal) for each in healthy.groups} if healthy else set()
+    # With a linear model, or where the simulator explained the valve only: block by block.
+    if healthy is not None and (has_linear_laws(model) or len(predicted) > 1):
         simulated = []
-        if any(of_simulator(each.group.nominal) for each in healthy.groups):
+        if True in predicted:
             healthy = diagnose(healthy.runs, model, plant, tolerance, report=report,
                                tolerances=tolerances, simulate=False)
     if healthy is not None:
@@ -268,19 +270,20 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     # Before the checks, since a note may explain why one fails.
     for note in (each for each in notes if each not in told):
         warnings.warn(note, InputWarning, stacklevel=2)
-    weighed, laws = None, list[OwnLaws]()
+    answered, laws = list[Weighed | None](), list[OwnLaws]()
     if simulated and has_linear_laws(model):
         laws = by_own_laws(simulated, tick)
+        answered = [law.weighed for law in laws]
     elif simulated:
         # The block-wise model needs the measured force, which is small with a free load.
-        weighed = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
-    if weighed is None and simulated and healthy is not None:
+        answered = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
+    if simulated and healthy is not None and None in answered:
         by_blocks = diagnose(healthy.runs, model, plant, tolerance, report=report,
                              tolerances=tolerances, simulate=False)
         return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
                         by_blocks, simulate=False)
-    if weighed is None:
-        answered = [law.weighed for law in laws]
+    weighed = [each for each in answered if each is not None]
+    if len(weighed) < len(groups):
         for group, known in itertools.zip_longest(groups, answered):
             if known is not None and model.get('load.type') == 'free':
                 continue   # its force is too small for the check

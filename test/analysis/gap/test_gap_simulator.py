@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from asi_analysis.gap.diagnose import actuator_groups, diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated import search
+from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator, parameter_errors
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import (
@@ -295,7 +297,61 @@ def test_what_the_simulator_cannot_explain_is_left_to_the_other_models():
     recordings = prepared([run])
     p = simulator.simulator_record(nominal)
     groups = [simulator_group(p, recordings, channels) for channels in (('valve',), CHANNELS)]
-    assert explained_by_simulator(groups, lambda: None) is None
+    valve, behind = explained_by_simulator(groups, lambda: None)
+    assert behind is None
+    # The valve is the simulator's own: no fit of other models may accuse it.
+    assert valve is not None
+    assert valve.probability[()] > 0.9
+
+
+def test_a_parameter_whose_prior_is_costly_leads_the_screen_to_its_effect():
+    # Only stiction differs, so much that the nominal model follows with an improbable one.
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'friction.stiction_push': 30.0, 'friction.stiction_pull': 20.0},
+                   duration_s=1.5)
+    p = simulator.simulator_record(nominal)
+    null = search.null_fit(simulator_group(p, prepared([run]), CHANNELS))
+    screened = screen(null, True, lambda: None)
+    fields = [free.field for free in null.problem.free]
+    same = [start for start in screened.ranked if start.name == 'stiction' and all(
+        start.problem.record(start.theta)[field] == pytest.approx(
+            null.problem.record(null.best.theta)[field]) for field in fields)]
+    assert same   # the fitted values themselves, without their priors
+    # No more can be gained than the priors cost and the residual is above the noise.
+    assert screened.most < null.best.cost
+
+
+def groups_of(monkeypatch, valve, behind):
+    """Return what is said of two groups, of which these are the fits without and with effect."""
+    def explained(group, tick, alone):
+        costs, other = valve if group.channels == ('valve',) else behind
+        if costs is None:
+            return None
+        found = {names: SimpleNamespace(best=SimpleNamespace(cost=cost))
+                 for names, cost in zip(((), ('valve_lag',)), costs, strict=True)}
+        return search._Explained(SimpleNamespace(
+            group=SimpleNamespace(other_formulation=other)), found)
+
+    monkeypatch.setattr(search, '_explained', explained)
+    monkeypatch.setattr(search, 'weighed_of', lambda found, alone, other: 'of other laws')
+    monkeypatch.setattr(search, 'most_probable_of', lambda weighed: SimpleNamespace(
+        fitted=SimpleNamespace(record=None)))
+    monkeypatch.setattr(search, 'with_simulated_valve', lambda group, record, gain: group)
+    monkeypatch.setattr(search, 'with_free_gain', lambda group: (group, None))
+    return explained_by_simulator([SimpleNamespace(channels=('valve',)),
+                                   SimpleNamespace(channels=CHANNELS)], lambda: None)
+
+
+@pytest.mark.parametrize('behind', [(None, False), ((90.0, 80.0), True)])
+def test_valve_has_other_laws_as_what_follows_it_unless_its_own_need_an_effect(
+        monkeypatch, behind):
+    assert groups_of(monkeypatch, ((120.0, 100.0), False), behind)[0] == 'of other laws'
+    kept = groups_of(monkeypatch, ((1000.0, 100.0), False), behind)[0]
+    assert not kept.group.other_formulation
+
+
+def test_what_follows_a_valve_that_is_not_explained_is_not_judged_by_the_simulator(monkeypatch):
+    assert groups_of(monkeypatch, (None, False), ((90.0, 80.0), False)) == [None, None]
 
 
 @pytest.mark.slow

@@ -41,6 +41,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
     small: of contacts and couplings only the smallest effects.
     """
     group, problem = base.problem.group, base.problem
+    values = problem.record(base.best.theta)
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
     shorter = max(group.exact_substep_s, min(STIFF_S, float(group.nominal['maximum_substep'])))
     work = []
@@ -58,6 +59,11 @@ def _starts(base: Found, small: bool) -> list[Start]:
                 (('maximum_substep', shorter),) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)
+            if own <= shares.keys():   # parameters of the base itself, as fitted
+                work.append(Start(effect.name, variant, extended, np.array([
+                    shares[f.field] if f.field not in own else
+                    float(np.clip(extended.parameter(f).share(float(values[f.field])), 0.0, 1.0))
+                    for f in extended.free])))
             for varied in variant.free:   # each in turn at all its starts, the others at the first
                 if len(varied.starts) == 1 and varied is not variant.free[0]:
                     continue
@@ -104,10 +110,16 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
         # optimistic: linearised, the other parameters seem to explain much.
         own = {free.field for free in start.variant.free}
         change = start.problem.residual(start.theta) - residual
-        if not np.isfinite(change).all() or not change.any():
-            return -math.inf, -math.inf
         # Some effects replace a free parameter.
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
+        if not np.isfinite(change).all():
+            return -math.inf, -math.inf
+        if not change.any():   # it replaces parameters by themselves, without their priors
+            held = np.zeros(count)
+            held[keep] = precision[keep]
+            return least_step(square - np.diag(precision - held),
+                              slope - (precision - held) * (theta - mean),
+                              -theta, 1.0 - theta)[1], -math.inf
         size, along = float(change @ change), float(residual @ change)
         whole = np.empty((count + 1, count + 1))
         whole[:count, :count] = square

@@ -34,7 +34,6 @@ from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import (
     COST_RANGE,
-    SUSPECT_PRIOR_COST,
     goal_beside,
     in_best_formulation,
     in_formulation,
@@ -66,32 +65,32 @@ SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shar
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
-                           alone: bool = False) -> list[Weighed] | None:
+                           alone: bool = False) -> list[Weighed | None]:
     """
-    Return the groups with the probabilities of their hypotheses, if the simulator explains them.
+    Return each group with the probabilities of its hypotheses, if the simulator explains it.
 
-    Else None. It explains a group as it is, with parameters within their tolerance, or with at
-    most two effects or parameters beyond their tolerance, if only noise is left. groups: the valve
-    and what follows it; or one, if the valve position was not recorded. alone: no other model
-    predicts such recordings, so laws formulated in another way get a model error, and a residual
-    is `unknown`.
+    Else None, and for what follows a valve that it does not explain. It explains a group as it
+    is, with parameters within their tolerance, or with at most two effects or parameters beyond
+    their tolerance, if only noise is left. groups: the valve and what follows it; or one, if the
+    valve position was not recorded. alone: no other model predicts such recordings, so laws
+    formulated in another way get a model error, and a residual is `unknown`.
     """
     valve, *others = groups
     valve, gain = with_free_gain(valve) if others else (valve, None)
     first = _explained(valve, tick, alone)
     if first is None or not others:
-        return None if first is None else [first.weighed]
+        return [None if first is None else first.weighed, *(None for _ in others)]
     rest, = others
     second = _explained(with_simulated_valve(
         rest, most_probable_of(first.weighed).fitted.record, gain), tick, alone)
-    if second is None:
-        return None
     # If the laws behind the valve are formulated in another way, so are the valve's, although
-    # its position may not show it.
-    changed = (second.weighed.group.other_formulation
-               and not first.weighed.group.other_formulation)
+    # its position may not show it; unless they are far less probable with no effect.
+    costs = [each.best.cost for each in first.found.values()]
+    changed = ((second is None or second.weighed.group.other_formulation)
+               and not first.weighed.group.other_formulation
+               and first.found[()].best.cost < min(costs) + COST_RANGE)
     return [(weighed_of(first.found, alone, True) if changed else None) or first.weighed,
-            second.weighed]
+            None if second is None else second.weighed]
 
 
 def with_free_gain(valve: Group) -> tuple[Group, Free | None]:
@@ -172,10 +171,12 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[N
     alone: as in `explained_by_simulator`.
     """
     null.problem.group.scale.update(initial_guesses(null.as_fitted))
-    # Large errors of nominal parameters may stand for an effect: then the screen starts from the
-    # nominal values.
-    hidden = null.unexplained or null.prior_cost > SUSPECT_PRIOR_COST
-    singles = _extended(null.at_nominal if hidden else null, null, tick, alone)
+    singles: dict[Names, Found] = {}
+    if not null.unexplained:
+        singles = _extended(null, null, tick, alone)
+    # Errors of nominal parameters hide an effect: then the screen starts from the nominal values.
+    if null.may_lack_an_effect:
+        singles = _best_of(singles, _extended(null.at_nominal, null, tick, alone))
     return {(): _refitted_from_larger(null, list(singles.values()))} | singles
 
 
