@@ -112,13 +112,12 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
         change = start.problem.residual(start.theta) - residual
         # Some effects replace a free parameter.
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
-        if not np.isfinite(change).all():
+        if not np.isfinite(change).all() or (len(keep) + len(own) > count and not change.any()):
             return -math.inf, -math.inf
         if not change.any():   # it replaces parameters by themselves, without their priors
-            held = np.zeros(count)
-            held[keep] = precision[keep]
-            return least_step(square - np.diag(precision - held),
-                              slope - (precision - held) * (theta - mean),
+            prior = precision.copy()
+            prior[keep] = 0.0
+            return least_step(square - np.diag(prior), slope - prior * (theta - mean),
                               -theta, 1.0 - theta)[1], -math.inf
         size, along = float(change @ change), float(residual @ change)
         whole = np.empty((count + 1, count + 1))
