@@ -101,7 +101,8 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     """
     problem, residual, theta = base.problem, base.best.residual, base.best.theta
     (mean, precision), slopes = problem.prior, base.slopes
-    square = slopes.T @ slopes + np.diag(precision)
+    of_data = slopes.T @ slopes
+    square = of_data + np.diag(precision)
     slope = slopes.T @ residual + precision * (theta - mean)
     count = theta.size
 
@@ -115,9 +116,9 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
         if not np.isfinite(change).all() or (len(keep) + len(own) > count and not change.any()):
             return -math.inf, -math.inf
         if not change.any():   # it replaces parameters by themselves, without their priors
-            prior = precision.copy()
-            prior[keep] = 0.0
-            return least_step(square - np.diag(prior), slope - prior * (theta - mean),
+            held = np.zeros(count)
+            held[keep] = precision[keep]
+            return least_step(of_data + np.diag(held), slope - (precision - held) * (theta - mean),
                               -theta, 1.0 - theta)[1], -math.inf
         size, along = float(change @ change), float(residual @ change)
         whole = np.empty((count + 1, count + 1))
