@@ -21,6 +21,8 @@ from asi_analysis.measures.step_response import Step, largest_step, step_respons
 from asi_analysis.reporting.result import Pictures, Result, Table, frame, number
 
 AVERAGED_LINES: Final = 9
+# A delay by more than this part of a turn over the averaged lines is taken out before.
+TURN: Final = 0.25
 # A line is used if its input power is at least this share of that of the strongest line,
 EXCITED: Final = 1e-4
 # this share of that of the strongest line within a NEARBY share of the spectrum (less between the
@@ -37,6 +39,8 @@ HALF_POWER: Final = np.sqrt(0.5)
 # A sine has at least this share of its power within so many lines of the strongest one.
 SINE: Final = 0.99
 SINE_LINES: Final = 3
+# Samples that suffice to fit one of so few cycles.
+SINE_SAMPLES: Final = 2000
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
 
 
@@ -96,7 +100,20 @@ def is_sine(values: Array) -> bool:
     window = signal.windows.hann(values.size)
     power = np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2
     k = int(np.argmax(power))
+    if k <= SINE_LINES:   # harmonics are among those lines
+        return _sine_share(values, k) > SINE
     return bool(power[max(k - SINE_LINES, 0):k + SINE_LINES + 1].sum() > SINE * power.sum())
+
+
+def _sine_share(values: Array, cycles: int) -> float:
+    """Return the share of the variance that a sine of about so many cycles in the record has."""
+    values = values[::-(-values.size // SINE_SAMPLES)]
+    turn = 2.0 * np.pi * np.arange(values.size) / values.size
+    left = []
+    for each in cycles + np.linspace(-1.0, 1.0, 41)[1:]:
+        columns = np.column_stack([np.cos(each * turn), np.sin(each * turn), np.ones(turn.size)])
+        left.append(np.std(values - columns @ np.linalg.lstsq(columns, values)[0]))
+    return float(1.0 - (min(left) / max(np.std(values), 1e-300)) ** 2)
 
 
 def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
@@ -111,6 +128,11 @@ def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
         return None
     x, y = (np.where(valid, v, np.interp(np.arange(v.size), np.flatnonzero(valid), v[valid]))
             for v in (input_, output))
+    # A long delay turns the phase over the averaged lines, so that their average vanishes: the
+    # output is taken back by it, and its phase is put back below.
+    late = round(correlation_delay(x, y, 1.0) or 0.0)
+    late = late if late * AVERAGED_LINES > TURN * x.size else 0
+    x, y = x[:x.size - late], y[late:]
     u, v = (np.fft.rfft(each - each.mean()) for each in (x, y))
     frequency = np.fft.rfftfreq(x.size, period_s)
     power, output_power, cross = (
@@ -128,8 +150,9 @@ def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
         frequency[trusted], (cross[trusted] / power[trusted]), coherence[trusted])
     limit = bandwidth(frequency, np.abs(response))
     band = frequency <= (limit or frequency[-1])
-    delay = phase_delay(frequency[band], response[band], coherence[band])
-    return Estimate(frequency, response, coherence, limit, delay)
+    delay = late * period_s + phase_delay(frequency[band], response[band], coherence[band])
+    turned = response * np.exp(-2j * np.pi * frequency * late * period_s)
+    return Estimate(frequency, turned, coherence, limit, delay)
 
 
 def step_bandwidth(run: Run, step: Step) -> float | None:
@@ -182,15 +205,18 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
         missing = ('the run has no reference' if run.reference_n is None else
                    f'the reference is that of a {run.controlled()}, not of the {run.output(name)}')
         return Bandwidth(None, None, None, None, missing)
+    valid = np.isfinite(run.reference_n) & np.isfinite(output)
+    lag = correlation_delay(np.where(valid, run.reference_n, 0.0), np.where(valid, output, 0.0),
+                            run.period_s)
     steps = step_responses(run)
     step = largest_step(steps)
     if step is not None and len(steps) < FEWEST_STEPS:
         found = step_bandwidth(run, step)
-        return Bandwidth(found, 'step', None, None, None if found else
+        return Bandwidth(found, 'step', None, lag, None if found else
                          'the step response does not settle')
     response = estimate(run.reference_n, output, run.period_s)
     if response is None:
-        return Bandwidth(None, None, None, None, TOO_POOR)
+        return Bandwidth(None, None, None, lag, TOO_POOR)
     if is_sine(run.reference_n[np.isfinite(run.reference_n)]):
         k = int(np.argmin(np.abs(response.frequency_hz - _strongest_hz(run))))
         ratio = response.response[k]
@@ -198,9 +224,6 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
             f'the reference is a single sine of {response.frequency_hz[k]:.4g} Hz, which '
             f'shows only the gain there, {abs(ratio):.3g}, and the phase, '
             f'{math.degrees(np.angle(ratio)):.0f} degrees'))
-    valid = np.isfinite(run.reference_n) & np.isfinite(output)
-    lag = correlation_delay(np.where(valid, run.reference_n, 0.0), np.where(valid, output, 0.0),
-                            run.period_s)
     reason = None if response.bandwidth_hz else (
         f'the gain does not fall by 3 dB up to {response.frequency_hz[-1]:.4g} Hz, the highest '
         'frequency that is excited')

@@ -10,6 +10,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.measures.analysis import analyze, oscillation
+from asi_analysis.measures.frequency_response import loop_bandwidth
 
 T = np.arange(4000) * 1e-3
 STEP = np.where(T >= 0.5, 0.2, 0.0)
@@ -43,6 +44,22 @@ def test_the_delay_of_a_position_behind_its_reference():
     run = Run(T, reference_n=noise, position_m=np.roll(noise, 25),
               information={'signals': {'reference': 'm'}})
     assert analyze(run).correlation_delay_s == pytest.approx(0.025, abs=0.001)
+
+
+@pytest.mark.parametrize('delay', [5, 208, 390])
+@pytest.mark.parametrize('kind', ['staircase', 'short stairs', 'noise'])
+def test_a_long_delay_is_told_and_does_not_hide_the_response(kind, delay):
+    """A delay turns the phase between lines: their average vanished, and nothing was told."""
+    random, count = np.random.default_rng(4), T.size + 400
+    reference = {'staircase': np.repeat(random.uniform(-1.0, 1.0, 25), 176),
+                 'short stairs': np.repeat([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0, 1.0], 550),
+                 'noise': random.standard_normal(count)}[kind]
+    position = reference[400 - delay:count - delay] + 0.02 * random.standard_normal(T.size)
+    found = loop_bandwidth(Run(T, reference_n=reference[400:], position_m=position,
+                               information={'signals': {'reference': 'm', 'position': 'm'}}))
+    assert found.correlation_delay_s == pytest.approx(1e-3 * delay, rel=0.02, abs=1e-3)
+    if kind == 'noise':
+        assert found.delay_s == pytest.approx(1e-3 * delay, rel=0.02, abs=1e-3)
 
 
 def test_another_signal_than_the_controlled_one_has_no_step_but_may_oscillate():

@@ -17,6 +17,7 @@ from asi_analysis.measures.correlation import correlation_delay
 from asi_analysis.measures.frequency_response import (
     actuator_bandwidth,
     estimate,
+    is_sine,
     loop_bandwidth,
 )
 from asi_common.parameter import completed
@@ -96,6 +97,15 @@ def test_a_single_sine_tells_no_bandwidth():
     assert found.bandwidth_hz is None and found.delay_s is None
     assert 'single sine of 10 Hz' in found.reason
     assert '0.7' in found.reason and '-29 degrees' in found.reason
+
+
+@pytest.mark.parametrize('cycles', [1.0, 1.4, 2.6, 9.3])
+def test_a_sine_is_one_in_any_number_of_cycles_and_stairs_are_none(cycles):
+    """The harmonics of a slow wave are among the lines next to it."""
+    turn = cycles * np.arange(4000) / 4000
+    stairs = np.floor(8.0 * np.abs(2.0 * (turn % 1.0) - 1.0))
+    assert is_sine(3.0 + np.sin(2.0 * np.pi * turn + 1.0))
+    assert not is_sine(stairs)
 
 
 def test_what_the_input_does_not_move_is_not_told():
