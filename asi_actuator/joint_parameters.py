@@ -70,6 +70,9 @@ JOINT_PARAMETERS: Final = JointTable((
     _row('drive.bias', 0.0, 'N', 'Force at no command or, with servo.kp, position', -LARGE),
     _row('drive.lag_time', 0.0, 's', 'Time constant of the drive', 0.0, 10.0),
     _row('drive.second_lag_time', 0.0, 's', 'Time constant of a second lag', 0.0, 10.0),
+    _row('drive.warm_loss', 0.0, '', 'Share of the force that the drive loses as it gets warm',
+         -1.0, 1.0),
+    _row('drive.warm_time', 100.0, 's', 'Time constant of getting warm', 1e-3),
     _row('drive.force_limit', 0.0, 'N', 'Largest force of the drive; 0: no limit'),
     _row('drive.force_rate_limit', 0.0, 'N/s', 'Fastest change of the force; 0: no limit'),
     _row('servo.kp', 0.0, 'N/m', 'Force per distance from the position that is asked for; 0: no '

@@ -4,8 +4,9 @@ The drive: from the command to the force on the joint.
     asked = gain * command + bias,  late by two lags
     force = asked,  or of a servo  kp (asked - position) - kv velocity + ki integral
 
-A dead band is before the gain, limits of the force and of its rate are at the end. The rate of
-the force is limited from sub-step to sub-step.
+A dead band is before the gain. While the drive gets warm, the force falls by a share; limits of
+the force and of its rate are at the end. The rate of the force is limited from sub-step to
+sub-step.
 """
 
 import math
@@ -53,6 +54,14 @@ def wanted(command, p):
     return p.drive_gain * command + p.drive_bias
 
 
+@jit
+def warmth(time, p):
+    """Return the share of its force that the drive still has after so many seconds."""
+    if p.drive_warm_loss == 0.0:
+        return 1.0
+    return 1.0 + p.drive_warm_loss * math.expm1(-time / p.drive_warm_time)
+
+
 @inlined
 def drive(state, command, p, steady, h):
     """Return the drive over a sub-step of `h` s at a constant command; lags move on."""
@@ -71,13 +80,14 @@ def drive(state, command, p, steady, h):
     if steady.change_limit < math.inf:
         low = max(low, state.push - steady.change_limit)
         high = min(high, state.push + steady.change_limit)
+    share = warmth(state.time, p)
     if p.servo_kp == 0.0:
-        return Push(asked, 0.0, low, high)
+        return Push(share * asked, 0.0, low, high)
     state.integral += p.servo_ki * h * (asked - state.position)
     if limit < math.inf:   # anti-windup: the integral alone never exceeds the limit
         state.integral = min(max(state.integral, -limit), limit)
-    return Push(p.servo_kp * (asked - state.position) + state.integral,
-                p.servo_kv + 0.5 * h * p.servo_kp, low, high)
+    return Push(share * (p.servo_kp * (asked - state.position) + state.integral),
+                share * (p.servo_kv + 0.5 * h * p.servo_kp), low, high)
 
 
 @inlined

@@ -107,6 +107,23 @@ def test_a_servo_is_of_second_order_and_keeps_its_limits():
     assert run(held | {'servo.ki': 2e4}, command).position[-1] == pytest.approx(0.8, abs=0.01)
 
 
+@pytest.mark.parametrize('servo', [False, True])
+def test_a_drive_that_gets_warm_loses_a_share_of_its_force(servo: bool):
+    warm: Values = {'load.mass': 0.05, 'drive.warm_loss': 0.3, 'drive.warm_time': 0.5}
+    gains: Values = {'servo.kp': 20.0, 'servo.kv': 2.0} if servo else {}
+    kp, kv = (20.0, 2.0) if servo else (0.0, 0.0)
+
+    def derivative(state, u):
+        q, v, t = state
+        share = 1.0 - 0.3 * (1.0 - math.exp(-t / 0.5))
+        return [v, share * ((kp * (u - q) - kv * v) if servo else u) / 0.05, 1.0]
+
+    position, velocity, _ = solved(derivative, [0.0, 0.0, 0.0])
+    found = run(warm | gains)
+    np.testing.assert_allclose(found.velocity, velocity, atol=2e-4 * np.abs(velocity).max())
+    assert np.abs(run({'load.mass': 0.05} | gains).velocity - velocity).max() > 0.1
+
+
 def test_the_drive_is_late_limited_and_has_a_dead_band():
     base: Values = {'load.mass': 1.0, 'load.damping': 1.0}
     force = run(base).force
