@@ -155,7 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('directory', help='where the fetched recordings are')
     parser.add_argument('--links', action='store_true', help='print how to fetch them')
-    parser.add_argument('--half', choices=('first', 'second'), help='only this half')
+    parser.add_argument('--half', choices=('first', 'second', 'later'), help='only these')
     parser.add_argument('--only', metavar='WORD', help='only rigs with this in their name')
     parser.add_argument('--keep', type=Path, metavar='FOLDER', help='where bags and answers stay')
     arguments = parser.parse_args()

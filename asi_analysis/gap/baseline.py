@@ -30,6 +30,8 @@ NEAR_STARTS: Final = (1.2, 0.85)   # initial guesses of a fit, relative to the h
 LEAST_PROBABILITY: Final = 0.01   # of an effect that is looked for in the healthy recordings
 # Parameters of a recording that belong to the machine nevertheless.
 CONSTANT: Final = ('sensor_offset', 'force_sensor_offset', 'disturbance')
+# Share of the healthy signal's power, without the noise, that the model must not leave.
+POOR: Final = 0.25
 NUMERICAL: Final = frozenset(('maximum_substep',))
 # Identified from each recording and subtracted from it before the fit.
 REMOVED: Final = frozenset(('gravity_sine', 'gravity_cosine'))
@@ -111,8 +113,7 @@ def _spread(fitted: Fitted, field: str, ends: Sequence[float], single: Sequence[
     most = tolerance * abs(value) if field in NOMINAL_FIELDS else np.inf
     values = [*ends, *single]
     number = len(single)
-    next_one = float(t.ppf(0.975, number - 1) * np.std(single, ddof=1) * np.sqrt(
-        1.0 + 1.0 / number)) if number > 1 else 0.0
+    next_one = _next_within(single) if number > 1 else 0.0
     below, above = (min(max(RANGE_FACTOR * each, next_one, LEAST_SPREAD * abs(value)), most)
                     for each in (value - min(values), max(values) - value))
     return Spread(value, max(value - below, bounds.low), min(value + above, bounds.high),
@@ -238,6 +239,8 @@ def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
     """
     Return a group in which an unknown change is as probable as none if a constant differs; a note.
 
+    From half of the tolerance on it gets more probable, unless healthy recordings differ so much.
+
     A constant force of a joint is that of its load, which may be another one, but also that of an
     offset of the force sensor; and of a joint that moves one way, of friction and of the sensor's
     gain. tolerance: of the constant force, as a share of the healthy force (rms).
@@ -246,18 +249,52 @@ def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
     before = _constants(healthy.fitted, healthy.fitted.problem.group)
     if not now or not before:
         return weighed, []
-    usual = float(np.mean([each for each, _ in before]))
-    within = max(tolerance * max(rms for _, rms in before),
-                 2.0 * float(np.ptp([each for each, _ in before])))
-    if max(abs(each - usual) for each, _ in now) <= within:
-        return weighed, []
-    chance, half = weighed.probability, 0.5 * weighed.probability.get((), 0.0)
+    known = [each for each, _ in before]
+    usual, rms = float(np.mean(known)), max(rms for _, rms in before)
+    differs = max(abs(each - usual) for each, _ in now)
+    limit = max(tolerance * rms, 2.0 * float(np.ptp(known)))
     said, was = (', '.join(f'{each:.4g}' for each, _ in values) for values in (now, before))
+    words = f'a constant force of {said}, in the healthy recordings {was}: '
+    if differs > limit:
+        return _doubted(weighed, 0.5), [
+            f'{words}another constant load and an offset of the force sensor are alike, and for '
+            'a joint that moves one way friction and gain of the sensor too']
+    if len(known) < 2 or differs <= max(_next_within(known), 0.5 * limit):
+        return weighed, []
+    return _doubted(weighed, differs / limit - 0.5), [
+        f'{words}more than they differ among themselves, less than the tolerance of '
+        f'{tolerance:.0%} (--tolerance)']
+
+
+def doubted_by_rest(weighed: Weighed, healthy: Healthy) -> tuple[Weighed, list[str]]:
+    """
+    Return a group with an unknown change as probable as none, and a note, if the model fails.
+
+    It fails if much of the healthy machine's signal is neither explained nor noise.
+    """
+    before = healthy.fitted.problem.group
+    beyond = max((healthy.share[channel] * max(1.0 - before.noise[channel] ** 2 / left, 0.0)
+                  for channel, left in healthy.left.items() if left > 0.0), default=0.0)
+    if beyond < POOR:
+        return weighed, []
+    return _doubted(weighed, 0.5), [
+        f'the model leaves {np.sqrt(beyond):.0%} of the signal (rms) of healthy recordings '
+        'unexplained, beside their noise: a change within that is not seen']
+
+
+def _doubted(weighed: Weighed, share: float) -> Weighed:
+    """Return a group in which a share of the probability of no change is an unknown change's."""
+    chance = weighed.probability
+    moved = share * chance.get((), 0.0)
     return weighed._replace(probability={
-        **chance, (): half, (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + half}), [
-            f'a constant force of {said}, in the healthy recordings {was}: another constant load '
-            'and an offset of the force sensor are alike, and for a joint that moves one way '
-            'friction and gain of the sensor too']
+        **chance, (): chance.get((), 0.0) - moved,
+        (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + moved})
+
+
+def _next_within(values: Sequence[float]) -> float:
+    """Return how far from the mean of n values one more lies at most, with 95 % (Student)."""
+    number = len(values)
+    return float(t.ppf(0.975, number - 1) * np.std(values, ddof=1) * np.sqrt(1.0 + 1.0 / number))
 
 
 def _constants(fitted: Fitted, group: Group) -> list[tuple[float, float]]:

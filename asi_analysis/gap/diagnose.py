@@ -18,6 +18,7 @@ from asi_analysis.gap.baseline import (
     against,
     changed_only,
     doubted_by_constant,
+    doubted_by_rest,
     healthy_of,
     shares,
 )
@@ -304,10 +305,11 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:
-        doubted = [doubted_by_constant(changed_only(each, was), was, tolerance)
-                   for each in weighed for was in [machine[each.group.channels]]]
-        weighed = [each for each, _ in doubted]
-        notes += [note for _, each in doubted for note in each]
+        for doubted in (lambda each, was: doubted_by_constant(changed_only(each, was), was,
+                                                              tolerance), doubted_by_rest):
+            found = [doubted(each, machine[each.group.channels]) for each in weighed]
+            weighed = [each for each, _ in found]
+            notes += [note for _, each in found for note in each]
     elif plant == 'actuator':
         weighed = [with_tolerated_gain(with_gap_centre(each), own.get(GAIN, tolerance))
                    for each in weighed]

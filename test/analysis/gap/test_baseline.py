@@ -105,6 +105,32 @@ def test_another_mean_torque_of_a_joint_that_turns_one_way_is_undecided(gain: fl
     assert answer.probability < 0.6
 
 
+def rectified(seed: int) -> Run:
+    """Return an axis whose current was recorded without its sign, so that no model explains it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 12.0, 0.02)
+    speed = np.sin(1.9 * t + seed) + 0.6 * np.sin(3.1 * t)
+    current = 1.0 + np.sqrt(np.abs(speed)) + 0.01 * rng.standard_normal(t.size)
+    return Run(t, command_n=current, position_m=np.cumsum(speed) * 0.02, source='axis',
+               information={'signals': {'command': 'A', 'position': 'm'}})
+
+
+def test_a_model_that_explains_nothing_of_the_healthy_machine_finds_no_change_for_sure():
+    """The lead screws of the public recordings: whatever changed was "no gap", 1.00."""
+    answer = asked(rectified(3), rectified(1), rectified(2))
+    assert any('unexplained, beside their noise' in note for note in answer.notes)
+    assert answer.no_gap_probability < 0.6
+    assert answer.baseline['change'] != 'none'
+
+
+@ONE_WAY
+def test_a_torque_within_the_tolerance_but_beyond_the_healthy_ones_is_no_sure_answer():
+    answer = asked(turning(1.17, 3), turning(1.0, 1), turning(1.0, 2))
+    assert answer.verdict == 'no_gap' and answer.probability < 0.85
+    note, = (note for note in answer.notes if note.startswith('a constant force of 0.0'))
+    assert note.endswith('less than the tolerance of 20% (--tolerance)')
+
+
 @pytest.mark.filterwarnings('ignore:.*position')
 @pytest.mark.parametrize('velocity', [False, True])
 @pytest.mark.parametrize('offset', [0.3, 5.0])
