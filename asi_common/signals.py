@@ -1,7 +1,12 @@
 """Signals that end a process that serves; without imports that take time, as it comes first."""
 
 import os
-import signal
+
+TYPE_CHECKING = False   # as in typing, which takes time to import
+if TYPE_CHECKING:
+    import signal
+else:
+    import _signal as signal  # built in; `signal` first makes enumerations of its numbers
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

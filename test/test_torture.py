@@ -1,11 +1,14 @@
 """What `make torture` shows while it runs."""
 
 import io
+import subprocess
+import sys
 
 import pytest
 from rich.console import Console
 
 from torture import __main__ as torture
+from torture.endings import handles_ctrl_c
 from torture.rig import Tally, until
 
 
@@ -19,3 +22,16 @@ def test_progress_is_shown_until_the_end_of_a_scenario(terminal, monkeypatch):
         tally.count('a file', times=3)
         tally.count('a file', 'a traceback')
         until(lambda: 'inputs: 4 tried, 1 not survived' in written.getvalue(), 'a line')
+
+
+@pytest.mark.parametrize(('program', 'handled'), [
+    (['cat'], False), ([sys.executable, '-c', 'print(input(), flush=True); input()'], True)])
+def test_ctrl_c_is_handled_once_python_has_its_handler(program: list[str], handled: bool) -> None:
+    with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(b'it runs\n')
+        process.stdin.flush()
+        assert process.stdout.readline() == b'it runs\n'
+        assert handles_ctrl_c(process.pid) == handled
+        process.kill()
+    assert not handles_ctrl_c(process.pid)

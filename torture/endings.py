@@ -157,7 +157,7 @@ def interrupted(command: Command, after_s: float, cold: bool, folder: Path) -> E
         with suppress(subprocess.TimeoutExpired):
             process.wait(after_s)
         begin = time.monotonic()
-        met = process.poll() is None
+        met, handled = process.poll() is None, handles_ctrl_c(process.pid)
         if met:
             # To the whole process group, as a terminal does.
             os.killpg(process.pid, signal.SIGINT)
@@ -171,11 +171,22 @@ def interrupted(command: Command, after_s: float, cold: bool, folder: Path) -> E
                 return Ending(seconds, f'has left processes behind: {others}')
             time.sleep(0.01)
     said = (folder / 'said').read_text(errors='replace')
-    if met and 'Traceback' in said and f'{ROOT}/asi_' not in said:
+    if met and (f'{ROOT}/asi_' not in said if 'Traceback' in said else not handled and not said):
         return Ending(seconds, early=True)
     if status not in command.statuses or 'Traceback' in said:
         return Ending(seconds, f'exit status {status}: {said[-600:]}', met)
     return Ending(seconds, '', met)
+
+
+def handles_ctrl_c(pid: int) -> bool:
+    """Return whether a process has a handler of SIGINT, as Python has a moment after its start."""
+    try:
+        status = Path(f'/proc/{pid}/status').read_text()
+    except OSError:   # it has ended
+        return False
+    caught, = (int(line.split()[1], 16) for line in status.splitlines()
+               if line.startswith('SigCgt:'))
+    return bool(caught >> (signal.SIGINT - 1) & 1)
 
 
 def left(folder: Path) -> list[str]:

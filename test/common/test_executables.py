@@ -282,6 +282,20 @@ EXECUTABLES = re.findall(r"'(\w+) = ([\w.]+\.executables):(\w+)'",
 
 
 @pytest.mark.parametrize('name, module, function', EXECUTABLES)
+def test_nothing_that_takes_time_is_imported_before_ctrl_c_is_handled(name, module, function):
+    """As Python starts without site, for which an environment may import more."""
+    code = f"""
+import os, sys
+before = {{*sys.modules, *sys.builtin_module_names}}
+import {module}
+print(*(set(sys.modules) - before))"""
+    found = subprocess.run([sys.executable, '-S', '-c', code], capture_output=True, text=True,
+                           env={'PYTHONPATH': str(ROOT)}, check=True).stdout.split()
+    assert module in found
+    assert [each for each in found if not each.startswith('asi_')] == []
+
+
+@pytest.mark.parametrize('name, module, function', EXECUTABLES)
 def test_every_executable_says_what_it_cannot_do(name, module, function):
     code = f'import sys; from {module} import {function}; sys.exit({function}())'
     result = subprocess.run(
