@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -35,6 +36,12 @@ def locked() -> dict[str, list[tuple[str, int]]]:
     return found
 
 
+def pip_line() -> str:
+    """Return what README.md has pip install beside a ROS installation."""
+    found, = re.findall(r'^pip install (mcap .+)$', (ROOT / 'README.md').read_text(), re.M)
+    return str(found)
+
+
 def test_every_dependency_has_a_lower_and_an_upper_bound() -> None:
     """But those of ROS, which go together."""
     for name, wanted in needed().items():
@@ -52,10 +59,14 @@ def test_the_lock_file_has_what_the_two_commands_need_with_hashes() -> None:
 
 def test_pixi_has_every_requirement() -> None:
     pixi = tomllib.loads((ROOT / 'pixi.toml').read_text())
-    given = {canonicalize_name(name.removesuffix('-base'))
-             for table in ('dependencies', 'pypi-dependencies') for name in pixi[table]}
+    given = {canonicalize_name(name.removesuffix('-base')): bound
+             for table in ('dependencies', 'pypi-dependencies')
+             for name, bound in pixi[table].items()}
     of_ros = {name for name in needed() if name.startswith('ros-jazzy-')}
-    assert set(needed()) - of_ros <= given and 'ros-jazzy-ros' in given
+    assert set(needed()) - of_ros <= given.keys() and 'ros-jazzy-ros' in given
+    # What is needed newer than a distribution may have it, as in README.md.
+    bounded = [Requirement(each) for each in shlex.split(pip_line()) if '>' in each]
+    assert bounded and all(given[each.name] == str(each.specifier) for each in bounded)
 
 
 def test_the_version_is_that_of_package_xml() -> None:
@@ -64,9 +75,7 @@ def test_the_version_is_that_of_package_xml() -> None:
 
 def test_the_container_installs_what_the_readme_says() -> None:
     container = json.loads((ROOT / '.devcontainer/devcontainer.json').read_text())
-    readme = Path(ROOT / 'README.md').read_text()
-    pip, = re.findall(r'^pip install (mcap .+)$', readme, re.M)
-    assert f'pip install {pip}' in container['onCreateCommand']
+    assert f'pip install {pip_line()}' in container['onCreateCommand']
     assert 'colcon build --packages-select asi_actuator' in container['postCreateCommand']
 
 
