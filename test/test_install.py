@@ -195,9 +195,11 @@ def test_launch_with_a_parameter_file_is_as_run_with_it(
 
 @needs_ros2
 def test_ctrl_c_of_launch_ends_all_and_the_bag_is_whole(start: Callable, tmp_path: Path) -> None:
-    launched = start(*LAUNCH, 'mode:=realtime', 'reference:=sine', 'record:=my_run')
+    # So slow that the recorder loses nothing on a busy machine either; a loss is its status 1.
+    launched = start(*LAUNCH, 'mode:=realtime', 'rate_hz:=200', 'reference:=sine',
+                     'record:=my_run')
     wait_until(lambda: sum(file.stat().st_size for file in tmp_path.glob('my_run/*.mcap'))
-               > 100_000, 'messages in the bag', lambda: launched.text)
+               > 20_000, 'messages in the bag', lambda: launched.text)
     assert interrupt(launched) == 0
     for word in ('Traceback', 'SIGTERM', 'SIGKILL', 'process has died'):
         assert word not in launched.text

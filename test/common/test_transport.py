@@ -1,15 +1,17 @@
 """What the nodes can be reached by: without a range, or with LOCALHOST, by this machine alone."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Listener, NodeProcess
+from conftest import ROOT, Listener, NodeProcess
 
 from asi_common.node.executor import CHOICES, HERE_ALONE, choose_transport, stay_here
 
@@ -65,6 +67,47 @@ def test_without_a_range_or_with_localhost_no_socket_is_bound_to_another_address
     open_ = start_node(ACTUATOR, '-r', '__node:=asi_open', mode='realtime', rate_hz=200.0)
     open_.wait_for('realtime at')
     assert '0.0.0.0' in sockets(open_.pid)
+
+
+# Prints how many of 1500 states it misses, as best effort delivers them.
+HEAR = """
+import os, rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from asi_common.node.executor import choose_transport
+choose_transport(os.environ, rclpy.get_rmw_implementation_identifier())
+rclpy.init()
+node, numbers = rclpy.create_node('listener'), []
+def heard(_, info):
+    numbers.append(info['publication_sequence_number'])
+    print('heard' if len(numbers) == 1 else '', flush=True)
+node.create_subscription(JointState, 'joint_states', heard, QoSProfile(
+    depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT))
+while len(numbers) < 1500:
+    rclpy.spin_once(node)
+print(numbers[-1] - numbers[0] + 1 - len(numbers), 'missed')
+"""
+
+
+@pytest.mark.skipif(int(Path('/proc/sys/net/core/rmem_max').read_text()) < 2 ** 22,
+                    reason='net.core.rmem_max does not permit so large a buffer')
+def test_a_listener_that_stands_still_misses_nothing_that_its_buffer_holds(
+        ros_environment: dict[str, str], start_node: Callable[..., NodeProcess],
+        tmp_path: Path) -> None:
+    """Best effort: nothing is sent again."""
+    ros_environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    listener = NodeProcess([sys.executable, '-c', HEAR], {
+        **ros_environment, 'PYTHONPATH': str(ROOT)}, tmp_path / 'listener')
+    try:
+        start_node(ACTUATOR, mode='realtime', rate_hz=500.0)
+        listener.wait_for('heard')
+        listener.send(signal.SIGSTOP)
+        time.sleep(2.0)
+        listener.send(signal.SIGCONT)
+        listener.wait_for('missed')
+        assert '\n0 missed' in listener.text
+    finally:
+        listener.kill()
 
 
 @pytest.fixture
