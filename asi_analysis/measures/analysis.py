@@ -207,7 +207,7 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
     notes += trusted.note('oscillation')
     if trusted.withheld:
         figures['oscillation'] = dict.fromkeys(figures['oscillation'])
-    return notes
+    return list(dict.fromkeys(notes))   # both parts of the impedance have one
 
 
 def in_words(swing: Mapping[str, Any], unit: str = 'N') -> str:

@@ -45,6 +45,8 @@ FEWEST_LEVELS: Final = 25
 LARGE: Final = 0.1    # share of the largest value above which the number of digits is judged
 # A signal with fewer changes is piecewise constant, such as a prescribed velocity.
 FEWEST_CHANGES: Final = 4
+# Smaller values (m, m/s, N) are rounding errors of a simulation at rest.
+REST: Final = 1e-15
 # What may explain that a signal suddenly changes, the first that was recorded; without reference
 # and command the motion that came with it. With the samples that are needed to explain all but the
 # beginning of a response: a motion has more changes that are one by chance.
@@ -271,7 +273,7 @@ def _quantised(values: Array) -> tuple[int, float] | None:
     # A signal at rest also repeats values, but these are not on an even grid.
     if 1 < len(level) < NOTED_LEVELS and len(values) > 10 * len(level) and (
             np.count_nonzero(np.diff(values)) > FEWEST_CHANGES
-            and step > 1e-3 * (level[-1] - level[0])):
+            and step > 1e-3 * (level[-1] - level[0]) and level[-1] - level[0] > REST):
         return len(level), step
     return None
 

@@ -56,3 +56,13 @@ def test_a_command_of_missing_samples_has_no_size() -> None:
     missing = np.full(50, np.nan)
     run = Run(np.arange(50) / 100.0, np.ones(50), missing, np.ones(50))
     assert analyze(run).command_rms_n is None
+
+
+def test_a_velocity_of_few_digits_is_told_once_and_rounding_errors_at_rest_are_not() -> None:
+    steps = np.round(9.0 * np.sin(2.0 * np.pi * 2.0 * T))
+    force = 50.0 * np.sin(2.0 * np.pi * 2.0 * T) + np.random.default_rng(1).normal(size=T.size)
+    for resolution, told in ((0.01, 1), (2.465e-32, 0)):
+        found = analyze(Run(T, reference_n=np.zeros(T.size), force_n=force,
+                            velocity_m_s=resolution * steps))
+        said = [note for note in found.notes if 'different values' in note]
+        assert len(said) == told, said
