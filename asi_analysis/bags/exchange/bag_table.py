@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import TypesysError, get_types_from_msg
@@ -15,6 +16,7 @@ from asi_analysis.bags.bag_writer import typestore
 from asi_analysis.bags.exchange.lerobot import is_dataset
 from asi_analysis.bags.exchange.ros1_bag import read_ros1_table
 from asi_analysis.bags.exchange.table_file import Table
+from asi_analysis.bags.information import checked
 from asi_analysis.bags.topic_messages import Topic
 from asi_analysis.errors import InputError, InputWarning
 
@@ -24,15 +26,18 @@ def is_bag(path: Path) -> bool:
     return (path.is_dir() and not is_dataset(path)) or path.suffix in ('.mcap', '.db3', '.bag')
 
 
-def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
+def read_bag_table(path: Path, columns: Sequence[str]) -> tuple[Table, dict[str, Any]]:
     """
-    Return all numbers of the topics to which `columns` belong, and `time`, s.
+    Return all numbers of the topics to which `columns` belong, and `time`, s; and the import.
+
+    The import is that by which the bag was written, empty for others; what it had left out is
+    told by warnings again.
 
     The time base is the topic of the first column; numbers of other topics are held until their
     next message. Raises InputError.
     """
     if path.suffix == '.bag':
-        return read_ros1_table(path, columns)
+        return read_ros1_table(path, columns), {}
     present: dict[str, None] = {}
 
     def selected(topic: str) -> bool:
@@ -40,7 +45,10 @@ def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
         return any(column.startswith(f'{topic}/') for column in columns)
 
     contents = read_contents(path, selected)
-    for problem in contents.problems:
+    problems = list(contents.problems)
+    imported = checked(contents.information, problems, str(path)).get('imported', {})
+    problems += [f'{path}: at its import: {text}' for text in imported.get('problems', ())]
+    for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=3)
     if missing := {topic.type for topic in contents.topics.values()} - set(typestore().fielddefs):
         _learn_types(path, missing)
@@ -57,7 +65,7 @@ def read_bag_table(path: Path, columns: Sequence[str]) -> Table:
     for name, one in series.items():
         for field, values in align(base, one, hold=name != first).items():
             table[f'{name}/{field}'] = values
-    return table
+    return table, imported
 
 
 def _learn_types(path: Path, missing: set[str]) -> None:

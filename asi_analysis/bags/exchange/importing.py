@@ -2,7 +2,7 @@
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -76,6 +76,7 @@ def _imported(paths: list[Path], texts: list[str], rate_hz: float | None, skip_l
               episode: int | None) -> Run:
     """Return the run of `import_recording`; what it leaves out is told by warnings."""
     exported = not texts and zero_s == 0.0
+    earlier: dict[str, Any] = {}
     if len(paths) > 1:
         if rate_hz is not None or any(is_bag(each) or is_dataset(each) for each in paths):
             raise InputError('several files are tables with a time each: import bags, datasets, '
@@ -83,9 +84,10 @@ def _imported(paths: list[Path], texts: list[str], rate_hz: float | None, skip_l
         signals = read_several({each: read_table(each, skip_lines, delimiter, columns, episode)
                                 for each in paths}, texts)
     else:
-        texts, table = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns, episode)
+        texts, table, earlier = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns,
+                                      episode)
         signals = _evaluated([parse_mapping(text) for text in texts], table, paths[0])
-    run = _run(signals, texts, paths, rate_hz, zero_s)
+    run = _run(signals, texts, paths, rate_hz, zero_s, earlier)
     return _with_exported(run, paths[0]) if exported else run
 
 
@@ -136,10 +138,10 @@ def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | Non
     """
     path = Path(path)
     with input_warnings() as warned:
-        texts, table = _read(path, list(mapping), rate_hz, skip_lines, delimiter, columns,
-                             episode)
+        texts, table, earlier = _read(path, list(mapping), rate_hz, skip_lines, delimiter,
+                                      columns, episode)
         runs = {joint: _run(_evaluated([parse_mapping(text) for text in own], table, path), own,
-                            [path], rate_hz, zero_s)
+                            [path], rate_hz, zero_s, earlier)
                 for joint, own in joints_of(texts, table, path).items()}
     runs = {joint: _with_problems(run, warned) for joint, run in runs.items()}
     for joint, run in runs.items() if out is not None else ():
@@ -181,7 +183,7 @@ def _joints_in(path: Path) -> dict[str, Run]:
         raise InputError(f'{path}: joint states in {" and ".join(topics) or "no topic"}: import '
                          f'one topic with {JOINT} in the mapping')
     topic = topics[0]
-    table = read_bag_table(path, [f'{topic}/'])
+    table, _ = read_bag_table(path, [f'{topic}/'])
     return import_joints(path, [
         f'{signal}={topic}/{JOINT}/{field}[{unit}]' for signal, field, unit in (
             ('position', 'position', 'rad'), ('velocity', 'velocity', 'rad/s'),
@@ -192,23 +194,27 @@ def _joints_in(path: Path) -> dict[str, Run]:
 
 def _read(path: Path, texts: list[str], rate_hz: float | None, skip_lines: int,
           delimiter: str | None, columns: Sequence[str] | None, episode: int | None
-          ) -> tuple[list[str], Table]:
-    """Return the mapping, completed by the file or bag itself, and its columns."""
+          ) -> tuple[list[str], Table, dict[str, Any]]:
+    """Return the mapping, completed by the file or bag, its columns, and its own import."""
     if not is_bag(path):
         if is_dataset(path):
             refuse_visual(path, [parse_mapping(text).term for text in texts])
         table = read_table(path, skip_lines, delimiter, columns, episode)
-        return texts or own_mapping(table), table
+        return texts or own_mapping(table), table, {}
     refuse_episode(path, episode)
     texts = texts + ['time=time'] * (rate_hz is None and not any(
         parse_mapping(text).signal == 'time' for text in texts))
     terms = [each.term for each in map(parse_mapping, texts) if each.signal != 'time']
-    return texts, read_bag_table(path, terms)
+    return texts, *read_bag_table(path, terms)
 
 
 def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz: float | None,
-         zero_s: float) -> Run:
-    """Return the run of signals with their units. Raises InputError."""
+         zero_s: float, earlier: Mapping[str, Any]) -> Run:
+    """
+    Return the run of signals with their units. Raises InputError.
+
+    earlier: the import by which a bag was written that is imported again.
+    """
     if not zero_s >= 0.0:
         raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
     path = paths[0]
@@ -223,8 +229,8 @@ def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz:
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
         'file': ', '.join(each.name for each in paths), 'mapping': texts, 'zero_s': zero_s}}
-    if len(repeated):
-        information['imported']['repeated_times_s'] = repeated.tolist()
+    if left_out := sorted({*repeated.tolist(), *earlier.get('repeated_times_s', ())}):
+        information['imported']['repeated_times_s'] = left_out
     usual = {signal.name: signal.unit for signal in SIGNALS}
     unusual = {name: unit for name, unit in units.items() if unit != usual[name]}
     if unusual:

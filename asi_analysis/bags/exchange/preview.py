@@ -318,7 +318,7 @@ def _bag_columns(path: Path) -> Table:
     if not topics:
         raise InputError(f'{path}: no topic of the types {", ".join(PREVIEWED)}; it has '
                          + ', '.join(f'{topic} ({type_})' for topic, type_ in types.items()))
-    return read_bag_table(path, [f'{topic}/' for topic in topics])
+    return read_bag_table(path, [f'{topic}/' for topic in topics])[0]
 
 
 def message_types(path: Path) -> dict[str, str]:

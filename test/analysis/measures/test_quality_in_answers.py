@@ -91,6 +91,20 @@ def test_a_bag_keeps_what_its_import_left_out(
                     answer[name][-1]['reliable'])
 
 
+def test_a_bag_that_is_imported_again_hands_on_what_its_import_left_out(tmp_path: Path) -> None:
+    rows = '0,1.5\n0.001,2.5\n0.001,3.5\n0.002,2.0\n0.003,2.25\n'
+    (tmp_path / 'log.csv').write_text('t,f\n' + rows)
+    with pytest.warns(InputWarning, match='are left out'):
+        import_recording(tmp_path / 'log.csv', ['time=t', 'force=f'], out=tmp_path / 'bag')
+    with pytest.warns(InputWarning, match='at its import: .* are left out'):
+        again = import_recording(tmp_path / 'bag', ['force=/force/wrench/force/x'],
+                                 out=tmp_path / 'again')
+    assert again.information['imported']['repeated_times_s'] == [0.001]
+    with pytest.warns(InputWarning, match='at its import: .*at its import: .* are left out'):
+        found = read_bag(tmp_path / 'again')
+    assert 'missing' in {each.kind for each in findings(found)}
+
+
 def test_a_parquet_file_hands_on_what_an_import_left_out(tmp_path: Path) -> None:
     rows = '0,1.5\n0.001,2.5\n0.001,3.5\n0.002,2.0\n0.003,2.25\n'
     (tmp_path / 'log.csv').write_text('t,f\n' + rows)
