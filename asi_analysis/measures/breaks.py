@@ -35,6 +35,13 @@ QUANTA: Final = 5.0
 # share of the usual one.
 ON_A_LINE: Final = 8
 STRAIGHT: Final = 0.03
+# A signal with noise that is cut off: it moves in so many samples, does not become slower than
+# this share of its speed, and then hardly moves for at least so many samples, within a range of at
+# most this share of each movement before.
+MOTION: Final = 5
+UNBRAKED: Final = 0.5
+CUT_OFF: Final = 8
+STILL: Final = 0.2
 OFTEN: Final = 0.1      # share of other samples without a bend, or least bend, that is usual
 # A change of sign: largest error of the mirrored value, and largest change before and after the
 # jump, as a share of the jump.
@@ -213,6 +220,29 @@ def straight(values: Array) -> list[tuple[int, int]]:
         return []
     return [(int(first), int(end) + 1) for first, end in long
             if first > 0 and values[first] != values[end + 1]]
+
+
+def cut_off(values: Array) -> Mask:
+    """
+    Return which of n samples are, but for noise, at the largest value, which cuts a motion off.
+
+    What settles brakes before: its changes become smaller from sample to sample.
+    """
+    found = np.zeros(len(values), bool)
+    if len(values) <= MOTION + CUT_OFF:
+        return found
+    parts = np.lib.stride_tricks.sliding_window_view(values, CUT_OFF)[MOTION + 1:]
+    motions = np.lib.stride_tricks.sliding_window_view(
+        np.diff(values)[:-CUT_OFF], MOTION)[:len(parts)]
+    width = np.ptp(parts, axis=1)
+    stops = (width > 0.0) & (parts.max(axis=1) + width > values.max()) & (
+        motions.min(axis=1) > width / STILL) & (
+        motions[:, -1] > UNBRAKED * motions.max(axis=1))
+    for k in np.flatnonzero(stops) + MOTION + 1:
+        if is_noisy(values[k:k + CUT_OFF]):
+            low = values[k:k + CUT_OFF].min() - width[k - MOTION - 1]
+            found[k:k + int(np.argmax(np.append(values[k:] < low, True)))] = True
+    return found
 
 
 def is_noisy(values: Array) -> bool:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
@@ -11,6 +12,7 @@ from asi_analysis.measures.breaks import is_noisy
 from asi_analysis.measures.correlation import correlation_delay
 from asi_analysis.measures.finding import (
     DOUBTFUL,
+    NOTE,
     Finding,
     Interval,
     name_of,
@@ -32,6 +34,30 @@ STEP: Final = 0.2
 MOST_STEPS: Final = 20
 SETTLED_SAMPLES: Final = 20
 FEWEST_SAMPLES: Final = 100
+# A corner is a change of slope of more than the share STEP of their range, in a reference whose
+# other slopes change by less than this share of it. The slope of a signal is measured over as many
+# samples, at least, as its noise allows, and is known to this share of the change.
+STRAIGHT: Final = 0.01
+SLOPE_SAMPLES: Final = 5
+SLOPE_SHARE: Final = 0.1
+TURNED: Final = 0.7     # share of its change of slope that a signal has completed
+SAME_TURN: Final = 0.3  # least share of the turn, or jump, of the reference
+# A jump is so many times larger than the changes of as many samples before and after it.
+JUMP: Final = 10.0
+BESIDE: Final = 5
+# A reference that goes on as before, but for a whole number of samples: largest change of slope
+# from sample to sample, as a share of it, of one that is smooth; largest differences of the slopes
+# beside, and of the number of samples.
+SMOOTH: Final = 0.1
+REGULAR: Final = 0.05
+# Windows in which the noise of command and signal is compared, samples; earlier samples that
+# count; least share of the noise of the command that comes from the signal, in a quarter of
+# them: chance gives less, a recording of each n-th sample more; least ratio of noise and
+# resolution.
+NOISE_WINDOW: Final = 200
+NOISE_LAGS: Final = 5
+LEAST_OWN_NOISE: Final = 0.06
+NOISE_RESOLVED: Final = 20.0
 
 
 def of_order(run: Run, name: str, time: Array, reference: Array, values: Array
@@ -41,6 +67,15 @@ def of_order(run: Run, name: str, time: Array, reference: Array, values: Array
         yield Finding('order', name, DOUBTFUL, early,
                       f'the {name_of(name)} changes before its reference does {place_of(early)}: '
                       'they are not synchronised')
+    elif early := _turned_before(time, reference, values):
+        yield Finding('order', name, DOUBTFUL, early,
+                      f'the {name_of(name)} turns before its reference does {place_of(early)}: '
+                      'they are not synchronised, or exchanged')
+    elif is_noisy(reference) and _without_noise(values) and (
+            correlation_delay(reference, values, 1.0) or 0.0) < -1.0:
+        yield Finding('order', name, DOUBTFUL, whole_run(time),
+                      f'the {name_of(name)} has no noise, and comes before its reference, which '
+                      'has: are they exchanged?')
     elif lead := _lead(reference, values):
         yield Finding('order', name, DOUBTFUL, whole_run(time),
                       f'the {name_of(name)} fits its reference best if it is '
@@ -120,6 +155,156 @@ def _there_before(reference: Array, values: Array, begin: int, jump: int, end: i
                 and abs(np.median(share[until:]) - 1.0) < BEFORE)
 
 
+class Corner(NamedTuple):
+    """A corner of the reference: how far a signal has turned before and after it, 0 to 1."""
+
+    sample: int
+    before: float
+    after: float
+
+
+def corners_of(reference: Array, values: Array) -> list[Corner]:
+    """Return the corners of a piecewise linear reference where the turn of a signal is clear."""
+    slopes = np.diff(reference)
+    bends = np.abs(np.diff(slopes))
+    range_ = float(np.ptp(slopes))
+    if len(bends) < FEWEST_SAMPLES or np.quantile(bends, 0.9) > STRAIGHT * range_:
+        return []
+    corners = np.flatnonzero(bends > STEP * range_) + 1
+    # The two bends of a step, and those of noise, follow each other.
+    if not 0 < len(corners) <= MOST_STEPS or np.diff(corners).min(initial=2) < 2:
+        return []
+    noise = float(np.median(np.abs(np.diff(values, 2)))) / 0.6745 / np.sqrt(6.0)
+    edges = [0, *(int(corner) for corner in corners), len(values) - 1]
+    found = []
+    for begin, corner, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
+        old, new = (_slope(values[a + (b - a) // 4:b - (b - a) // 4]) for a, b in (
+            (begin, corner), (corner, end)))
+        least = SLOPE_SHARE * max(abs(new - old), 1e-300)
+        count = max(SLOPE_SAMPLES, int(np.ceil(min((12.0 * (noise / least) ** 2) ** (1.0 / 3.0),
+                                                   len(values)))))
+        wanted = abs(reference[corner + 1] - 2.0 * reference[corner] + reference[corner - 1])
+        if abs(new - old) < SAME_TURN * wanted or min(corner - begin, end - corner) < 6 * count:
+            continue
+        found.append(Corner(corner, *((_slope(values[part]) - old) / (new - old) for part in (
+            slice(corner - count, corner + 1), slice(corner, corner + count + 1)))))
+    return found
+
+
+def _slope(values: Array) -> float:
+    """Return the slope, from sample to sample, of a straight line through n samples."""
+    places = np.arange(len(values)) - 0.5 * (len(values) - 1)
+    return float(places @ values / max(float(places @ places), 1e-300))
+
+
+def _turned_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
+    """Return the intervals in which a signal turns before each corner of its reference."""
+    found = corners_of(reference, values)
+    if len(found) < 2 or np.quantile([each.before for each in found], 0.25) < BEFORE:
+        return ()
+    return tuple((float(time[each.sample - 1]), float(time[each.sample])) for each in found)
+
+
+def of_rows(run: Run, name: str, time: Array, reference: Array, values: Array
+            ) -> Iterator[Finding]:
+    """Yield the findings on a reference that shows that rows were lost or exchanged."""
+    if skipped := _skipped(time, reference):
+        yield Finding('missing', 'time', DOUBTFUL, skipped,
+                      f'the reference goes on as after more samples {place_of(skipped)}, '
+                      f'{len(skipped)} times: rows were lost there')
+    elif jumped := _jumps_together(time, reference, values):
+        yield Finding('answer', 'time', DOUBTFUL, jumped,
+                      f'the {name_of(name)} jumps in the same sample as its reference '
+                      f'{place_of(jumped)}, though it follows later elsewhere: rows were lost, '
+                      'repeated or exchanged')
+
+
+def _skipped(time: Array, reference: Array) -> tuple[Interval, ...]:
+    """Return where a smooth reference changes by a multiple of its slope before and after."""
+    periods = np.diff(time)
+    period = float(np.median(periods))
+    slopes = np.diff(reference)
+    usual = float(np.median(np.abs(slopes)))
+    if len(slopes) < FEWEST_SAMPLES or not usual > 0.0 or float(
+            np.median(np.abs(np.diff(slopes)))) > SMOOTH * usual:
+        return ()
+    beside = np.stack([slopes[:-4], slopes[1:-3], slopes[3:-1], slopes[4:]])
+    middle = beside.mean(axis=0)
+    # A step of the time explains a step of the reference.
+    ratio = (slopes[2:-2] / np.where(middle != 0.0, middle, np.inf)
+             - (periods[2:-2] / period - 1.0))
+    lost = (np.ptp(beside, axis=0) < REGULAR * np.abs(middle)) & (ratio > 1.5) & (
+        np.abs(ratio - np.round(ratio)) < REGULAR) & (np.abs(middle) > SMOOTH * usual)
+    return tuple((float(time[k + 2]), float(time[k + 3])) for k in np.flatnonzero(lost))
+
+
+def _jumps_together(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
+    """Return where signal and reference jump in one sample, and elsewhere the signal is later."""
+    beside = np.abs(np.arange(-BESIDE, BESIDE + 1)) > 0
+    jumped = np.ones(len(values) - 1, bool)
+    for each in (reference, values):
+        changes = np.abs(np.diff(each))
+        jumped &= changes > JUMP * ndimage.maximum_filter(changes, footprint=beside)
+        jumped &= changes > STEP * STEP * float(np.ptp(each))
+    share = np.diff(values)[jumped] / np.diff(reference)[jumped]
+    if not len(share) or len(share) > MOST_STEPS or not (
+            (share > SAME_TURN) & (share < 1.0 / SAME_TURN)).all():
+        return ()
+    lag = correlation_delay(reference, values, 1.0)
+    if lag is None or lag < 2.0:
+        return ()
+    return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(jumped))
+
+
+def of_noise(run: Run, name: str) -> Iterator[Finding]:
+    """
+    Yield a finding if the noise of the command is not that of the signal that it responds to.
+
+    Whatever the controller and the plant do, noise of a signal is in the command that was computed
+    from it: where it is not, the signal was altered or moved in time, or measured again.
+    """
+    if run.command_n is None or run.reference_n is None or name != 'force':
+        return
+    share = _noise_in_common(run.command_n, run.reference_n, run.signal(name))
+    if share is not None and share < LEAST_OWN_NOISE:
+        yield Finding('answer', name, NOTE, whole_run(run.time_s),
+                      f'the noise of the {name_of(name)} is not in the command: it was altered or '
+                      'moved in time, or the controller had other samples')
+
+
+def _noise_in_common(command: Array, reference: Array, values: Array) -> float | None:
+    """Return the share of the noise of the command that is a signal's, in a quarter of windows."""
+    if not all(np.isfinite(each).all() for each in (command, reference, values)) or not (
+            len(values) > NOISE_WINDOW and is_noisy(command) and is_noisy(values)):
+        return None
+    bends = [np.diff(each, 2) for each in (command, reference, values)]
+    for each, bend in ((command, bends[0]), (values, bends[2])):
+        steps = np.diff(np.unique(each))
+        if np.std(bend) < NOISE_RESOLVED * float(steps.min(initial=np.inf)):
+            return None
+    count = len(bends[0])
+    earlier = [bends[0][NOISE_LAGS - lag:count - lag] for lag in range(1, NOISE_LAGS)]
+    known = np.stack(earlier + [each[NOISE_LAGS - lag:count - lag] for each in bends[1:]
+                                for lag in range(NOISE_LAGS)], axis=1)
+    new = bends[0][NOISE_LAGS:]
+    others = len(earlier) + NOISE_LAGS
+    shares = []
+    for begin in range(0, len(new) - NOISE_WINDOW + 1, NOISE_WINDOW):
+        part = slice(begin, begin + NOISE_WINDOW)
+        alone, with_signal = (_left(table, new[part]) for table in (
+            known[part, :others], known[part]))
+        if alone > 0.0:
+            shares.append(1.0 - with_signal / alone)
+    return float(np.quantile(shares, 0.75)) if shares else None
+
+
+def _left(table: Array, values: Array) -> float:
+    """Return the sum of squares that a linear combination of columns leaves."""
+    sizes = np.abs(table).max(axis=0)
+    table = table / np.where(sizes > 0.0, sizes, 1.0)
+    return float(np.sum((values - table @ np.linalg.lstsq(table, values, rcond=1e-10)[0]) ** 2))
+
+
 def of_exchange(run: Run, name: str) -> Iterator[Finding]:
     """Yield a finding if the command, in time, cannot be the cause of a signal."""
     if run.command_n is None or run.reference_n is None:
@@ -132,9 +317,14 @@ def of_exchange(run: Run, name: str) -> Iterator[Finding]:
     if is_noisy(reference) and np.count_nonzero(np.diff(command)) <= MOST_STEPS:
         yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
                       'the reference has noise, and the command only steps: are they exchanged?')
-    elif _responds_at_once(reference, command, values):
+    elif _without_noise(command) and is_noisy(reference) and is_noisy(values):
         yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
-                      f'the {name_of(name)} responds to steps of the reference at once, and the '
+                      f'the reference and the {name_of(name)} have noise, and the command has '
+                      'none: are they exchanged?')
+    elif _responds_at_once(reference, command, values) or _turns_at_once(
+            reference, command, values):
+        yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
+                      f'the {name_of(name)} responds to the reference at once, and the '
                       'command later: are they exchanged?')
 
 
@@ -147,3 +337,18 @@ def _responds_at_once(reference: Array, command: Array, values: Array) -> bool:
     of_values, of_command = (np.median(np.abs(np.diff(each))[steps]) / float(np.ptp(each) or 1.0)
                              for each in (values, command))
     return bool(of_values > STEP > 10.0 * of_command)
+
+
+def _without_noise(values: Array) -> bool:
+    """Return whether a signal mostly moves on straight lines or smooth curves."""
+    bends = np.abs(np.diff(values, 2))
+    changes = np.abs(np.diff(values))
+    return float(np.median(bends)) < STRAIGHT * float(np.median(changes))
+
+
+def _turns_at_once(reference: Array, command: Array, values: Array) -> bool:
+    """Return whether a signal turns at each corner of its reference, and its command later."""
+    of_values, of_command = corners_of(reference, values), corners_of(reference, command)
+    return len(of_values) > 1 and len(of_command) > 1 and (
+        min(each.after for each in of_values) > TURNED
+        and max(each.after for each in of_command) < BEFORE)

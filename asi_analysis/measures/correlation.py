@@ -33,9 +33,14 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float | 
     return lag * period_s if coefficient > LEAST_CORRELATION else None
 
 
-def largest_correlation(a: Array, b: Array) -> tuple[float, float]:
-    """Return the largest correlation coefficient over the lags of `b`, and its lag in samples."""
+def largest_correlation(a: Array, b: Array, longest: float = 0.5) -> tuple[float, float]:
+    """
+    Return the largest correlation coefficient over the lags of `b`, and its lag in samples.
+
+    longest: lag, as a share of the samples.
+    """
     lags, coefficient = _correlations(a, b)
+    coefficient = np.where(np.abs(lags) <= longest * len(a), coefficient, -1.0)
     top = int(np.argmax(coefficient))
     best = float(coefficient[top])
     own = np.interp(np.abs(lags - lags[top]), *_correlations(a, a), right=0.0)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.breaks import FEWEST, is_continuous, spikes
+from asi_analysis.measures.breaks import FEWEST, cut_off, is_continuous, spikes
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -36,6 +36,8 @@ JITTER: Final = 0.1
 # A gap of more periods and more seconds is a step of the clock, or a second recording.
 CLOCK_PERIODS: Final = 1000
 CLOCK_S: Final = 10.0
+# Rates outside which the unit of time, or the rate, of a control loop is probably wrong.
+USUAL_HZ: Final = (2.0, 2e5)
 # Consecutive samples at the largest or smallest value that count as clipped.
 CLIPPED_SAMPLES: Final = 4
 # Fewer levels of quantisation give a note; with fewer than FEWEST_LEVELS, 2 % of a step cannot
@@ -60,8 +62,10 @@ HELD: Final = 0.99
 FEWEST_HELD: Final = 50
 LARGEST: Final = 1e100   # value of a signal: squares and sums of larger ones overflow
 LOSSES: Final = frozenset(('gap', 'missing'))
-# Longest gap, in samples, over which a motion may be interpolated.
+# Longest gap, in samples, over which a motion may be interpolated, and largest share of samples
+# that may be.
 BRIDGED: Final = 7
+MOST_BRIDGED: Final = 0.01
 # Findings that explain why the command is not that of the recorded controller.
 EXPLAINED: Final = frozenset(('unit', 'sign', 'order', 'answer', 'motion', 'copy'))
 
@@ -72,6 +76,10 @@ def findings(run: Run) -> list[Finding]:
     found = [*_of_time(run.time_s)]
     found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     found += _of_import(run)
+    if run.reference_n is not None and not USUAL_HZ[0] < run.rate_hz < USUAL_HZ[1]:
+        found.append(Finding('unit', 'time', NOTE, whole,
+                             f'the samples of this control loop are {run.period_s:.4g} s apart: '
+                             'is the unit of time, or the rate, right?'))
     for name, values in run.signals().items():
         found += _of_signal(run, name, values)
     known = of_controller(run)
@@ -152,20 +160,24 @@ def check_time(time_s: Array, source: str) -> None:
 
 def doubts(runs: Sequence[Run], in_time: bool = True) -> list[str]:
     """
-    Return what makes answers from whole runs doubtful: all that is, but samples lost singly.
+    Return what makes answers from whole runs doubtful: all that is, but few samples lost singly.
 
     in_time: an answer follows a motion from sample to sample, and continues after lost ones where
-    interpolation ends, which is wrong after many in a row; else no lost sample is doubtful.
+    interpolation ends, which is wrong after many in a row, or of many; else no lost sample is
+    doubtful.
     """
     return [f'{run.source}: {each.text}' for run in runs if len(run) > 1
             for each in findings(run) if each.severity == DOUBTFUL and (
-                each.kind not in LOSSES or in_time and _long_inside(run, each))]
+                each.kind not in LOSSES or in_time and _many_inside(run, each))]
 
 
-def _long_inside(run: Run, lost: Finding) -> bool:
-    """Return whether many samples in a row are lost, with others before and after."""
-    return any(end - start > BRIDGED * run.period_s and start > run.time_s[0]
-               and end < run.time_s[-1] for start, end in lost.intervals_s)
+def _many_inside(run: Run, lost: Finding) -> bool:
+    """Return whether many samples, or many in a row, are lost, with others before and after."""
+    periods = [(end - start) / run.period_s for start, end in lost.intervals_s
+               if start > run.time_s[0] and end < run.time_s[-1]]
+    each_more = -1.0 if lost.kind == 'gap' else 1.0     # a gap lies between two samples
+    return max(periods, default=0.0) > BRIDGED or (
+        sum(periods) + each_more * len(periods) > MOST_BRIDGED * len(run))
 
 
 def _of_time(time: Array) -> Iterator[Finding]:
@@ -334,7 +346,7 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
             for begin, length in reached:
                 if often or length >= max(CLIPPED_SAMPLES, 3.0 * usual):
                     clipped[begin:begin + length] = True
-        found.append(clipped)
+        found.append(clipped | cut_off(values if limit > np.median(values) else -values))
     return found
 
 

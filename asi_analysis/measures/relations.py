@@ -21,7 +21,9 @@ from asi_analysis.measures.causality import (
     SOON,
     moves_against_steps,
     of_exchange,
+    of_noise,
     of_order,
+    of_rows,
 )
 from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
 from asi_analysis.measures.correlation import largest_correlation
@@ -135,8 +137,12 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
     for each in _of_continuity(name, time, reference, values):
         if each.kind != 'jump' or not by_command.same_samples:
             yield each
+    if not as_recorded:
+        yield from of_rows(run, name, time, reference, values)
     if not by_command.same_time:
         yield from of_order(run, name, time, reference, values)
+    if not as_recorded and not by_command.same_samples:
+        yield from of_noise(run, name)
 
 
 def _moves_against(reference: Array, values: Array) -> bool:
@@ -145,7 +151,7 @@ def _moves_against(reference: Array, values: Array) -> bool:
         return True
     against, lag = largest_correlation(reference, -values)
     return against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
-        largest_correlation(reference, values)[0] < CLEARLY * against)
+        largest_correlation(reference, values, SOON)[0] < CLEARLY * against)
 
 
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:

@@ -287,6 +287,10 @@ def test_doubts_about_whole_runs_leave_out_samples_lost_singly() -> None:
     doubt, = doubts([many])
     assert '57 samples are missing in 4 gaps' in doubt
     assert doubts([many], in_time=False) == []
+    singly, = doubts([without(run, np.arange(100, 1900, 50))])
+    assert '36 samples are missing in 36 gaps' in singly
+    empty, = doubts([with_force(run, lambda f: put(f, slice(100, 1900, 50), np.nan))])
+    assert '36 of 2000 samples of the force are missing' in empty
     assert len(doubts([DAMAGED['missing'](run)])) == 1
     assert doubts([with_force(run, lambda f: put(f, slice(0, 100), np.nan))]) == []
     doubt, = doubts([a_run(), replace(DAMAGED['unit'](a_run()), source='mine')])
