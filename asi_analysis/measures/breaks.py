@@ -37,11 +37,12 @@ ON_A_LINE: Final = 8
 STRAIGHT: Final = 0.03
 # A signal with noise that is cut off: it moves in so many samples, does not become slower than
 # this share of its speed, and then hardly moves for at least so many samples, within a range of at
-# most this share of each movement before.
+# most this share of each movement before. Of less than this share of its range it has no noise.
 MOTION: Final = 5
 UNBRAKED: Final = 0.5
 CUT_OFF: Final = 8
 STILL: Final = 0.2
+LEAST_NOISE: Final = 1e-4
 OFTEN: Final = 0.1      # share of other samples without a bend, or least bend, that is usual
 # A change of sign: largest error of the mirrored value, and largest change before and after the
 # jump, as a share of the jump.
@@ -211,6 +212,8 @@ def straight(values: Array) -> list[tuple[int, int]]:
         return []
     bend = np.abs(bend)
     usual = float(np.median(bend))
+    if usual < QUANTA * float(np.diff(np.unique(values)).min(initial=np.inf)):
+        return []       # its resolution is no noise
     on_line = bend < STRAIGHT * usual
     edges = np.flatnonzero(np.diff(on_line.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     long = edges[np.diff(edges)[:, 0] >= ON_A_LINE]
@@ -222,11 +225,12 @@ def straight(values: Array) -> list[tuple[int, int]]:
             if first > 0 and values[first] != values[end + 1]]
 
 
-def cut_off(values: Array) -> Mask:
+def cut_off(values: Array, reference: Array | None) -> Mask:
     """
     Return which of n samples are, but for noise, at the largest value, which cuts a motion off.
 
-    What settles brakes before: its changes become smaller from sample to sample.
+    What settles brakes before: its changes become smaller from sample to sample. What follows a
+    reference that moves may stop with it.
     """
     found = np.zeros(len(values), bool)
     if len(values) <= MOTION + CUT_OFF:
@@ -235,9 +239,13 @@ def cut_off(values: Array) -> Mask:
     motions = np.lib.stride_tricks.sliding_window_view(
         np.diff(values)[:-CUT_OFF], MOTION)[:len(parts)]
     width = np.ptp(parts, axis=1)
-    stops = (width > 0.0) & (parts.max(axis=1) + width > values.max()) & (
+    stops = (width > LEAST_NOISE * float(np.ptp(values))) & (
+        parts.max(axis=1) + width > values.max()) & (
         motions.min(axis=1) > width / STILL) & (
         motions[:, -1] > UNBRAKED * motions.max(axis=1))
+    if reference is not None:
+        stops &= np.ptp(np.lib.stride_tricks.sliding_window_view(
+            reference[:-CUT_OFF], MOTION + 1), axis=1)[:len(parts)] == 0.0
     for k in np.flatnonzero(stops) + MOTION + 1:
         if is_noisy(values[k:k + CUT_OFF]):
             low = values[k:k + CUT_OFF].min() - width[k - MOTION - 1]

@@ -58,6 +58,7 @@ NOISE_WINDOW: Final = 200
 NOISE_LAGS: Final = 5
 LEAST_OWN_NOISE: Final = 0.06
 NOISE_RESOLVED: Final = 20.0
+MOSTLY_NOISE: Final = 0.1    # least share of the bends of a signal in its changes
 
 
 def of_order(run: Run, name: str, time: Array, reference: Array, values: Array
@@ -71,11 +72,6 @@ def of_order(run: Run, name: str, time: Array, reference: Array, values: Array
         yield Finding('order', name, DOUBTFUL, early,
                       f'the {name_of(name)} turns before its reference does {place_of(early)}: '
                       'they are not synchronised, or exchanged')
-    elif is_noisy(reference) and _without_noise(values) and (
-            correlation_delay(reference, values, 1.0) or 0.0) < -1.0:
-        yield Finding('order', name, DOUBTFUL, whole_run(time),
-                      f'the {name_of(name)} has no noise, and comes before its reference, which '
-                      'has: are they exchanged?')
     elif lead := _lead(reference, values):
         yield Finding('order', name, DOUBTFUL, whole_run(time),
                       f'the {name_of(name)} fits its reference best if it is '
@@ -165,10 +161,12 @@ class Corner(NamedTuple):
 
 def corners_of(reference: Array, values: Array) -> list[Corner]:
     """Return the corners of a piecewise linear reference where the turn of a signal is clear."""
+    if len(reference) < FEWEST_SAMPLES:
+        return []
     slopes = np.diff(reference)
     bends = np.abs(np.diff(slopes))
     range_ = float(np.ptp(slopes))
-    if len(bends) < FEWEST_SAMPLES or np.quantile(bends, 0.9) > STRAIGHT * range_:
+    if np.quantile(bends, 0.9) > STRAIGHT * range_:
         return []
     corners = np.flatnonzero(bends > STEP * range_) + 1
     # The two bends of a step, and those of noise, follow each other.
@@ -221,11 +219,13 @@ def of_rows(run: Run, name: str, time: Array, reference: Array, values: Array
 
 def _skipped(time: Array, reference: Array) -> tuple[Interval, ...]:
     """Return where a smooth reference changes by a multiple of its slope before and after."""
+    if len(reference) < FEWEST_SAMPLES:
+        return ()
     periods = np.diff(time)
     period = float(np.median(periods))
     slopes = np.diff(reference)
     usual = float(np.median(np.abs(slopes)))
-    if len(slopes) < FEWEST_SAMPLES or not usual > 0.0 or float(
+    if not usual > 0.0 or float(
             np.median(np.abs(np.diff(slopes)))) > SMOOTH * usual:
         return ()
     beside = np.stack([slopes[:-4], slopes[1:-3], slopes[3:-1], slopes[4:]])
@@ -240,6 +240,8 @@ def _skipped(time: Array, reference: Array) -> tuple[Interval, ...]:
 
 def _jumps_together(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
     """Return where signal and reference jump in one sample, and elsewhere the signal is later."""
+    if len(values) < FEWEST_SAMPLES:
+        return ()
     beside = np.abs(np.arange(-BESIDE, BESIDE + 1)) > 0
     jumped = np.ones(len(values) - 1, bool)
     for each in (reference, values):
@@ -250,8 +252,11 @@ def _jumps_together(time: Array, reference: Array, values: Array) -> tuple[Inter
     if not len(share) or len(share) > MOST_STEPS or not (
             (share > SAME_TURN) & (share < 1.0 / SAME_TURN)).all():
         return ()
-    lag = correlation_delay(reference, values, 1.0)
-    if lag is None or lag < 2.0:
+    # The delay of the longest part between the jumps: they would be one of 0.
+    edges = np.array([0, *(np.flatnonzero(jumped) + 1), len(values)])
+    longest = int(np.argmax(np.diff(edges)))
+    part = slice(edges[longest], edges[longest + 1])
+    if (correlation_delay(reference[part], values[part], 1.0) or 0.0) < 2.0:
         return ()
     return tuple((float(time[k]), float(time[k + 1])) for k in np.flatnonzero(jumped))
 
@@ -307,7 +312,13 @@ def _left(table: Array, values: Array) -> float:
 
 def of_exchange(run: Run, name: str) -> Iterator[Finding]:
     """Yield a finding if the command, in time, cannot be the cause of a signal."""
-    if run.command_n is None or run.reference_n is None:
+    if run.reference_n is None:
+        return
+    if _is_reference_of(run.reference_n, run.signal(name)):
+        yield Finding('order', name, DOUBTFUL, whole_run(run.time_s),
+                      f'the {name_of(name)} has no noise, and comes before its reference, which '
+                      'has: are they exchanged?')
+    if run.command_n is None:
         return
     reference, command, values = run.reference_n, run.command_n, run.signal(name)
     known = np.isfinite(command) & np.isfinite(reference) & np.isfinite(values)
@@ -317,7 +328,7 @@ def of_exchange(run: Run, name: str) -> Iterator[Finding]:
     if is_noisy(reference) and np.count_nonzero(np.diff(command)) <= MOST_STEPS:
         yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
                       'the reference has noise, and the command only steps: are they exchanged?')
-    elif _without_noise(command) and is_noisy(reference) and is_noisy(values):
+    elif _without_noise(command) and _has_noise(reference) and _has_noise(values):
         yield Finding('order', 'time', DOUBTFUL, whole_run(run.time_s),
                       f'the reference and the {name_of(name)} have noise, and the command has '
                       'none: are they exchanged?')
@@ -339,11 +350,25 @@ def _responds_at_once(reference: Array, command: Array, values: Array) -> bool:
     return bool(of_values > STEP > 10.0 * of_command)
 
 
+def _is_reference_of(reference: Array, values: Array) -> bool:
+    """Return whether a signal without noise comes before its reference, which has noise."""
+    known = np.isfinite(reference) & np.isfinite(values)
+    reference, values = reference[known], values[known]
+    return len(values) > FEWEST_SAMPLES and _has_noise(reference) and _without_noise(values) and (
+        correlation_delay(reference, values, 1.0) or 0.0) < -1.0
+
+
 def _without_noise(values: Array) -> bool:
     """Return whether a signal mostly moves on straight lines or smooth curves."""
-    bends = np.abs(np.diff(values, 2))
-    changes = np.abs(np.diff(values))
-    return float(np.median(bends)) < STRAIGHT * float(np.median(changes))
+    bends, changes = (float(np.median(np.abs(np.diff(values, n)))) for n in (2, 1))
+    return bends < STRAIGHT * changes
+
+
+def _has_noise(values: Array) -> bool:
+    """Return whether much of the changes of a signal is noise, and not its resolution."""
+    bends, changes = (float(np.median(np.abs(np.diff(values, n)))) for n in (2, 1))
+    resolution = float(np.diff(np.unique(values)).min(initial=np.inf))
+    return is_noisy(values) and bends > max(MOSTLY_NOISE * changes, NOISE_RESOLVED * resolution)
 
 
 def _turns_at_once(reference: Array, command: Array, values: Array) -> bool:

@@ -85,7 +85,7 @@ def findings(run: Run) -> list[Finding]:
     known = of_controller(run)
     found += of_reference(run, as_recorded=known.agrees)
     found += of_motion(run)
-    if not EXPLAINED & {each.kind for each in found}:
+    if not EXPLAINED & {each.kind for each in found if each.severity == DOUBTFUL}:
         found += known.findings
     return sorted(found, key=lambda each: each.severity != DOUBTFUL)
 
@@ -255,8 +255,13 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
                       f'{np.abs(values[wrong]).max():.4g} {unit} {place_of(where)}')
     if name == 'reference':
         return
-    for part, limit, word in zip(_clipped(values[~wrong]), _ends(values[~wrong]),
-                                 ('smallest', 'largest'), strict=True):
+    clipped = _clipped(values[~wrong])
+    if name == 'force':
+        reference = None if run.reference_n is None else run.reference_n[present][~wrong]
+        clipped = [part | cut_off(sign * values[~wrong], reference)
+                   for part, sign in zip(clipped, (-1.0, 1.0), strict=True)]
+    for part, limit, word in zip(clipped, _ends(values[~wrong]), ('smallest', 'largest'),
+                                 strict=True):
         if part.any():
             where = _sample_intervals(time[~wrong], part)
             yield Finding('clipping', name, DOUBTFUL, where,
@@ -346,7 +351,7 @@ def _clipped(values: Array) -> list[npt.NDArray[np.bool_]]:
             for begin, length in reached:
                 if often or length >= max(CLIPPED_SAMPLES, 3.0 * usual):
                     clipped[begin:begin + length] = True
-        found.append(clipped | cut_off(values if limit > np.median(values) else -values))
+        found.append(clipped)
     return found
 
 

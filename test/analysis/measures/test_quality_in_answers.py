@@ -16,6 +16,7 @@ from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.loop.in_process import simulate
+from asi_analysis.measures.quality import findings
 
 # Of each command: its words, and the part of its answer that is not reliable.
 COMMANDS = {

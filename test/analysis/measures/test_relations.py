@@ -636,10 +636,11 @@ def test_without_a_command_any_force_may_follow_any_reference(
 
 
 def test_milliseconds_that_are_read_as_seconds_are_a_slower_loop() -> None:
-    """The relation of the samples has no time; position and velocity have."""
+    """The relation of the samples has no time; position and velocity have. The rate is noted."""
     run = a_loop()
     slow = replace(run, time_s=1e3 * run.time_s, position_m=None, velocity_m_s=None)
-    assert findings(slow) == []
+    assert [(each.kind, each.signal, each.severity) for each in findings(slow)] == [
+        ('unit', 'time', 'note')]
     fast, slower = ((each.reference, each.signal) for each in map(law_of, (run, slow))
                     if each is not None)
     assert fast == pytest.approx(slower)
