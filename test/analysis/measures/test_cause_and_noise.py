@@ -127,7 +127,7 @@ def test_a_rate_that_no_control_loop_has_is_noted(factor: float, triangle: Run) 
 def test_a_straight_line_of_few_digits_is_not_interpolated() -> None:
     """Its only noise is the resolution of the file."""
     run = simulate({'load.type': 'locked'}, {
-        'compensator': 'proportional', 'reference.shape': 'ramp', 'reference.amplitude': 100.0},
-        1.0, RATE_HZ)
+        'compensator': 'proportional', 'reference.shape': 'ramp', 'reference.amplitude': 100.0,
+        'feedforward': 1.0}, 0.8, RATE_HZ)
     force = np.array([float(f'{each:.5g}') for each in run.signal('force')])
     assert findings(Run(run.time_s, run.reference_n, None, force)) == []
