@@ -285,7 +285,7 @@ def _noise_in_common(command: Array, reference: Array, values: Array) -> float |
     bends = [np.diff(each, 2) for each in (command, reference, values)]
     for each, bend in ((command, bends[0]), (values, bends[2])):
         steps = np.diff(np.unique(each))
-        if np.std(bend) < NOISE_RESOLVED * float(steps.min(initial=np.inf)):
+        if np.median(np.abs(bend)) < NOISE_RESOLVED * float(steps.min(initial=np.inf)):
             return None
     count = len(bends[0])
     earlier = [bends[0][NOISE_LAGS - lag:count - lag] for lag in range(1, NOISE_LAGS)]
